@@ -1,0 +1,242 @@
+"""Sampled linear systems with named ports, ready for a real-time loop (numpy only).
+
+A :class:`SampledSystem` is what flies: the observer K_FSM and the controller K_PMA are files of this
+kind (``designs/*.json``), and whoever brings a controller of their own writes such a file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "los-testbed/sampled-system"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named group of signals.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the inputs (or outputs) of a system.
+    size : int
+        Number of scalar signals, at least 1.
+    unit : str
+        SI unit of the signals, one per component separated by commas where they differ; ports are
+        only connected to ports of the same unit.
+
+    Examples
+    --------
+    >>> Port("accel_Ip", 6, "m/s2,rad/s2").signals[0]
+    'accel_Ip[0]'
+    """
+
+    name: str
+    size: int
+    unit: str = "1"
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise ValueError("a port needs a name, got an empty string")
+        if self.size < 1:
+            raise ValueError(f"port {self.name!r}: size must be at least 1, got {self.size}")
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the scalar signals: the port's own name if it has one, else ``name[i]``."""
+        if self.size == 1:
+            return (self.name,)
+        return tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+def read_only(array: ArrayLike) -> FloatArray:
+    """Contiguous float copy that refuses to be written to."""
+    copy = np.array(array, dtype=float, order="C")
+    copy.setflags(write=False)
+    return copy
+
+
+def port_slices(ports: Iterable[Port]) -> dict[str, slice]:
+    """Place of each port in the stacked signal vector."""
+    slices, start = {}, 0
+    for port in ports:
+        slices[port.name] = slice(start, start + port.size)
+        start += port.size
+    return slices
+
+
+@dataclass(frozen=True)
+class SampledSystem:
+    """Sampled linear system ``x+ = A x + B u``, ``y = C x + D u`` with named ports.
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        Shapes (n, n), (n, m), (p, n), (p, m); n may be 0 (a static gain).
+    inputs, outputs : tuple of Port
+        Sizes add up to m and p.
+    dt : float
+        Sampling period [s].
+    name : str
+        What the system is, for messages and reports.
+    provenance : mapping
+        Birth certificate: command, parameters hash, seed, commit, norms.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, numbers that are not finite, a period that is not positive.
+
+    Examples
+    --------
+    A leaky integrator driven by 1 settles at its DC gain 1 / (1 - 0.9):
+
+    >>> k = SampledSystem([[0.9]], [[1.0]], [[1.0]], [[0.0]], (Port("u", 1),), (Port("y", 1),), 1e-3)
+    >>> y = np.zeros(1)
+    >>> for _ in range(400):
+    ...     k.step(np.ones(1), y)
+    >>> round(float(y[0]), 9)
+    10.0
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    dt: float
+    name: str = "controller"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    _x: FloatArray = field(init=False, repr=False, compare=False)
+    _next: FloatArray = field(init=False, repr=False, compare=False)
+    _feed: FloatArray = field(init=False, repr=False, compare=False)
+    _through: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for key in "ABCD":
+            object.__setattr__(self, key, self._checked(key))
+        n, m, p = self.A.shape[0], _total(self.inputs), _total(self.outputs)
+        expected = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+        for key, shape in expected.items():
+            if getattr(self, key).shape != shape:
+                raise ValueError(
+                    f"{self.name}: matrix {key} must be {shape[0]} x {shape[1]} to fit its ports and states, "
+                    f"got {' x '.join(str(s) for s in getattr(self, key).shape)}"
+                )
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"{self.name}: sampling period must be positive, got {self.dt}")
+        object.__setattr__(self, "_x", np.zeros(n))
+        object.__setattr__(self, "_next", np.zeros(n))
+        object.__setattr__(self, "_feed", np.zeros(n))
+        object.__setattr__(self, "_through", np.zeros(p))
+
+    def _checked(self, key: str) -> FloatArray:
+        try:
+            matrix = read_only(getattr(self, key))
+        except (TypeError, ValueError):
+            raise ValueError(f"{self.name}: matrix {key} must be a rectangular array of numbers") from None
+        if matrix.size == 0:
+            n = len(self.A)
+            shape = {"A": (0, 0), "B": (0, _total(self.inputs)), "C": (_total(self.outputs), 0)}
+            matrix = read_only(np.zeros(shape.get(key, (0, 0)))) if n == 0 else matrix
+        if matrix.ndim != 2:
+            raise ValueError(f"{self.name}: matrix {key} must have two dimensions, got {matrix.ndim}")
+        if not np.all(np.isfinite(matrix)):
+            row, column = np.argwhere(~np.isfinite(matrix))[0]
+            raise ValueError(
+                f"{self.name}: matrix {key} must be finite, entry [{row}, {column}] is {matrix[row, column]}"
+            )
+        return matrix
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return self.A.shape[0]
+
+    @property
+    def state(self) -> FloatArray:
+        """Copy of the present state."""
+        return self._x.copy()
+
+    def step(self, u: FloatArray, out: FloatArray) -> None:
+        """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing."""
+        np.matmul(self.C, self._x, out=out)
+        np.matmul(self.D, u, out=self._through)
+        np.add(out, self._through, out=out)
+        np.matmul(self.A, self._x, out=self._next)
+        np.matmul(self.B, u, out=self._feed)
+        np.add(self._next, self._feed, out=self._x)
+
+    def reset(self) -> None:
+        """Back to the zero state."""
+        self._x[:] = 0.0
+
+    def to_file(self, path: str | os.PathLike[str]) -> None:
+        """Write the JSON file that :meth:`from_file` reads, whole or not at all."""
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": self.name,
+            "dt": self.dt,
+            "inputs": [vars(port) for port in self.inputs],
+            "outputs": [vars(port) for port in self.outputs],
+            **{key: getattr(self, key).tolist() for key in "ABCD"},
+            "provenance": dict(self.provenance),
+        }
+        target = Path(path)
+        partial = target.with_name(target.name + ".partial")
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.replace(target)
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> SampledSystem:
+        """Read a system from its JSON file.
+
+        Raises
+        ------
+        ValueError
+            The file cannot be read, is not of this format, or holds matrices that do not fit.
+        """
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
+        except ValueError:
+            raise ValueError(f"{path} is not a controller file: expected JSON, the text is not") from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise ValueError(f'{path} is not a controller file: expected "format": "{FORMAT}"')
+        if content.get("version") != VERSION:
+            raise ValueError(f"{path}: expected version {VERSION}, got {content.get('version')}")
+        missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]
+        if missing:
+            raise ValueError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
+        try:
+            inputs, outputs = (tuple(Port(**port) for port in content[key]) for key in ("inputs", "outputs"))
+            return cls(
+                *(content[key] for key in "ABCD"),
+                inputs=inputs,
+                outputs=outputs,
+                dt=float(content["dt"]),
+                name=str(content.get("name", Path(path).stem)),
+                provenance=content.get("provenance", {}),
+            )
+        except TypeError:
+            raise ValueError(f"{path}: expected ports as objects with name, size and unit") from None
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _total(ports: Iterable[Port]) -> int:
+    return sum(port.size for port in ports)
