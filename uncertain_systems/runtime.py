@@ -225,7 +225,10 @@ class SampledSystem:
         try:
             inputs, outputs = (tuple(Port(**port) for port in content[key]) for key in ("inputs", "outputs"))
             return cls(
-                *(content[key] for key in "ABCD"),
+                A=content["A"],
+                B=content["B"],
+                C=content["C"],
+                D=content["D"],
                 inputs=inputs,
                 outputs=outputs,
                 dt=float(content["dt"]),
