@@ -1,0 +1,33 @@
+"""Structures: beam frames and finite-element results reduced to modal data of TITOP bodies."""
+
+from titop_plant.structures.beam_element import Section
+from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
+from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
+from titop_plant.structures.residual_mass import (
+    ResidualMode,
+    ResidualRepair,
+    add_residual_modes,
+    check_residual_mass,
+    effective_masses,
+    repair_residual_mass,
+    smallest_residual_fraction,
+)
+
+__all__ = [
+    "Beam",
+    "BeamFrame",
+    "ChildPort",
+    "LumpedMass",
+    "ModalData",
+    "ResidualMode",
+    "ResidualRepair",
+    "Section",
+    "add_residual_modes",
+    "check_residual_mass",
+    "effective_masses",
+    "from_inertia",
+    "repair_residual_mass",
+    "smallest_residual_fraction",
+    "static_displacement",
+    "to_modal_data",
+]
