@@ -1,0 +1,192 @@
+"""Bags with known answers: write any signals in the layout of the testbed's recordings.
+
+For tests, for the reading benchmark, and for trying a pointing analysis on an error whose APE and RPE are known on paper
+(a tone, white noise, a circular motion). A run of the testbed is recorded by its own recorder, not by this module.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+from numpy.typing import ArrayLike, NDArray
+
+from pointing_analysis.read import METADATA_NAME
+
+_SEPARATOR = "\n" + "=" * 80 + "\n"
+_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+_VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+_ACCEL = "MSG: geometry_msgs/Accel\nVector3 linear\nVector3 angular\n"
+DEFINITIONS = {
+    "geometry_msgs/msg/Vector3Stamped": _SEPARATOR.join(
+        ["std_msgs/Header header\nVector3 vector\n", _HEADER, _TIME, _VECTOR]
+    ),
+    "geometry_msgs/msg/AccelStamped": _SEPARATOR.join(
+        ["std_msgs/Header header\nAccel accel\n", _HEADER, _TIME, _ACCEL, _VECTOR]
+    ),
+    "sensor_msgs/msg/JointState": _SEPARATOR.join(
+        [
+            "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+            _HEADER,
+            _TIME,
+        ]
+    ),
+}
+PMA_NAMES = tuple(f"pma_{i}" for i in range(1, 7))
+
+
+def _pad(data: bytes, size: int) -> bytes:
+    return data + b"\0" * (-(len(data) - 4) % size)
+
+
+def _string(text: str) -> bytes:
+    raw = text.encode() + b"\0"
+    return struct.pack("<I", len(raw)) + raw
+
+
+def encode(schema: str, stamp: int, values: ArrayLike, frame: str = "telescope") -> bytes:
+    """CDR payload of one message.
+
+    Parameters
+    ----------
+    schema : a key of `DEFINITIONS`
+    stamp : [ns]
+    values : 3 (Vector3Stamped), 6 (AccelStamped) or any number (JointState efforts)
+    frame : frame_id
+    """
+    data = b"\x00\x01\x00\x00" + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + _string(frame)
+    row = np.asarray(values, dtype="<f8")
+    if schema == "sensor_msgs/msg/JointState":
+        data = _pad(data, 4) + struct.pack("<I", row.size)
+        for i in range(row.size):
+            data = _pad(data, 4) + _string(PMA_NAMES[i] if i < len(PMA_NAMES) else f"joint_{i + 1}")
+        data = _pad(data, 4) + struct.pack("<III", 0, 0, row.size)
+    return _pad(data, 8) + row.tobytes()
+
+
+def _schema_of(width: int) -> str:
+    kinds = {2: "geometry_msgs/msg/Vector3Stamped", 3: "geometry_msgs/msg/Vector3Stamped"}
+    return kinds.get(width, "geometry_msgs/msg/AccelStamped")
+
+
+def write_bag(
+    path: str | Path,
+    signals: Mapping[str, ArrayLike],
+    *,
+    dt: float = 1e-3,
+    periods: Mapping[str, int] | None = None,
+    stamps: Mapping[str, ArrayLike] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    namespace: str = "/telescope",
+    compression: str = "zstd",
+    chunk_size: int = 1 << 20,
+    index: bool = True,
+    chunks: bool = True,
+    start: int = 1_700_000_000 * 10**9,
+) -> Path:
+    """Write a rosbag2 folder (one MCAP file and metadata.yaml) holding the given signals.
+
+    Parameters
+    ----------
+    path : folder to make; must not exist
+    signals : topic name without namespace -> (n, 2), (n, 3) or (n, 6) samples; ``pma/command`` becomes a JointState
+    dt : sampling period [s]
+    periods : topic -> period as a multiple of `dt` (camera frames), default 1
+    stamps : topic -> (n,) stamps [ns] in place of the regular ones, in the order of recording
+    parameters : metadata of the run; values are stored as JSON
+    compression : ``zstd``, ``lz4`` or ``none``
+    index, chunks : write message indexes; write chunks at all
+    start : stamp of the first sample [ns]
+
+    Returns
+    -------
+    The folder.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pointing_analysis.read import Run
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> bag = write_bag(Path(folder.name) / "bag", {"truth/los": np.zeros((100, 2))})
+    >>> len(Run.open(bag)["truth/los"])
+    100
+    """
+    folder = Path(path)
+    folder.mkdir(parents=True, exist_ok=False)
+    events = _events(signals, dt, dict(periods or {}), dict(stamps or {}), start)
+    file = folder / f"{folder.name}_0.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(
+            stream,
+            chunk_size=chunk_size,
+            compression=CompressionType[compression.upper()],
+            index_types=IndexType.ALL if index else IndexType.NONE,
+            use_chunking=chunks,
+        )
+        writer.start(profile="ros2", library="pointing_analysis.synthetic")
+        text = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (parameters or {}).items()}
+        writer.add_metadata(METADATA_NAME, text)
+        channels = {}
+        for name, (schema, _) in events[0].items():
+            number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
+            channels[name] = writer.register_channel(f"{namespace}/{name}", "cdr", number)
+        for _, stamp, name, row in events[1]:
+            data = encode(events[0][name][0], stamp, events[0][name][1][row], frame=name.replace("/", "_"))
+            writer.add_message(channels[name], stamp, data, stamp, sequence=row)
+        writer.finish()
+    _write_yaml(folder, file.name, namespace, events[0], len(events[1]))
+    return folder
+
+
+_Signals = dict[str, tuple[str, NDArray[np.float64]]]
+
+
+def _events(
+    signals: Mapping[str, ArrayLike],
+    dt: float,
+    periods: dict[str, int],
+    stamps: dict[str, ArrayLike],
+    start: int,
+) -> tuple[_Signals, list[tuple[int, int, str, int]]]:
+    """Typed signals and the messages in order of recording: (time of recording, stamp, topic, row)."""
+    typed: _Signals = {}
+    events = []
+    for name, signal in signals.items():
+        values = np.atleast_2d(np.asarray(signal, dtype=float))
+        schema = "sensor_msgs/msg/JointState" if name == "pma/command" else _schema_of(values.shape[1])
+        if values.shape[1] == 2:
+            values = np.column_stack([values, np.zeros(len(values))])
+        typed[name] = (schema, values)
+        step = round(dt * 1e9) * periods.get(name, 1)
+        nominal = start + step * np.arange(len(values), dtype=np.int64)
+        given = np.asarray(stamps.get(name, nominal), dtype=np.int64)
+        events += [(int(a), int(s), name, i) for i, (a, s) in enumerate(zip(nominal, given))]
+    return typed, sorted(events, key=lambda event: event[0])
+
+
+def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, messages: int) -> None:
+    topics = [
+        {
+            "topic_metadata": {"name": f"{namespace}/{name}", "type": schema, "serialization_format": "cdr"},
+            "message_count": len(values),
+        }
+        for name, (schema, values) in typed.items()
+    ]
+    info = {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [file],
+        "message_count": messages,
+        "topics_with_message_count": topics,
+        "compression_format": "",
+        "compression_mode": "",
+    }
+    text = yaml.safe_dump({"rosbag2_bagfile_information": info}, sort_keys=False)
+    (folder / "metadata.yaml").write_text(text)

@@ -1,0 +1,213 @@
+"""One topic of a run as arrays on the time axis of its stamps, and what was wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.mcap_records import BagError
+
+Floats = NDArray[np.float64]
+NANO = 1_000_000_000
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array with writing switched off (house rule for arrays in frozen dataclasses)."""
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True)
+class Integrity:
+    """What a look at the stamps of one topic found.
+
+    Attributes
+    ----------
+    messages : messages in the bag
+    duplicates : messages whose stamp was there already
+    conflicts : duplicates that say something else than the first: two publishers on one topic
+    out_of_order : messages recorded after one with a later stamp
+    missing : samples missing between the first and the last stamp
+    gaps : (start, samples missing) of each gap, start in seconds after the topic's first stamp
+    irregular : intervals that are no whole multiple of the period (2 % of it allowed)
+    nan : messages with a value that is not a number (for a camera: a dropped frame)
+    other_rate : share of the intervals that belong to stretches at another constant rate
+    """
+
+    messages: int
+    duplicates: int
+    conflicts: int
+    out_of_order: int
+    missing: int
+    gaps: tuple[tuple[float, int], ...]
+    irregular: int
+    nan: int
+    other_rate: float
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Messages of one topic, sorted by stamp, each stamp once.
+
+    Attributes
+    ----------
+    name : name without the namespace, e.g. ``truth/los``
+    schema : ROS message type
+    unit : unit of the values
+    columns : names of the values
+    stamp : (n,) header stamps [ns], strictly increasing
+    values : (n, k) in the order of `columns`
+    logged : (n,) time at which the recorder took the message [ns]
+    published : (n,) time at which the publisher sent it [ns], where the recorder knew it
+    period : sampling period [s]: the most frequent distance of two stamps; NaN with fewer than two messages
+    integrity : gaps, duplicates and the like
+    """
+
+    name: str
+    schema: str
+    unit: str
+    columns: tuple[str, ...]
+    stamp: NDArray[np.int64]
+    values: Floats
+    logged: NDArray[np.int64]
+    published: NDArray[np.int64]
+    period: float
+    integrity: Integrity
+
+    def __len__(self) -> int:
+        return int(self.stamp.size)
+
+    @property
+    def time(self) -> Floats:
+        """(n,) seconds since the topic's first stamp."""
+        return (self.stamp - self.stamp[:1]) / NANO
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays [byte]."""
+        return self.stamp.nbytes + self.values.nbytes + self.logged.nbytes + self.published.nbytes
+
+
+def _period_ns(stamp: NDArray[np.int64]) -> int:
+    """Most frequent interval, jitter below 1 % of the median set aside; 0 with fewer than two stamps."""
+    steps = np.diff(stamp)
+    if not steps.size:
+        return 0
+    values, counts = np.unique(steps, return_counts=True)
+    if counts.max() * 2 >= steps.size:
+        return int(values[counts.argmax()])
+    return int(np.median(steps))
+
+
+def _other_rate(steps: NDArray[np.int64], period: int) -> float:
+    """Share of intervals in stretches of 20 and more equal intervals that are not the period (two rates in one run)."""
+    if not steps.size:
+        return 0.0
+    ratio = np.rint(steps / period).astype(np.int64)
+    ratio = np.where(steps * 2 < period, 0, ratio)
+    edges = np.flatnonzero(np.diff(ratio)) + 1
+    starts, ends = np.append(0, edges), np.append(edges, ratio.size)
+    runs = ends - starts
+    return float(runs[(ratio[starts] != 1) & (runs >= 20)].sum() / ratio.size)
+
+
+def _inspect(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_], order: int, period: int) -> Integrity:
+    first = np.maximum.accumulate(np.where(kept, np.arange(stamp.size), 0))
+    again = ~kept
+    differs = np.any(values[again] != values[first[again]], axis=1) if again.any() else np.zeros(0, bool)
+    both_nan = np.isnan(values[again]).any(axis=1) if again.any() else differs
+    unique = stamp[kept]
+    steps = np.diff(unique)
+    ticks = np.maximum(np.rint(steps / period), 1).astype(np.int64) if period else steps
+    holes = np.flatnonzero(ticks > 1)
+    return Integrity(
+        messages=int(stamp.size),
+        duplicates=int(again.sum()),
+        conflicts=int((differs & ~both_nan).sum()),
+        out_of_order=order,
+        missing=int((ticks - 1).sum()),
+        gaps=tuple((float((unique[i] - unique[0]) / NANO), int(ticks[i] - 1)) for i in holes[:1000]),
+        irregular=int((np.abs(steps - ticks * period) * 50 > period).sum()),
+        nan=int(np.isnan(values).any(axis=1).sum()),
+        other_rate=_other_rate(steps, period) if period else 0.0,
+    )
+
+
+def make_topic(
+    name: str,
+    schema: str,
+    unit: str,
+    columns: tuple[str, ...],
+    stamp: NDArray[np.int64],
+    values: Floats,
+    logged: NDArray[np.int64],
+    published: NDArray[np.int64],
+) -> Topic:
+    """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
+    late = int((stamp < np.maximum.accumulate(stamp)).sum()) if stamp.size else 0
+    if late:
+        order = np.argsort(stamp, kind="stable")
+        stamp, values, logged, published = stamp[order], values[order], logged[order], published[order]
+    kept = np.append(np.ones(min(stamp.size, 1), bool), np.diff(stamp) > 0)
+    period = _period_ns(stamp[kept])
+    integrity = _inspect(stamp, values, kept, late, period)
+    if not kept.all():
+        stamp, values, logged, published = stamp[kept], values[kept], logged[kept], published[kept]
+    return Topic(
+        name,
+        schema,
+        unit,
+        columns,
+        read_only(stamp),
+        read_only(values),
+        read_only(logged),
+        read_only(published),
+        period / NANO if period else float("nan"),
+        integrity,
+    )
+
+
+def on_grid(topic: Topic) -> tuple[Floats, float]:
+    """Values on the uniform time axis of the topic's period, NaN where a sample is missing.
+
+    Returns
+    -------
+    values : (m, k), row i at the time i * period after the first stamp
+    period : [s]
+
+    Raises
+    ------
+    BagError
+        Two sampling rates, two publishers, irregular stamps, a jump of the clock, or fewer than two samples.
+    """
+    state = topic.integrity
+    if len(topic) < 2:
+        raise BagError(f"{topic.name}: expected at least two samples; got {len(topic)}")
+    if state.conflicts:
+        raise BagError(
+            f"{topic.name}: {state.conflicts} stamps carry two different values: expected one plant per bag, "
+            "got two publishers on this topic"
+        )
+    if state.other_rate > 0.01:
+        raise BagError(
+            f"{topic.name}: expected one sampling rate; {100 * state.other_rate:.0f} % of the run is not at the "
+            f"period of {1e3 * topic.period:g} ms"
+        )
+    if state.irregular > 0.01 * len(topic):
+        raise BagError(
+            f"{topic.name}: expected stamps on a grid of {1e3 * topic.period:g} ms; {state.irregular} intervals are not"
+        )
+    index = np.rint((topic.stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64)
+    if index[-1] + 1 > 4 * len(topic) + 100_000:
+        raise BagError(
+            f"{topic.name}: {len(topic)} samples span {index[-1] * topic.period:g} s: expected a continuous "
+            "recording; the clock jumped or most of it is missing"
+        )
+    if state.missing == 0 and index[-1] + 1 == len(topic):
+        return topic.values, topic.period
+    grid = np.full((int(index[-1]) + 1, topic.values.shape[1]), np.nan)
+    grid[index] = topic.values
+    return grid, topic.period

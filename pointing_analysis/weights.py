@@ -1,0 +1,98 @@
+r"""Spectral weights of the pointing indices: the part of a tone's rms that an index sees.
+
+A tone of amplitude A and frequency :math:`\omega` on one axis has :math:`\mathrm{RPE_{rms}} = |W(\omega)|\, A/\sqrt 2`. Exact weights
+follow from the window mean (Lucke et al. 1992; Ott et al. 2011); the rational one is the common second-order fit used for
+synthesis. **The rational weight is no upper bound**: the exact one is up to 4.5 % larger in amplitude (near
+:math:`\omega\Delta t = 5.3`, 42 Hz for 20 ms), so a design with norm 1 allows a measured RPE of 1.045 times its limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+
+def mean_exact(omega: ArrayLike, window: float) -> Floats:
+    r"""Magnitude of the window mean of a tone: :math:`\sqrt{2(1-\cos y)}/y`, :math:`y=\omega\Delta t`.
+
+    Parameters
+    ----------
+    omega : frequency [rad/s]
+    window : [s]
+    """
+    y = np.asarray(omega, dtype=float) * window
+    return np.abs(np.sinc(y / (2 * np.pi)))
+
+
+def rpe_exact(omega: ArrayLike, window: float) -> Floats:
+    r"""Continuous-time RPE weight :math:`\sqrt{1-2(1-\cos y)/y^2}`.
+
+    Examples
+    --------
+    Over whole periods the mean is zero and all of the tone is jitter:
+
+    >>> float(rpe_exact(2 * np.pi * 50, 0.02).round(6))
+    1.0
+    >>> float(rpe_exact(2 * np.pi * 10, 0.02).round(6))
+    0.353355
+    """
+    y = np.asarray(omega, dtype=float) * window
+    # 1 - sinc^2 loses its digits for small y; the series y^2/12 (1 - y^2/30) is exact there to 1e-13.
+    small = np.abs(y) < 2e-3
+    series = y**2 / 12 * (1 - y**2 / 30)
+    return np.sqrt(np.where(small, series, np.maximum(1 - np.sinc(y / (2 * np.pi)) ** 2, 0)))
+
+
+def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> Floats:
+    r"""RPE weight of the window estimator on samples: :math:`\sqrt{1-[\sin(N\omega T/2)/(N\sin(\omega T/2))]^2}`.
+
+    Parameters
+    ----------
+    omega : [rad/s], below the Nyquist frequency for a meaningful answer
+    samples : N, samples per window
+    dt : sampling period T [s]
+    """
+    half = np.asarray(omega, dtype=float) * dt / 2
+    bottom = samples * np.sin(half)
+    flat = np.abs(bottom) < 1e-9
+    kernel = np.where(flat, 1.0, np.sin(samples * half) / np.where(flat, 1.0, bottom))
+    return np.sqrt(np.maximum(1 - kernel**2, 0))
+
+
+def drift_exact(omega: ArrayLike, separation: float) -> Floats:
+    r"""Weight of the difference of two instants `separation` apart: :math:`\sqrt{2(1-\cos\omega\Delta t_s)}`."""
+    return 2 * np.abs(np.sin(np.asarray(omega, dtype=float) * separation / 2))
+
+
+def pde_exact(omega: ArrayLike, window: float, separation: float) -> Floats:
+    """Weight of the PDE: the difference of two window means."""
+    return mean_exact(omega, window) * drift_exact(omega, separation)
+
+
+def rpe_rational(omega: ArrayLike, window: float) -> Floats:
+    r"""Rational RPE weight :math:`|s\Delta t(s\Delta t+\sqrt{12})/((s\Delta t)^2+6 s\Delta t+12)|` at :math:`s=j\omega`.
+
+    Examples
+    --------
+    >>> float(rpe_rational(2 * np.pi * 10, 0.02).round(6))
+    0.360016
+    """
+    s = 1j * np.asarray(omega, dtype=float) * window
+    return np.abs(s * (s + np.sqrt(12)) / (s**2 + 6 * s + 12))
+
+
+def worst_ratio() -> tuple[float, float]:
+    r"""Largest ratio exact / rational RPE weight and the :math:`\omega\Delta t` [rad] where it is.
+
+    Examples
+    --------
+    >>> ratio, y = worst_ratio()
+    >>> round(ratio, 3), round(y / (2 * np.pi * 0.02))
+    (1.045, 42)
+    """
+    y = np.linspace(0.1, 12, 20001)
+    ratio = rpe_exact(y, 1.0) / rpe_rational(y, 1.0)
+    i = int(ratio.argmax())
+    return float(ratio[i]), float(y[i])
