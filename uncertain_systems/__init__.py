@@ -1,6 +1,15 @@
 """Linear systems with named ports and real parameters (linear fractional transformations)."""
 
-from uncertain_systems.interconnection import close, connect, invert, parallel, series, star
+from uncertain_systems.interconnection import (
+    Connection,
+    close,
+    connect,
+    invert,
+    parallel,
+    series,
+    star,
+    transform,
+)
 from uncertain_systems.parameters import RealParameter
 from uncertain_systems.runtime import Port, SampledSystem
 from uncertain_systems.system import (
@@ -12,6 +21,7 @@ from uncertain_systems.system import (
 )
 
 __all__ = [
+    "Connection",
     "Port",
     "RealParameter",
     "SampledSystem",
@@ -26,4 +36,5 @@ __all__ = [
     "star",
     "state_space",
     "static_gain",
+    "transform",
 ]

@@ -218,8 +218,7 @@ def series(first: UncertainSystem, second: UncertainSystem, via: Mapping[str, st
     """
     return connect(
         {"first": first, "second": second},
-        [(p.name, f"first.{p.name}") for p in first.inputs]
-        + [(f"first.{a}", f"second.{b}") for a, b in via.items()],
+        [(p.name, f"first.{p.name}") for p in first.inputs] + [(f"first.{a}", f"second.{b}") for a, b in via.items()],
         inputs=first.inputs,
         outputs={p.name: f"second.{p.name}" for p in second.outputs},
     )
@@ -278,6 +277,52 @@ def close(plant: UncertainSystem, controller: UncertainSystem, via: Mapping[str,
         for a, b in via.items()
     }
     return star(plant, controller, wires)
+
+
+def transform(
+    system: UncertainSystem,
+    *,
+    inputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
+    outputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
+) -> UncertainSystem:
+    """Replace ports by linear images of them, at their places.
+
+    Parameters
+    ----------
+    inputs : mapping
+        Port name to (T, new port): the old signal is ``T @ new``, T of shape (old size, new size).
+    outputs : mapping
+        Port name to (T, new port): the new signal is ``T @ old``, T of shape (new size, old size).
+
+    Raises
+    ------
+    ValueError
+        Unknown port, or a matrix that does not fit.
+    """
+    q = len(system.channels)
+    inputs, outputs = dict(inputs or {}), dict(outputs or {})
+    for name in inputs:
+        system.input_port(name)
+    for name in outputs:
+        system.output_port(name)
+    right = [inputs.get(p.name, (np.eye(p.size), p)) for p in system.inputs]
+    left = [outputs.get(p.name, (np.eye(p.size), p)) for p in system.outputs]
+    for old, (T, new) in zip(system.inputs, right):
+        if np.shape(T) != (old.size, new.size):
+            raise ValueError(f"input {old.name!r}: expected a {old.size} x {new.size} matrix, got {np.shape(T)}")
+    for old, (T, new) in zip(system.outputs, left):
+        if np.shape(T) != (new.size, old.size):
+            raise ValueError(f"output {old.name!r}: expected a {new.size} x {old.size} matrix, got {np.shape(T)}")
+    R = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in right)))
+    Lm = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in left)))
+    return replace(
+        system,
+        B=system.B @ R,
+        C=Lm @ system.C,
+        D=Lm @ system.D @ R,
+        inputs=tuple(new for _, new in right),
+        outputs=tuple(new for _, new in left),
+    )
 
 
 def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSystem:

@@ -127,9 +127,7 @@ def checked_values(
     """
     unknown = sorted(set(values) - set(parameters))
     if unknown:
-        raise ValueError(
-            f"unknown parameter {unknown[0]!r}, expected one of: {', '.join(parameters) or '(none)'}"
-        )
+        raise ValueError(f"unknown parameter {unknown[0]!r}, expected one of: {', '.join(parameters) or '(none)'}")
     result = {}
     for name, parameter in parameters.items():
         value = float(values.get(name, parameter.nominal))

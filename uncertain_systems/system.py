@@ -194,9 +194,7 @@ class UncertainSystem:
             raise ValueError("expected system[output ports, input ports], for example P['los', 'u']")
         return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
 
-    def select(
-        self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None
-    ) -> UncertainSystem:
+    def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> UncertainSystem:
         """Keep the named ports, in the order given; the other inputs are zero.
 
         Raises
@@ -326,9 +324,7 @@ def _find(ports: Sequence[Port], name: str, kind: str) -> Port:
     for port in ports:
         if port.name == name:
             return port
-    raise ValueError(
-        f"unknown {kind} port {name!r}, expected one of: {', '.join(p.name for p in ports) or '(none)'}"
-    )
+    raise ValueError(f"unknown {kind} port {name!r}, expected one of: {', '.join(p.name for p in ports) or '(none)'}")
 
 
 def _solve(matrix: FloatArray, right: FloatArray, problem: str) -> FloatArray:

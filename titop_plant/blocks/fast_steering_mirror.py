@@ -1,0 +1,98 @@
+"""Piezo-electric fast steering mirror (FSM): a rigid mirror on two revolute joints, x then y.
+
+Commands are angles: each acts through the joint's stiffness, so at rest the mirror stands where it
+is told, and above its own mode (sqrt(k/J)) it no longer follows. Four states.
+
+=================  ====  ==================================================================
+port               size  meaning
+=================  ====  ==================================================================
+in ``accel_<P>``   6     acceleration twist of the mount
+in ``fsm_command`` 2     commanded angles about x, y [rad]
+out ``wrench_<P>`` 6     by the mirror on its mount
+out ``fsm_angle``  2     angles of the mirror against its mount, x, y [rad]
+=================  ====  ==================================================================
+
+Source: the paper, "Fast Steering Mirror". Neglected: actuator hysteresis and electronics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from titop_plant import ports
+from titop_plant.blocks.flexible_body import rigid_body
+from titop_plant.blocks.revolute_joint import on_revolute_joint, position_commanded
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.structures.modal_data import from_inertia
+from uncertain_systems import Port, UncertainSystem, connect, static_gain
+
+
+@dataclass(frozen=True)
+class FastSteeringMirror:
+    """Data of a fast steering mirror.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    inertia : ndarray, shape (3, 3)
+        At the centre of mass, in the mirror's frame (z is the mirror's normal) [kg m2].
+    stiffness, damping : float
+        Of each joint [Nm/rad], [Nm s/rad].
+    center_of_mass : tuple of float
+        From the pivot, which both axes pass through [m].
+    """
+
+    mass: float
+    inertia: FloatArray
+    stiffness: float
+    damping: float
+    center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> UncertainSystem:
+    """TITOP block of a fast steering mirror (ports: see the module).
+
+    Examples
+    --------
+    At rest the mirror stands where it is told:
+
+    >>> fsm = fast_steering_mirror(FastSteeringMirror(0.05, np.diag([3e-5, 3e-5, 6e-5]), 77.0, 0.015))
+    >>> np.round(fsm["fsm_angle", "fsm_command"].nominal()(0).real, 12).tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    """
+    mass = from_inertia(data.mass, data.inertia, data.center_of_mass)
+    block = rigid_body("mirror", point, mass)
+    for name, axis in (("y", (0.0, 1.0, 0.0)), ("x", (1.0, 0.0, 0.0))):
+        block = on_revolute_joint(
+            block,
+            point,
+            axis,
+            stiffness=data.stiffness,
+            damping=data.damping,
+            angle=f"angle_{name}",
+            torque=f"torque_{name}",
+        )
+        block = position_commanded(block, f"torque_{name}", f"command_{name}", data.stiffness)
+    command, angle = Port("fsm_command", 2, "rad"), Port("fsm_angle", 2, "rad")
+    xy = [Port("x", 1, "rad"), Port("y", 1, "rad")]
+    accel, wrench = ports.accel(point).name, ports.wrench(point).name
+    return connect(
+        {
+            "split": static_gain(np.eye(2), [command], xy),
+            "mirror": block,
+            "join": static_gain(np.eye(2), xy, [angle]),
+        },
+        [
+            (accel, f"mirror.{accel}"),
+            (command.name, "split.fsm_command"),
+            ("split.x", "mirror.command_x"),
+            ("split.y", "mirror.command_y"),
+            ("mirror.angle_x", "join.x"),
+            ("mirror.angle_y", "join.y"),
+        ],
+        inputs=[ports.accel(point), command],
+        outputs={wrench: f"mirror.{wrench}", angle.name: "join.fsm_angle"},
+    )

@@ -1,0 +1,177 @@
+"""Reaction wheel with imbalance disturbance, and an assembly of wheels.
+
+Newton and Euler at the wheel's centre of mass G in the wheel's frame (spin along z, disc of radial
+inertia J_r and axial inertia J_w, rigid mount)::
+
+    wrench_G = -[ m a ; J_r omega_dot_x ; J_r omega_dot_y ; 0 ]  + [ w_f ; w_t ; u ]
+               - J_w Omega [ 0 ; omega_y ; -omega_x ; 0 ]
+    Omega'   = -u / J_w - omega_dot_z
+
+The gyroscopic term needs the angular *rate* of the hub; with the rate at hand the speed Omega occurs
+twice and no integrator is added. **u > 0 pushes the structure along +z (the wheel is pushed by -u).**
+
+======================  ====  ==============================================================
+port                    size  meaning
+======================  ====  ==============================================================
+in ``accel_<G>``        6     acceleration twist of the hub
+in ``rate_<G>``         3     its angular rate
+in ``wheel_torque``     1     u [Nm]
+in ``imbalance``        5     force x, y, z [N] and torque x, y [Nm] on the structure, wheel frame
+out ``wrench_<G>``      6     by the wheel on its parent
+out ``wheel_accel``     1     Omega' [rad/s2]
+======================  ====  ==============================================================
+
+Source: the paper, "Modeling of micro-vibration sources". Neglected: bearing flexibility, products of
+the small structural rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from titop_plant import ports
+from titop_plant.blocks.mounting import mounted
+from titop_plant.blocks.rotation import _unit
+from titop_plant.structures.kinematics import FloatArray
+from uncertain_systems import Connection, Port, RealParameter, UncertainSystem, connect, static_gain
+
+
+@dataclass(frozen=True)
+class ReactionWheel:
+    """Data of a reaction wheel.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    axial_inertia, radial_inertia : float
+        J_w about the spin axis, J_r across it [kg m2]. A thin disc has J_w = 2 J_r.
+    """
+
+    mass: float
+    axial_inertia: float
+    radial_inertia: float
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "axial_inertia", "radial_inertia"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"reaction wheel: {name} must be positive, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class MountedWheel:
+    """A wheel of an assembly.
+
+    Parameters
+    ----------
+    wheel : ReactionWheel
+    axis : ndarray, shape (3,)
+        Spin axis in the parent's frame; made a unit vector.
+    position : ndarray, shape (3,)
+        Wheel centre from the assembly's point [m].
+    speed : RealParameter
+        Omega [rad/s].
+    """
+
+    wheel: ReactionWheel
+    axis: FloatArray
+    position: FloatArray
+    speed: RealParameter
+
+
+def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") -> UncertainSystem:
+    """TITOP block of one wheel in its own frame (ports and equations: see the module).
+
+    Examples
+    --------
+    A spinning wheel on a turning base does no work: the gyroscopic torque is across the rate.
+
+    >>> wheel = reaction_wheel(ReactionWheel(1.0, 0.096, 0.047), RealParameter("speed", 0, -1000, 1000))
+    >>> G = wheel["wrench_G", "rate_G"].at({"speed": 500.0}).D[3:]
+    >>> bool(np.all(G + G.T == 0.0)), float(G[1, 0])
+    (True, 48.0)
+    """
+    Jw = data.axial_inertia
+    inputs = [
+        ports.accel(point),
+        ports.rate(point),
+        Port("wheel_torque", 1, "Nm"),
+        Port("imbalance", 5, "N,Nm"),
+    ]
+    outputs = [ports.wrench(point), Port("wheel_accel", 1, "rad/s2")]
+    D = np.zeros((7, 15))
+    D[:6, :6] = -np.diag([data.mass] * 3 + [data.radial_inertia] * 2 + [0.0])
+    D[:5, 10:15] = np.eye(5)
+    D[5, 9] = 1.0
+    D[6, 9], D[6, 5] = -1.0 / Jw, -1.0
+    gyro = np.zeros((2, 15))
+    gyro[0, 7], gyro[1, 6] = -Jw, Jw
+    D[3:5] += speed.nominal * gyro
+    feed = np.zeros((7, 2))
+    feed[3:5] = np.eye(2)
+    full = np.block([[np.zeros((2, 2)), gyro], [feed, D]])
+    empty = np.zeros((0, 0))
+    return UncertainSystem(empty, empty, empty, full, tuple(inputs), tuple(outputs), (speed.name,) * 2, (speed,))
+
+
+def spin_frame(axis: ArrayLike) -> FloatArray:
+    """DCM from the parent's frame to a wheel frame whose z is `axis`: **v_wheel = dcm @ v_parent**.
+
+    The wheel's x is horizontal (across the parent's z) unless the axis is the parent's z itself.
+    """
+    z = _unit(axis)
+    across = np.cross([0.0, 0.0, 1.0], z)
+    x = _unit(across) if np.sqrt(across @ across) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    return np.vstack([x, np.cross(z, x), z])
+
+
+def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> UncertainSystem:
+    """Several wheels on one interface.
+
+    Returns
+    -------
+    UncertainSystem
+        Ports ``accel_<point>``, ``rate_<point>``, ``wheel_torque`` (one signal a wheel),
+        ``imbalance`` (5 a wheel, each in its wheel's frame) -> ``wrench_<point>``, ``wheel_accel``.
+    """
+    n = len(wheels)
+    torque, imbalance = Port("wheel_torque", n, "Nm"), Port("imbalance", 5 * n, "N,Nm")
+    spin = Port("wheel_accel", n, "rad/s2")
+    torques = [Port(f"torque_{i}", 1, "Nm") for i in range(n)]
+    imbalances = [Port(f"imbalance_{i}", 5, "N,Nm") for i in range(n)]
+    spins = [Port(f"spin_{i}", 1, "rad/s2") for i in range(n)]
+    accel, rate, wrench = (port(point).name for port in (ports.accel, ports.rate, ports.wrench))
+    systems = {
+        "torques": static_gain(np.eye(n), [torque], torques),
+        "imbalances": static_gain(np.eye(5 * n), [imbalance], imbalances),
+        "spins": static_gain(np.eye(n), spins, [spin]),
+    }
+    wires: list[Connection] = [
+        ("wheel_torque", "torques.wheel_torque"),
+        ("imbalance", "imbalances.imbalance"),
+    ]
+    for i, one in enumerate(wheels):
+        block = reaction_wheel(one.wheel, one.speed)
+        systems[f"wheel{i}"] = mounted(block, "G", point, position=one.position, dcm=spin_frame(one.axis))
+        wires += [
+            (accel, f"wheel{i}.{accel}"),
+            (rate, f"wheel{i}.{rate}"),
+            (f"torques.torque_{i}", f"wheel{i}.wheel_torque"),
+            (f"imbalances.imbalance_{i}", f"wheel{i}.imbalance"),
+            (f"wheel{i}.wheel_accel", f"spins.spin_{i}"),
+        ]
+    return connect(
+        systems,
+        wires,
+        inputs=[ports.accel(point), ports.rate(point), torque, imbalance],
+        outputs={wrench: tuple(f"wheel{i}.{wrench}" for i in range(n)), spin.name: "spins.wheel_accel"},
+    )
+
+
+def pyramid_axes(cant: float, azimuths: Sequence[float]) -> FloatArray:
+    """Spin axes of a pyramid about +z, shape (3, n): `cant` [rad] above the xy plane, azimuths [rad]."""
+    return np.array([[np.cos(cant) * np.cos(a), np.cos(cant) * np.sin(a), np.sin(cant)] for a in azimuths]).T

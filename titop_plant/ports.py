@@ -1,0 +1,33 @@
+"""Kinds of ports that all blocks share: one name and one unit for each."""
+
+from __future__ import annotations
+
+from uncertain_systems import Port
+
+TWIST_UNIT = "m/s2,rad/s2"
+WRENCH_UNIT = "N,Nm"
+
+
+def accel(point: str) -> Port:
+    """Acceleration twist ``[a; omega_dot]`` of a point, 6 signals."""
+    return Port(f"accel_{point}", 6, TWIST_UNIT)
+
+
+def wrench(point: str) -> Port:
+    """Wrench ``[F; T]`` at a point, 6 signals."""
+    return Port(f"wrench_{point}", 6, WRENCH_UNIT)
+
+
+def rate(point: str) -> Port:
+    """Angular rate of the structure at a point, 3 signals."""
+    return Port(f"rate_{point}", 3, "rad/s")
+
+
+def angle(point: str) -> Port:
+    """Small rotation of the structure at a point against inertial space, 3 signals."""
+    return Port(f"angle_{point}", 3, "rad")
+
+
+def deflection(point: str) -> Port:
+    """Elastic deflection (translation, rotation) of a point against the rigid body at its parent, 6 signals."""
+    return Port(f"deflection_{point}", 6, "m,rad")
