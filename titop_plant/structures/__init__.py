@@ -3,6 +3,7 @@
 from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
+from titop_plant.structures.reference import build_body, build_payload, port_visibility
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     ResidualRepair,
@@ -23,9 +24,12 @@ __all__ = [
     "ResidualRepair",
     "Section",
     "add_residual_modes",
+    "build_body",
+    "build_payload",
     "check_residual_mass",
     "effective_masses",
     "from_inertia",
+    "port_visibility",
     "repair_residual_mass",
     "smallest_residual_fraction",
     "static_displacement",

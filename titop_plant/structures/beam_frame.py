@@ -44,9 +44,7 @@ class Beam:
 
     def __post_init__(self) -> None:
         if self.elements < 1:
-            raise ValueError(
-                f"beam {self.start}-{self.end}: elements must be at least 1, got {self.elements}"
-            )
+            raise ValueError(f"beam {self.start}-{self.end}: elements must be at least 1, got {self.elements}")
         if self.up is not None:
             object.__setattr__(self, "up", read_only(self.up, (3,), f"beam {self.start}-{self.end}: up"))
 
@@ -129,9 +127,7 @@ class BeamFrame:
             for node in (beam.start, beam.end):
                 if node not in nodes:
                     raise ValueError(f"{self.name}: beam {beam.start}-{beam.end} at unknown node {node!r}")
-            beam_axes(
-                nodes[beam.start], nodes[beam.end], beam.up, f"{self.name}: beam {beam.start}-{beam.end}"
-            )
+            beam_axes(nodes[beam.start], nodes[beam.end], beam.up, f"{self.name}: beam {beam.start}-{beam.end}")
         for mass in self.masses:
             if mass.node not in nodes:
                 raise ValueError(f"{self.name}: lumped mass {mass.name!r} at unknown node {mass.node!r}")
@@ -260,15 +256,11 @@ def _clamped_modes(name: str, M: FloatArray, K: FloatArray, keep: int) -> tuple[
     except LinAlgError as error:
         raise ValueError(f"{name}: every node needs mass in all six directions ({error})") from None
     if squares[0] <= 1e-12 * float(np.abs(np.diag(K)).max()) / float(np.diag(M).max()):
-        raise ValueError(
-            f"{name}: a mechanism, expected a stiff structure, got a mode with w^2 = {squares[0]:.3g}"
-        )
+        raise ValueError(f"{name}: a mechanism, expected a stiff structure, got a mode with w^2 = {squares[0]:.3g}")
     return squares, shapes
 
 
-def static_displacement(
-    frame: BeamFrame, parent: str, loads: Mapping[str, ArrayLike]
-) -> dict[str, FloatArray]:
+def static_displacement(frame: BeamFrame, parent: str, loads: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     """Displacement of every node of the clamped frame under steady wrenches.
 
     Parameters
@@ -289,9 +281,7 @@ def static_displacement(
     for node, wrench in loads.items():
         if node not in names:
             raise ValueError(f"{frame.name}: no node {node!r} to load, there are {list(frame.nodes)}")
-        force[6 * names.index(node) : 6 * names.index(node) + 6] += read_only(
-            wrench, (6,), f"load at {node!r}"
-        )
+        force[6 * names.index(node) : 6 * names.index(node) + 6] += read_only(wrench, (6,), f"load at {node!r}")
     clamped = 6 * names.index(parent)
     free = np.delete(np.arange(K.shape[0]), np.arange(clamped, clamped + 6))
     displacement = np.zeros(K.shape[0])

@@ -37,17 +37,13 @@ def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> Float
     if copy.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, copy.shape)):
         raise ValueError(f"{what}: expected shape {_shape_text(shape)}, got {copy.shape}")
     if not np.all(np.isfinite(copy)):
-        raise ValueError(
-            f"{what}: expected finite numbers, got {copy.size - np.isfinite(copy).sum()} that are not"
-        )
+        raise ValueError(f"{what}: expected finite numbers, got {copy.size - np.isfinite(copy).sum()} that are not")
     copy.setflags(write=False)
     return copy
 
 
 def _shape_text(shape: Sequence[int | None]) -> str:
-    return (
-        "(" + ", ".join("n" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-    )
+    return "(" + ", ".join("n" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
 
 
 def skew(vector: ArrayLike) -> FloatArray:

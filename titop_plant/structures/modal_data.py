@@ -112,9 +112,7 @@ class ModalData:
 
     def __post_init__(self) -> None:
         if not self.name or not self.parent:
-            raise ValueError(
-                f"body {self.name!r}: the body and its parent point need names, got {self.parent!r}"
-            )
+            raise ValueError(f"body {self.name!r}: the body and its parent point need names, got {self.parent!r}")
         w = read_only(self.frequencies, (None,), f"{self.name}: frequencies")
         n = w.size
         shapes = {"parent_position": (3,), "mass_matrix": (6, 6), "damping": (n,), "participation": (n, 6)}
@@ -136,17 +134,14 @@ class ModalData:
         bad = np.flatnonzero((self.damping < 0) | (self.damping >= 1))
         if bad.size:
             raise ValueError(
-                f"{self.name}: damping must be in [0, 1), got {self.damping[bad[0]]:.6g} "
-                f"for mode {bad[0] + 1}"
+                f"{self.name}: damping must be in [0, 1), got {self.damping[bad[0]]:.6g} for mode {bad[0] + 1}"
             )
 
     def _check_mass(self) -> None:
         diagonal = np.diag(self.mass_matrix)
         bad = np.flatnonzero(diagonal[:3] <= 0)
         if bad.size:
-            raise ValueError(
-                f"{self.name}: mass must be positive, got {diagonal[bad[0]]:.6g} kg in {AXES[bad[0]]}"
-            )
+            raise ValueError(f"{self.name}: mass must be positive, got {diagonal[bad[0]]:.6g} kg in {AXES[bad[0]]}")
         bad = np.flatnonzero(diagonal[3:] < 0)
         if bad.size:
             raise ValueError(
@@ -195,9 +190,7 @@ class ModalData:
     def center_of_mass(self) -> FloatArray:
         """Centre of mass in the body frame, m, shape (3,)."""
         moment = self.mass_matrix[3:, :3]  # m skew(P->cg)
-        offset = np.array(
-            [moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]]
-        )
+        offset = np.array([moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]])
         return np.asarray(self.parent_position + offset / (2 * self.mass), dtype=float)
 
     def child(self, name: str) -> ChildPort:

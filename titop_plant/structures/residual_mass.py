@@ -198,18 +198,14 @@ def add_residual_modes(data: ModalData, modes: Sequence[ResidualMode]) -> ModalD
         The data have child ports, their residual is not physical, or nothing is left along a direction.
     """
     if data.children:
-        raise ValueError(
-            f"{data.name}: residual modes need a body without child ports, got {len(data.children)}"
-        )
+        raise ValueError(f"{data.name}: residual modes need a body without child ports, got {len(data.children)}")
     check_residual_mass(data)
     residual, rows = data.residual_mass(), []
     for k, mode in enumerate(modes):
         along = float(mode.direction @ residual @ mode.direction)
         rigid = float(mode.direction @ data.mass_matrix @ mode.direction)
         if along <= 1e-12 * rigid:
-            raise ValueError(
-                f"{data.name}: no residual mass is left along the direction of residual mode {k + 1}"
-            )
+            raise ValueError(f"{data.name}: no residual mass is left along the direction of residual mode {k + 1}")
         row = np.sqrt(mode.share / along) * (residual @ mode.direction)
         residual = residual - np.outer(row, row)
         rows.append(row)
