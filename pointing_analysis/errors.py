@@ -1,0 +1,116 @@
+"""Error series of a run: performance error, knowledge error, transient dropped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.read import Run
+from pointing_analysis.topic import on_grid, read_only
+
+Floats = NDArray[np.float64]
+RAD_PER_ARCSEC = math.pi / 648_000
+RAD_PER_MAS = RAD_PER_ARCSEC / 1000
+DEFAULT_TRANSIENT = 1.0  # [s], used where the bag does not name its own as ``transient_s``
+FSM_TO_LOS = 0.1  # LOS rotation per FSM tilt, used where the bag does not give ``fsm_to_los``
+
+
+@dataclass(frozen=True)
+class ErrorSeries:
+    """A 2-axis error on a uniform time axis.
+
+    Attributes
+    ----------
+    values : (n, 2) [rad], NaN where a sample is missing
+    dt : sampling period [s]
+    start : time of the first row after the first sample of the run [s]: the transient that was dropped
+    missing : samples missing
+    """
+
+    values: Floats
+    dt: float
+    start: float
+    missing: int
+
+    @property
+    def time(self) -> Floats:
+        """(n,) seconds after the first sample of the run."""
+        return self.start + self.dt * np.arange(len(self.values))
+
+    @property
+    def duration(self) -> float:
+        """Length of the series [s]."""
+        return self.dt * len(self.values)
+
+
+def transient_of(run: Run, transient: float | None) -> float:
+    """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `DEFAULT_TRANSIENT`."""
+    value = run.parameters.get("transient_s", DEFAULT_TRANSIENT) if transient is None else transient
+    if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+        raise BagError(f"expected a transient of zero or more seconds; got {value!r}")
+    return float(value)
+
+
+def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSeries:
+    first = round(transient / dt)
+    if first >= len(values):
+        raise BagError(
+            f"{path}: only start-up transient: expected more than {transient:g} s of data; got {len(values) * dt:g} s"
+        )
+    rest = np.array(values[first:, :2])
+    missing = int(np.isnan(rest).any(axis=1).sum())
+    if missing == len(rest):
+        raise BagError(f"{path}: expected numbers in the line of sight; every sample is missing or NaN")
+    return ErrorSeries(read_only(rest), dt, first * dt, missing)
+
+
+def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
+    """True controlled line of sight minus its target, which is zero.
+
+    **Sign: error = actual minus wanted.**
+
+    Parameters
+    ----------
+    run : a run with the topic ``truth/los``
+    transient : seconds to drop at the start (`transient_of`)
+
+    Raises
+    ------
+    BagError
+        No truth topic, only transient, or a time axis that is not uniform.
+    """
+    if "truth/los" not in run:
+        raise BagError(f"{run.path}: expected the topic truth/los; the bag has {', '.join(run.topics)}")
+    values, dt = on_grid(run["truth/los"])
+    return _drop(values, dt, transient_of(run, transient), run.path)
+
+
+def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
+    """Estimated minus true line of sight, joined by stamp.
+
+    The observer estimates the line of sight *without* the mirror's contribution (the mirror law ``u = -estimate / 0.1``
+    cancels it), so the truth is the controlled line of sight less 0.1 times the mirror angle by its gauges.
+    **Sign: error = estimate minus truth.**
+
+    Raises
+    ------
+    BagError
+        A needed topic is missing, only transient, or a time axis that is not uniform.
+    """
+    for name in ("truth/los", "los_estimate", "fsm/strain_gauge"):
+        if name not in run:
+            raise BagError(f"{run.path}: a knowledge error needs the topic {name}; the bag has {', '.join(run.topics)}")
+    truth, estimate, angle = run["truth/los"], run["los_estimate"], run["fsm/strain_gauge"]
+    grid, dt = on_grid(truth)
+    gain = float(run.parameters.get("fsm_to_los", FSM_TO_LOS))
+    full = np.full((len(grid), 2), np.nan)
+    step = round(dt * 1e9)
+    common, rows, columns = np.intersect1d(estimate.stamp, angle.stamp, assume_unique=True, return_indices=True)
+    index, rest = np.divmod(common - truth.stamp[0], step)
+    fits = (rest == 0) & (index >= 0) & (index < len(grid))
+    full[index[fits]] = estimate.values[rows[fits], :2] + gain * angle.values[columns[fits], :2]
+    return _drop(full - grid[:, :2], dt, transient_of(run, transient), run.path)

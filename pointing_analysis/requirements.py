@@ -1,0 +1,299 @@
+"""Pointing requirements: read them, judge runs by them.
+
+The text form is the requirement form of ECSS-E-ST-60-10C::
+
+    prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
+
+with an index (APE, MPE, RPE, PDE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two times
+for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default: every run,
+over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and time together).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pointing_analysis import metrics, statistics
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.read import Run
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ANGLES = {
+    "mas": RAD_PER_MAS,
+    "arcsec": RAD_PER_ARCSEC,
+    "nrad": 1e-9,
+    "urad": 1e-6,
+    "mrad": 1e-3,
+    "rad": 1.0,
+}
+TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
+#: index -> number of times it takes
+INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "AKE": 0, "MKE": 1, "RKE": 1}
+INTERPRETATIONS = ("temporal", "ensemble", "mixed")
+DEFAULT_FILE = Path(__file__).with_name("requirements.toml")
+_TEXT = re.compile(
+    r"prob\s*\(\s*\|\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*\|\s*<=?\s*"
+    r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]+)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
+    r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
+)
+Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
+
+
+class RequirementError(ValueError):
+    """A requirement that cannot be understood; the message says what was expected and what came."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One pointing requirement; `parse` makes it from its text.
+
+    Attributes
+    ----------
+    index : one of `INDICES`
+    axis : "" for the norm of the 2-vector, ``x`` or ``y`` for one axis
+    times : window, and separation for PDE [s]
+    limit : [rad]
+    unit : unit in which the limit is shown
+    probability, confidence : between 0 and 1
+    interpretation : temporal, ensemble or mixed
+    name : short name
+    loops : loop stages it applies to; empty for all
+    """
+
+    index: str
+    axis: str
+    times: tuple[float, ...]
+    limit: float
+    unit: str
+    probability: float
+    confidence: float
+    interpretation: str = "temporal"
+    name: str = ""
+    loops: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """Radians per display unit."""
+        return ANGLES[self.unit]
+
+    @property
+    def quantity(self) -> str:
+        """The judged quantity, e.g. ``|RPE(20 ms)|``."""
+        times = ", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times)
+        axis = f"_{self.axis}" if self.axis else ""
+        return f"|{self.index}{axis}{f'({times})' if times else ''}|"
+
+    def __str__(self) -> str:
+        tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
+        return (
+            f"prob({self.quantity} < {self.limit / self.scale:g} {self.unit}) >= {self.probability:g} "
+            f"at {100 * self.confidence:g} % confidence{tail}"
+        )
+
+
+def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
+    """Read a requirement from its text.
+
+    Raises
+    ------
+    RequirementError
+        The text has another form, or names an unknown index, unit or interpretation.
+
+    Examples
+    --------
+    >>> r = parse("prob(|RPE(20 ms)| < 40 mas) >= 99.7 % at 95 % confidence")
+    >>> print(r)
+    prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
+    """
+    m = _TEXT.fullmatch(text.strip())
+    if m is None:
+        raise RequirementError(
+            "expected a requirement such as 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence'; "
+            f"got {text!r}"
+        )
+    index, kind = m["index"].upper(), m["kind"] or "temporal"
+    _member("index", index, INDICES)
+    _member("unit", m["unit"], ANGLES)
+    _member("interpretation", kind, INTERPRETATIONS)
+    times = tuple(_time(part) for part in (m["times"] or "").split(",") if part.strip())
+    if len(times) != INDICES[index]:
+        raise RequirementError(f"expected {INDICES[index]} times in {index}(...); got {len(times)} in {text!r}")
+    probability, confidence = (
+        float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
+    )
+    for what, value in (("probability", probability), ("confidence", confidence)):
+        if not 0 < value < 1:
+            raise RequirementError(f"expected a {what} between 0 and 1 (or 0 and 100 %); got {value:g} in {text!r}")
+    limit = float(m["limit"]) * ANGLES[m["unit"]]
+    if not 0 < limit < math.inf:
+        raise RequirementError(f"expected a positive limit; got {m['limit']} in {text!r}")
+    return Requirement(
+        index, m["axis"] or "", times, limit, m["unit"], probability, confidence, kind, name or index, tuple(loops)
+    )
+
+
+def _member(what: str, value: str, known: Any) -> None:
+    if value not in known:
+        raise RequirementError(f"expected {what} one of {', '.join(known)}; got {value!r}")
+
+
+def _time(text: str) -> float:
+    m = re.fullmatch(r"\s*([\d.]+)\s*(us|ms|s|min)\s*", text)
+    if m is None or not float(m[1]) > 0:
+        raise RequirementError(f"expected a time such as '20 ms'; got {text.strip()!r}")
+    return float(m[1]) * TIMES[m[2]]
+
+
+def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]:
+    """Read a requirement file: TOML with ``[[requirement]]`` tables, or YAML with a list ``requirement``.
+
+    Each entry has a ``text`` and may have a ``name`` and a ``loop`` (list of loop stages it applies to).
+
+    Examples
+    --------
+    >>> [r.quantity for r in load()]
+    ['|APE|', '|RPE(20 ms)|', '|RPE(20 ms)|']
+    """
+    file = Path(path)
+    try:
+        raw = file.read_text(encoding="utf-8")
+        content = yaml.safe_load(raw) if file.suffix in (".yaml", ".yml") else tomllib.loads(raw)
+    except OSError as error:
+        raise RequirementError(f"{file}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RequirementError(f"{file}: expected TOML or YAML: {str(error).splitlines()[0]}") from None
+    entries = content.get("requirement") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) and "text" in e for e in entries):
+        raise RequirementError(f"{file}: expected a list 'requirement' whose entries have a 'text'")
+    found = []
+    for entry in entries:
+        unknown = set(entry) - {"text", "name", "loop"}
+        if unknown:
+            raise RequirementError(f"{file}: expected the keys text, name, loop; got {sorted(unknown)}")
+        loops = entry.get("loop", ())
+        found.append(parse(str(entry["text"]), str(entry.get("name", "")), [loops] if isinstance(loops, str) else loops))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How runs stand against one requirement.
+
+    Attributes
+    ----------
+    status : compliant, not compliant, not enough data, or not judged (the index cannot be formed; see `note`)
+    exceeding : share of the samples above the limit
+    quantile : the required quantile with its bounds [rad]
+    samples : samples of the index
+    effective : independent samples they weigh as much as
+    seconds : length of data that was used [s]
+    seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
+    note : why it was not judged
+    """
+
+    requirement: Requirement
+    status: Status
+    exceeding: float
+    quantile: statistics.Quantile
+    samples: int
+    effective: float
+    seconds: float
+    seconds_needed: float
+    note: str = ""
+
+
+def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
+    """Samples of the judged index [rad] and the largest number of them that may count as independent.
+
+    RPE samples come from the instant estimator with t at the centre of the window; samples within one window share
+    its mean, so no more than one per disjoint window counts.
+    """
+    e, dt, times = series.values, series.dt, requirement.times
+    cap = math.inf
+    if requirement.index in ("APE", "AKE"):
+        samples = e
+    elif requirement.index in ("MPE", "MKE"):
+        samples = metrics.mpe(e, dt, times[0])
+    elif requirement.index in ("RPE", "RKE"):
+        samples = metrics.rpe_instant(e, dt, times[0], "centred")
+        cap = len(metrics.windows(e, dt, times[0]).mean)
+    else:
+        samples = metrics.pde(e, dt, times[0], times[1])
+    if requirement.axis:
+        values = np.abs(samples[:, metrics.AXES.index(requirement.axis)])
+    else:
+        values = metrics.radial(samples)
+    return values[~np.isnan(values)], cap
+
+
+def _not_judged(requirement: Requirement, why: str) -> Verdict:
+    nothing = statistics.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
+    return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
+
+
+def decide(requirement: Requirement, values: NDArray[np.float64], effective: float, seconds: float) -> Verdict:
+    """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record."""
+    n = max(int(effective), 1)
+    rate = float(np.mean(values >= requirement.limit))
+    p, c = requirement.probability, requirement.confidence
+    # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
+    upper = statistics.exceedance_upper(math.ceil(rate * n - 1e-9), n, c)
+    lower = statistics.exceedance_lower(math.floor(rate * n + 1e-9), n, c)
+    status: Status = "not enough data"
+    needed = seconds
+    if upper <= 1 - p:
+        status = "compliant"
+    elif lower > 1 - p:
+        status = "not compliant"
+    else:
+        needed = statistics.samples_to_decide(p, c, rate) * seconds / effective
+    bounds = statistics.quantile(values, p, c, effective)
+    return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed)
+
+
+def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None = None) -> Verdict:
+    """Judge runs against one requirement.
+
+    With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the worst
+    instant of each run as one independent sample; the mixed one puts the samples of all runs together.
+    """
+    if requirement.interpretation != "temporal" and len(runs) < 2:
+        return _not_judged(requirement, f"a {requirement.interpretation} requirement needs several runs; got one")
+    knowledge = requirement.index in ("AKE", "MKE", "RKE")
+    collected = []
+    for run in runs:
+        try:
+            series = (knowledge_error if knowledge else performance_error)(run, transient)
+            values, cap = index_samples(series, requirement)
+        except BagError as error:
+            return _not_judged(requirement, str(error))
+        except ValueError as error:
+            return _not_judged(requirement, f"{run.path}: {error}")
+        if not values.size:
+            return _not_judged(requirement, f"{run.path}: no complete window of {requirement.quantity}")
+        collected.append((values, min(cap, statistics.effective_number(values)), series.duration))
+    if requirement.interpretation == "ensemble":
+        worst = np.array([values.max() for values, _, _ in collected])
+        return decide(requirement, worst, len(worst), sum(s for _, _, s in collected))
+    if requirement.interpretation == "mixed":
+        values = np.concatenate([v for v, _, _ in collected])
+        return decide(requirement, values, sum(n for _, n, _ in collected), sum(s for _, _, s in collected))
+    verdicts = [decide(requirement, *one) for one in collected]
+    order = {"not compliant": 0, "not enough data": 1, "compliant": 2, "not judged": 3}
+    return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))

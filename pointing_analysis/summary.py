@@ -1,0 +1,233 @@
+"""The figures of a run in one place: what the command line prints and the report begins with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointing_analysis import metrics, requirements
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, knowledge_error, performance_error
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.read import KNOWN, Run
+from pointing_analysis.requirements import Requirement, Verdict
+
+WINDOW = 0.02  # [s], exposure of the reference telescope
+SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Knowledge errors of the observer: 99.7 % quantile of the AKE [arcsec] and rms of the RKE (20 ms) [mas]."""
+
+    ake_p997_arcsec: float
+    rke_rms_mas: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of one run.
+
+    Attributes
+    ----------
+    path, loop, mode, scenario : which run
+    ticks : samples of the truth topic that are there or should be
+    duration : length of the recording [s]
+    transient : seconds dropped at the start
+    ape_max, ape_p997 : largest and 99.7 % radial APE [arcsec]
+    rpe_rms : radial RPE rms of disjoint 20 ms windows, window estimator [mas]
+    rpe_p997 : 99.7 % quantile of the radial RPE, instant estimator, t centred [mas]
+    rpe_axis : RPE rms per axis [mas]
+    windows, windows_skipped : complete 20 ms windows, and those left out because a sample is missing
+    samples_lost : samples missing in the bag, all topics
+    lost_by_topic : the same by topic, where there are any
+    camera_dropped : camera frames that are NaN
+    knowledge : knowledge errors, None without an estimate in the bag
+    verdicts : one per requirement
+    problems : what was wrong with the bag, in plain words
+    """
+
+    path: Path
+    loop: str
+    mode: str
+    scenario: str
+    ticks: int
+    duration: float
+    transient: float
+    ape_max: float
+    ape_p997: float
+    rpe_rms: float
+    rpe_p997: float
+    rpe_axis: tuple[float, float]
+    windows: int
+    windows_skipped: int
+    samples_lost: int
+    lost_by_topic: dict[str, int]
+    camera_dropped: int
+    knowledge: Knowledge | None
+    verdicts: tuple[Verdict, ...]
+    problems: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Figures for JSON; infinities and NaN become None."""
+
+        def number(x: float) -> float | None:
+            return float(f"{x:.6g}") if math.isfinite(x) else None
+
+        return {
+            "bag": str(self.path),
+            "mode": self.mode,
+            "loop": self.loop,
+            "scenario": self.scenario,
+            "ticks": self.ticks,
+            "transient_s": self.transient,
+            "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
+            "rpe_mas": {"rms": number(self.rpe_rms), "p997": number(self.rpe_p997)},
+            "windows": self.windows,
+            "windows_skipped": self.windows_skipped,
+            "samples_lost": self.samples_lost,
+            "camera_dropped": self.camera_dropped,
+            "knowledge": None
+            if self.knowledge is None
+            else {
+                "ake_p997_arcsec": number(self.knowledge.ake_p997_arcsec),
+                "rke_rms_mas": number(self.knowledge.rke_rms_mas),
+            },
+            "requirements": [
+                {
+                    "name": v.requirement.name,
+                    "text": str(v.requirement),
+                    "status": v.status,
+                    "quantile": number(v.quantile.value / v.requirement.scale),
+                    "upper_bound": number(v.quantile.upper / v.requirement.scale),
+                    "unit": v.requirement.unit,
+                    "exceeding": number(v.exceeding),
+                    "effective_samples": number(v.effective),
+                    "seconds_needed": number(v.seconds_needed),
+                    "note": v.note,
+                }
+                for v in self.verdicts
+            ],
+            "problems": list(self.problems),
+        }
+
+
+def applicable(wanted: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
+    """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
+    loop = run.parameters.get("loop")
+    return tuple(r for r in wanted if not r.loops or loop is None or loop in r.loops)
+
+
+def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
+    """Lost samples by topic, problems in plain words, dropped camera frames."""
+    lost: dict[str, int] = {}
+    problems = list(run.problems)
+    stamps = {}
+    for name in (n for n in run.topics if n in KNOWN):
+        topic = run[name]
+        state = topic.integrity
+        if len(topic):
+            stamps[name] = (int(topic.stamp[0]), int(topic.stamp[-1]), topic.period)
+        lost[name] = state.missing
+        for count, what in (
+            (state.missing, f"samples missing in {len(state.gaps)} gaps"),
+            (state.duplicates, "stamps twice"),
+            (state.conflicts, "stamps with two different values (two publishers?)"),
+            (state.out_of_order, "messages out of order"),
+            (state.irregular, "intervals off the sampling grid"),
+        ):
+            if count:
+                problems.append(f"{name}: {count} {what}")
+        if state.nan and name not in SAMPLES_CAMERA_MAY_MISS:
+            problems.append(f"{name}: {state.nan} messages with NaN")
+    _add_ends(lost, problems, stamps)
+    dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
+    if dropped:
+        problems.append(f"camera/los: {dropped} frames dropped (NaN)")
+    return {k: v for k, v in lost.items() if v}, problems, dropped
+
+
+def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:
+    """Samples a topic lacks at the start or the end against the truth topic; one command period is no loss."""
+    if "truth/los" not in stamps:
+        return
+    first, last, _ = stamps["truth/los"]
+    for name, (begin, end, period) in stamps.items():
+        step = period * 1e9
+        if not step > 0:
+            continue
+        short = int(max(begin - first, 0) / step + 1e-6) + int(max(last - end, 0) / step + 1e-6)
+        # The command to the last sensor tick may fall after the end of the recording.
+        if short > 1:
+            lost[name] = lost.get(name, 0) + short
+            problems.append(f"{name}: {short} samples missing at the start or the end of the run")
+
+
+def _knowledge(run: Run, transient: float | None) -> Knowledge | None:
+    try:
+        series = knowledge_error(run, transient)
+        ake = np.nanquantile(metrics.radial(series.values), 0.997) / RAD_PER_ARCSEC
+        rke = float(np.hypot(*metrics.rpe_rms(series.values, series.dt, WINDOW))) / RAD_PER_MAS
+    except BagError:
+        return None
+    except ValueError:
+        return None
+    return Knowledge(float(ake), rke)
+
+
+def summarise(
+    run: Run,
+    *,
+    transient: float | None = None,
+    wanted: Sequence[Requirement] | None = None,
+) -> Summary:
+    """Figures and verdicts of one run.
+
+    Parameters
+    ----------
+    run : an opened bag
+    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 1 s
+    wanted : requirements; by default those of the reference telescope
+
+    Raises
+    ------
+    BagError
+        No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
+    """
+    chosen = applicable(requirements.load() if wanted is None else wanted, run)
+    series = performance_error(run, transient)
+    ape = metrics.radial(series.values) / RAD_PER_ARCSEC
+    nan = float("nan")
+    rms, p997, cut, skipped = np.full(2, nan), nan, 0, 0
+    if series.duration >= WINDOW:
+        w = metrics.windows(series.values, series.dt, WINDOW)
+        rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
+        instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
+        p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+    lost, problems, dropped = _integrity(run)
+    return Summary(
+        path=run.path,
+        loop=str(run.parameters.get("loop", "")),
+        mode=str(run.parameters.get("mode", "")),
+        scenario=str(run.parameters.get("scenario", "")),
+        ticks=round((series.start + series.duration) / series.dt),
+        duration=series.start + series.duration,
+        transient=series.start,
+        ape_max=float(np.nanmax(ape)),
+        ape_p997=float(np.nanquantile(ape, 0.997)),
+        rpe_rms=float(np.hypot(*rms)),
+        rpe_p997=p997,
+        rpe_axis=(float(rms[0]), float(rms[1])),
+        windows=cut,
+        windows_skipped=skipped,
+        samples_lost=sum(lost.values()),
+        lost_by_topic=lost,
+        camera_dropped=dropped,
+        knowledge=_knowledge(run, transient),
+        verdicts=tuple(requirements.judge(r, [run], transient) for r in chosen),
+        problems=tuple(problems),
+    )
