@@ -1,0 +1,261 @@
+"""The space telescope, assembled from TITOP blocks into one uncertain system.
+
+::
+
+    external wrench --> attitude G <--> central body --+-- I_w  wheel assembly (4)
+                                                       +-- A1   SADM, rotation, solar array
+                                                       +-- A2   SADM, rotation, solar array
+                                                       +-- I_p  isolator + 6 PMA --> payload --> FSM
+
+=====================  ====  =====================================================================
+input                  size  meaning
+=====================  ====  =====================================================================
+``wheel_imbalance``    20    per wheel: force x, y, z [N], torque x, y [Nm], wheel frame
+``sadm_torque``        2     disturbance torque on each array about the drive axis [Nm]
+``external_wrench``    6     on the body at G [N, Nm]
+``wheel_torque``       4     torque on the structure along each spin axis, beside the ACS [Nm]
+``fsm_command``        2     commanded mirror angles x, y [rad]
+``pma_force``          6     motor forces [N]
+=====================  ====  =====================================================================
+
+=====================  ====  =====================================================================
+output                 size  meaning
+=====================  ====  =====================================================================
+``accel_Ip``           6     twist of the platform, payload frame [m/s2, rad/s2]
+``accel_M1``           6     twist of M1; ``accel_M2`` of M2
+``los``                2     line of sight of the payload, rotation about x, y [rad]
+``los_controlled``     2     with the mirror: los + 0.1 fsm_angle [rad]
+``fsm_angle``          2     mirror angles against the mount [rad]
+``pma_stroke``         6     [m]
+``attitude``           3     rotation of G [rad]; ``attitude_rate`` its rate
+``accel_G``            6     twist of G
+``sadm_angle``         2     elastic angles of the gearboxes [rad]
+``wheel_accel``        4     [rad/s2]
+=====================  ====  =====================================================================
+
+Rotation and rate travel through the ports, the line of sight is read from states, and nothing is
+integrated twice: the realisation is minimal by construction (204 states for the reference).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from titop_plant import ports
+from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
+from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
+from titop_plant.blocks.flexible_body import flexible_body, rigid_body
+from titop_plant.blocks.isolator import actuated_platform, isolator
+from titop_plant.blocks.reaction_wheel import wheel_assembly
+from titop_plant.blocks.solar_array import solar_array
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.structures.modal_data import ModalData
+from titop_plant.structures.reference import build_body, build_payload
+from titop_plant.telescope import parameters as component
+from titop_plant.telescope.parameters import Parameters, load_parameters
+from uncertain_systems import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
+
+FSM_COMMAND = Port("fsm_command", 2, "rad")
+PMA_FORCE = Port("pma_force", 6, "N")
+WHEEL_IMBALANCE = Port("wheel_imbalance", 20, "N,Nm")
+SADM_TORQUE = Port("sadm_torque", 2, "Nm")
+EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
+WHEEL_TORQUE = Port("wheel_torque", 4, "Nm")
+LOS = Port("los", 2, "rad")
+CHILDREN_OF_BODY = ("A1", "A2", "I_w", "I_p")
+OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
+
+
+@dataclass(frozen=True)
+class Telescope:
+    """The assembled telescope and what was found on the way.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        Ports as in the module's tables.
+    inertia : ndarray, shape (3, 3)
+        Total inertia by the inverse low-frequency gain, nominal [kg m2].
+    bodies : tuple of ModalData
+        Central body, payload, solar array.
+    """
+
+    system: UncertainSystem
+    inertia: FloatArray
+    bodies: tuple[ModalData, ModalData, ModalData]
+
+
+def build_telescope(
+    parameters: Parameters | None = None, *, isolated: bool = True, attitude_controlled: bool = True
+) -> Telescope:
+    """Assemble the telescope.
+
+    Parameters
+    ----------
+    parameters : mapping, optional
+        From :func:`~titop_plant.telescope.parameters.load_parameters`; default: the reference.
+    isolated : bool
+        False: the platform stands on the body without the isolator's springs.
+    attitude_controlled : bool
+        Close the attitude law; without it the attitude drifts freely.
+
+    Returns
+    -------
+    Telescope
+    """
+    given = load_parameters() if parameters is None else parameters
+    body, payload = build_body(given), build_payload(given)
+    hung = _hung(given, body, payload, isolated)
+    free = invert(hung, {"accel_G": "wrench_G"})
+    inertia = total_inertia(_torque_to_acceleration(free))
+    system = _free_flying(free, given, inertia, attitude_controlled)
+    order = list(component.uncertain_parameters(given))
+    return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
+
+
+def line_of_sight(parameters: Parameters) -> UncertainSystem:
+    """``los`` from the rotation of the payload's base and the elastic deflections of the optics."""
+    optics = component.optics_component(parameters)
+    rotation = np.hstack([np.eye(2), np.zeros((2, 1))])
+    mirror = parameters["fsm"]["los_sensitivity"] * np.hstack([np.zeros((2, 3)), rotation])
+    gain = np.hstack([rotation, *(optics.sensitivity(e) for e in ("M1", "M2", "DET")), mirror])
+    return static_gain(gain, [ports.angle("I_p"), *(ports.deflection(p) for p in OPTICAL_POINTS)], [LOS])
+
+
+def _hung(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
+    """Everything that hangs on G, from the motion imposed there to the wrench it answers with."""
+    uncertain = component.uncertain_parameters(parameters)
+    tau = uncertain["solar_array.tau"]
+    omegas = {i: uncertain[f"solar_array.omega_{i + 1}"] for i in (0, 1)}
+    plate = (
+        isolator(component.isolator_component(parameters), "I_p", "platform")
+        if isolated
+        else rigid_body("platform", "I_p", component.platform_mass(parameters), {"platform": np.zeros(3)}, motion=True)
+    )
+    systems = {
+        "body": flexible_body(body, motion=True),
+        "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
+        "array_1": solar_array(component.array_component(parameters, "A1"), "A1", tau, omegas),
+        "array_2": solar_array(component.array_component(parameters, "A2"), "A2", tau, omegas),
+        "platform": actuated_platform(plate, component.actuator_components(parameters), "platform"),
+        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), ("M1", "M2", "DET")),
+        "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
+        "optics": line_of_sight(parameters),
+        "steering": static_gain(
+            parameters["fsm"]["los_sensitivity"] * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
+        ),
+        "sadm_split": static_gain(np.eye(2), [SADM_TORQUE], [Port("A1", 1, "Nm"), Port("A2", 1, "Nm")]),
+        "sadm_join": static_gain(
+            np.eye(2), [Port("A1", 1, "rad"), Port("A2", 1, "rad")], [Port("sadm_angle", 2, "rad")]
+        ),
+    }
+    return connect(
+        systems,
+        _wires(),
+        inputs=[
+            *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
+            WHEEL_TORQUE,
+            WHEEL_IMBALANCE,
+            SADM_TORQUE,
+            FSM_COMMAND,
+            PMA_FORCE,
+        ],
+        outputs={
+            "wrench_G": "body.wrench_G",
+            "accel_Ip": "platform.accel_platform",
+            "accel_M1": "payload.accel_M1",
+            "accel_M2": "payload.accel_M2",
+            "los": "optics.los",
+            "los_controlled": ("optics.los", "steering.los"),
+            "fsm_angle": "fsm.fsm_angle",
+            "pma_stroke": "platform.pma_stroke",
+            "sadm_angle": "sadm_join.sadm_angle",
+            "wheel_accel": "wheels.wheel_accel",
+        },
+    )
+
+
+def _wires() -> list[Connection]:
+    wires: list[Connection] = [
+        *((f"{kind}_G", f"body.{kind}_G") for kind in ("accel", "angle", "rate")),
+        ("body.accel_I_w", "wheels.accel_I_w"),
+        ("body.rate_I_w", "wheels.rate_I_w"),
+        ("wheels.wrench_I_w", "body.wrench_I_w"),
+        *((f"body.{kind}_I_p", f"platform.{kind}_I_p") for kind in ("accel", "angle", "rate")),
+        ("platform.wrench_I_p", "body.wrench_I_p"),
+        ("payload.wrench_I_p", "platform.wrench_platform"),
+        ("platform.accel_platform", "payload.accel_I_p"),
+        ("payload.accel_I_f", "fsm.accel_I_f"),
+        ("fsm.wrench_I_f", "payload.wrench_I_f"),
+        ("platform.angle_platform", "optics.angle_I_p"),
+        *((f"payload.deflection_{p}", f"optics.deflection_{p}") for p in OPTICAL_POINTS),
+        ("fsm.fsm_angle", "steering.fsm_angle"),
+        ("wheel_torque", "wheels.wheel_torque"),
+        ("wheel_imbalance", "wheels.imbalance"),
+        ("sadm_torque", "sadm_split.sadm_torque"),
+        ("fsm_command", "fsm.fsm_command"),
+        ("pma_force", "platform.pma_force"),
+    ]
+    for array, point in (("array_1", "A1"), ("array_2", "A2")):
+        wires += [
+            (f"body.accel_{point}", f"{array}.accel_{point}"),
+            (f"{array}.wrench_{point}", f"body.wrench_{point}"),
+            (f"sadm_split.{point}", f"{array}.sadm_torque"),
+            (f"{array}.sadm_angle", f"sadm_join.{point}"),
+        ]
+    return wires
+
+
+def _without_loads(body: UncertainSystem, points: tuple[str, ...]) -> UncertainSystem:
+    """Nothing is attached at these points: their wrenches are zero."""
+    loads = {f"wrench_{point}" for point in points}
+    return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
+
+
+def _torque_to_acceleration(free: UncertainSystem) -> UncertainSystem:
+    """External torque at G -> angular acceleration of G, attitude not integrated."""
+    pick = np.vstack([np.zeros((3, 3)), np.eye(3)])
+    torque, response = Port("torque", 3, "Nm"), Port("response", 3, "rad/s2")
+    both = free["accel_G", "wrench_G"]
+    return transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
+
+
+def _free_flying(
+    free: UncertainSystem, parameters: Parameters, inertia: FloatArray, controlled: bool
+) -> UncertainSystem:
+    """Let G go: the wrench that all bodies exert there balances the external one; close the attitude law."""
+    table = parameters["attitude_control"]
+    law = attitude_control(
+        np.diag(inertia),
+        component.wheel_axes(parameters),
+        bandwidth=table["bandwidth"],
+        damping=table["damping"],
+    )
+    torques: tuple[str, ...] = ("wheel_torque", "law.wheel_torque") if controlled else ("wheel_torque",)
+    systems = {"free": free, "attitude": attitude("G")}
+    wires: list[Connection] = [
+        ("-external_wrench", "free.wrench_G"),
+        ("free.accel_G", "attitude.accel_G"),
+        (torques, "free.wheel_torque"),
+    ]
+    if controlled:
+        systems["law"] = law
+    for kind in ("angle", "rate"):
+        wires.append((f"attitude.{kind}_G", f"free.{kind}_G"))
+        if controlled:
+            wires.append((f"attitude.{kind}_G", f"law.{kind}_G"))
+    plain = [p for p in free.inputs if p.name not in ("wrench_G", "angle_G", "rate_G", "wheel_torque")]
+    wires += [(p.name, f"free.{p.name}") for p in plain]
+    return connect(
+        systems,
+        wires,
+        inputs=[WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH, WHEEL_TORQUE, FSM_COMMAND, PMA_FORCE],
+        outputs={
+            **{p.name: f"free.{p.name}" for p in free.outputs if p.name != "accel_G"},
+            "attitude": "attitude.angle_G",
+            "attitude_rate": "attitude.rate_G",
+            "accel_G": "free.accel_G",
+        },
+    )

@@ -1,0 +1,201 @@
+"""The telescope's parameter file and the components that it describes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
+from titop_plant.blocks.isolator import Isolator, MountedActuator
+from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
+from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel, pyramid_axes
+from titop_plant.blocks.solar_array import SolarArray
+from titop_plant.structures.kinematics import AXES, FloatArray
+from titop_plant.structures.modal_data import ModalData, from_inertia
+from titop_plant.structures.residual_mass import ResidualMode, add_residual_modes, repair_residual_mass
+from titop_plant.telescope.optics import TwoMirrorTelescope
+from uncertain_systems import RealParameter
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Parameters = Mapping[str, Any]
+
+REFERENCE = Path(__file__).with_name("reference.toml")
+
+
+def load_parameters(path: str | Path = REFERENCE) -> Parameters:
+    """Read a parameter file.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file of the form of ``reference.toml``; tables that are missing are taken from it, so that a
+        user's file holds only what differs.
+
+    Raises
+    ------
+    ValueError
+        File missing, not TOML, or with a table or key that the reference does not have.
+    """
+    reference = _read(REFERENCE)
+    if Path(path) == REFERENCE:
+        return MappingProxyType(reference)
+    return MappingProxyType(_merged(reference, _read(Path(path)), str(path), ""))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        return content
+    except OSError as error:
+        raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not a TOML file: {error}") from None
+
+
+def _merged(base: dict[str, Any], over: Mapping[str, Any], where: str, prefix: str) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in over.items():
+        if key not in base:
+            raise ValueError(f"{where}: unknown parameter {prefix + key!r}, expected one of: {', '.join(base)}")
+        if isinstance(base[key], dict):
+            if not isinstance(value, dict):
+                raise ValueError(f"{where}: {prefix + key!r} must be a table, got {value!r}")
+            value = _merged(base[key], value, where, f"{prefix}{key}.")
+        elif isinstance(value, dict):
+            raise ValueError(f"{where}: {prefix + key!r} must be a value, got a table")
+        result[key] = value
+    return result
+
+
+def parameters_hash(parameters: Parameters) -> str:
+    """Twelve hexadecimal digits that name these parameter values."""
+    text = json.dumps(dict(parameters), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def uncertain_parameters(parameters: Parameters) -> dict[str, RealParameter]:
+    """The varying and uncertain parameters of the telescope, in the order of Delta.
+
+    ``wheel_1.speed`` .. ``wheel_4.speed`` [rad/s], ``solar_array.omega_1``, ``solar_array.omega_2``
+    [rad/s], ``solar_array.tau`` = tan(theta / 4), one theta for both arrays.
+    """
+    top = float(parameters["reaction_wheel"]["maximum_speed"])
+    result = {}
+    for i in range(1, 5):
+        name = f"wheel_{i}.speed"
+        result[name] = RealParameter(name, 0.0, -top, top, "rad/s", f"speed of reaction wheel {i}")
+    array = parameters["solar_array"]
+    spread = array["relative_uncertainty"]
+    for i in (1, 2):
+        w, name = array["frequencies"][i - 1], f"solar_array.omega_{i}"
+        about = f"clamped frequency of mode {i} of both arrays"
+        result[name] = RealParameter(name, w, w * (1 - spread), w * (1 + spread), "rad/s", about)
+    low, high = (math.tan(theta / 4) for theta in array["theta_range"])
+    name = "solar_array.tau"
+    result[name] = RealParameter(name, 0.0, low, high, "1", "tan(theta/4), theta the angle of both arrays")
+    return result
+
+
+def array_modes(parameters: Parameters) -> ModalData:
+    """Modal data of one solar array, clamped at its root A.
+
+    The printed participation of two modes takes more than the rigid mass by rounding: it is scaled by
+    the smallest factor that leaves none negative. Then come the further modes.
+    """
+    table = parameters["solar_array"]
+    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"])
+    damping = np.full(2, table["damping"])
+    printed = ModalData(
+        "solar array", "A", np.zeros(3), mass, table["frequencies"], damping, np.array(table["participation"])
+    )
+    modes = [
+        ResidualMode(m["frequency"], table["damping"], np.eye(6)[AXES.index(m["direction"])], m["share"])
+        for m in table["further_modes"]
+    ]
+    return add_residual_modes(repair_residual_mass(printed).data, modes)
+
+
+def array_component(parameters: Parameters, side: str) -> SolarArray:
+    """Solar array with its drive; side "A1" (+y) or "A2" (-y)."""
+    table, sadm = parameters["solar_array"], parameters["sadm"]
+    return SolarArray(
+        array_modes(parameters),
+        np.array(table["drive_axis"], dtype=float),
+        np.array(table[f"dcm_{side}"], dtype=float),
+        sadm["gearbox_stiffness"],
+        sadm["gearbox_damping"],
+    )
+
+
+def wheel_axes(parameters: Parameters) -> FloatArray:
+    """Spin axes Gamma, shape (3, 4), body frame."""
+    table = parameters["reaction_wheel"]
+    return pyramid_axes(math.radians(table["cant_deg"]), np.radians(table["azimuths_deg"]).tolist())
+
+
+def wheel_components(parameters: Parameters) -> list[MountedWheel]:
+    """The four wheels around I_w, axes parallel to the body's frame."""
+    table = parameters["reaction_wheel"]
+    wheel = ReactionWheel(table["mass"], table["axial_inertia"], table["radial_inertia"])
+    speeds = uncertain_parameters(parameters)
+    result = []
+    for i, (azimuth, axis) in enumerate(zip(np.radians(table["azimuths_deg"]), wheel_axes(parameters).T), start=1):
+        place = table["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        result.append(MountedWheel(wheel, axis, place, speeds[f"wheel_{i}.speed"]))
+    return result
+
+
+def platform_mass(parameters: Parameters) -> FloatArray:
+    """Mass matrix of the isolator's platform at I_p, shape (6, 6)."""
+    table = parameters["isolator"]
+    return from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"])
+
+
+def isolator_component(parameters: Parameters) -> Isolator:
+    """The 6-dof isolator."""
+    table = parameters["isolator"]
+    return Isolator(platform_mass(parameters), np.diag(table["stiffness"]), np.diag(table["damping"]))
+
+
+def actuator_components(parameters: Parameters) -> list[MountedActuator]:
+    """Six proof-mass actuators on the platform: at each of three azimuths one axial, one tangential.
+
+    Axial ones push along +z, tangential ones along increasing azimuth.
+    """
+    table = parameters["pma"]
+    actuator = ProofMassActuator(
+        table["moving_mass"], table["casing_mass"], np.diag(table["inertia"]), table["stiffness"], table["damping"]
+    )
+    result = []
+    for azimuth in np.radians(table["azimuths_deg"]):
+        radial = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        tangent = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        place = table["mounting_radius"] * radial + table["height"] * up
+        result.append(MountedActuator(actuator, place, np.vstack([radial, tangent, up])))
+        result.append(MountedActuator(actuator, place, np.vstack([up, radial, tangent])))
+    return result
+
+
+def mirror_component(parameters: Parameters) -> FastSteeringMirror:
+    """The fast steering mirror at I_f."""
+    table = parameters["fsm"]
+    return FastSteeringMirror(table["mass"], np.diag(table["inertia"]), table["stiffness"], table["damping"])
+
+
+def optics_component(parameters: Parameters) -> TwoMirrorTelescope:
+    """Paraxial data of the telescope."""
+    table = parameters["optics"]
+    return TwoMirrorTelescope(table["primary_focal_length"], table["mirror_distance"], table["back_focal_distance"])
