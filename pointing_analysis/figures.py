@@ -1,0 +1,282 @@
+"""Pictures of the report: one function per picture, each gives an SVG that is the same byte for byte for the same run."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from pointing_analysis import metrics, weights
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
+from pointing_analysis.read import Run
+from pointing_analysis.spectra import Line, Spectrum
+
+Floats = NDArray[np.float64]
+COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
+LIMIT = "#b00020"
+WIDTH = 5.4  # [inch]; small, so that lettering stays readable on a telephone
+STYLE: dict[str, Any] = {
+    "svg.hashsalt": "pointing_analysis",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.edgecolor": "#777777",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.0,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.3,
+}
+
+
+@dataclass(frozen=True)
+class RunView:
+    """All that the pictures of one run need."""
+
+    label: str
+    run: Run
+    series: ErrorSeries
+    spectrum: Spectrum | None
+    tones: tuple[Line, ...]
+    window: float
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture with its caption and the text for those who cannot see it."""
+
+    name: str
+    title: str
+    alt: str
+    svg: bytes
+
+
+def _svg(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
+    """Draw one picture in the style of the report."""
+    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        draw(figure)
+        return Picture(name, title, alt, _svg(figure))
+
+
+def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, Floats]:
+    """Reduce a long signal to the smallest and largest value of each piece, so that no peak is lost."""
+    n = len(values) // points
+    if n < 3:
+        return time, values
+    m = len(values) // n
+    blocks = values[: m * n].reshape(m, n)
+    low = np.fmin.reduce(blocks, axis=1)
+    high = np.fmax.reduce(blocks, axis=1)
+    t = time[: m * n : n]
+    return np.repeat(t, 2), np.column_stack([low, high]).ravel()
+
+
+def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
+    rows = -(-n // columns)
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    axes = list(grid.ravel())
+    for spare in axes[n:]:
+        spare.set_visible(False)
+    return axes[:n]
+
+
+def time_history(views: Sequence[RunView]) -> Picture:
+    """Both axes of the line of sight over time, one panel per run."""
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(views), sharex=True)
+        for axis, view in zip(axes, views):
+            for i, name in enumerate(metrics.AXES):
+                t, y = envelope(view.series.time, view.series.values[:, i] / RAD_PER_ARCSEC)
+                axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
+            axis.set_title(view.label)
+            axis.set_ylabel("LOS error [arcsec]")
+        axes[0].legend(loc="upper right", ncols=2)
+        axes[-1].set_xlabel("time [s]")
+
+    alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
+        f"{v.label} reaches {np.nanmax(metrics.radial(v.series.values)) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
+    )
+    return picture("time", "Line of sight over time", alt, 1.2 + 1.5 * len(views), draw)
+
+
+def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
+    """Path of the line of sight in the focal plane, with the circle that holds it and the circle of the APE limit."""
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(views), columns=min(2, len(views)))
+        for axis, view in zip(axes, views):
+            e = view.series.values / RAD_PER_ARCSEC
+            step = max(1, len(e) // 3000)
+            largest = float(np.nanmax(metrics.radial(e)))
+            axis.plot(e[::step, 0], e[::step, 1], color=COLOURS[0], linewidth=0.5)
+            angle = np.linspace(0, 2 * np.pi, 181)
+            axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label=f"max {largest:.3g}")
+            if limit is not None and limit < 4 * largest:
+                axis.plot(limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g}")
+            axis.set_aspect("equal", adjustable="datalim")
+            axis.set_title(view.label)
+            axis.set_xlabel("LOS x [arcsec]")
+            axis.set_ylabel("LOS y [arcsec]")
+            axis.legend(loc="upper right", fontsize=7)
+
+    alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
+    rows = -(-len(views) // 2)
+    return picture("trajectory", "Trajectory and its circle", alt, 4.4 if len(views) == 1 else 3.0 * rows, draw)
+
+
+def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
+    tones = sorted({round(line.omega / (2 * np.pi), 6) for view in views for line in view.tones})
+    for i, tone in enumerate(tones):
+        axis.axvline(
+            tone, color="#999999", lw=0.6, ls=":", zorder=0, label="disturbance lines" if i == 0 else "_nolegend_"
+        )
+
+
+def density(views: Sequence[RunView]) -> Picture:
+    """One-sided power spectral density, both axes added."""
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            if view.spectrum is not None:
+                total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
+                axis.loglog(view.spectrum.frequency[1:], total, color=COLOURS[i % 6], label=view.label, linewidth=0.9)
+        _mark_tones(axis, views)
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("LOS density [mas²/Hz]")
+        axis.legend(loc="lower left")
+
+    alt = "Power spectral density of the line of sight against frequency on logarithmic axes"
+    return picture("psd", "Power spectral density", alt, 3.4, draw)
+
+
+def cumulative(views: Sequence[RunView]) -> Picture:
+    """Cumulative RMS of the error and of its RPE part."""
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            s = view.spectrum
+            if s is None:
+                continue
+            weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
+            axis.loglog(s.frequency[1:], s.cumulative_rms()[1:] / RAD_PER_MAS, color=COLOURS[i % 6], label=view.label)
+            rpe = s.cumulative_rms(weight)[1:] / RAD_PER_MAS
+            axis.loglog(s.frequency[1:], rpe, color=COLOURS[i % 6], ls="--")
+        axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
+        _mark_tones(axis, views)
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("RMS below frequency [mas]")
+        axis.legend(loc="lower right")
+
+    alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
+    return picture("cumulative", "Cumulative RMS", alt, 3.4, draw)
+
+
+def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:
+    """Share of the samples above each value, for APE or RPE, with limits and the 0.3 % level."""
+    unit, scale = ("arcsec", RAD_PER_ARCSEC) if kind == "APE" else ("mas", RAD_PER_MAS)
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            e = view.series.values
+            if kind == "RPE":
+                e = metrics.rpe_instant(e, view.series.dt, view.window)
+            r = np.sort(metrics.radial(e) / scale)
+            r = r[~np.isnan(r)]
+            share = 1 - np.arange(r.size) / max(r.size, 1)
+            # Even steps in the logarithm of the share: the tail keeps all of its points.
+            pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
+            axis.loglog(r[pick], share[pick], color=COLOURS[i % 6], label=view.label)
+        for limit in limits:
+            axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
+        axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
+        axis.set_xlabel(f"radial {kind} [{unit}]")
+        axis.set_ylabel("share of time above")
+        axis.legend(loc="lower left")
+
+    what = "absolute performance error" if kind == "APE" else "relative performance error"
+    alt = f"Share of time in which the {what} exceeds each value, against the limits"
+    return picture(kind.lower(), f"{kind} distribution", alt, 3.4, draw)
+
+
+def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:
+    """Commands of mirror and proof-mass actuators as a share of their authority."""
+    shown = [(v, [n for n in authority if n in v.run and len(v.run[n])]) for v in views]
+    shown = [(v, names) for v, names in shown if names]
+    if not shown:
+        return None
+    peaks = []
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(shown), sharex=True)
+        for axis, (view, names) in zip(axes, shown):
+            for i, name in enumerate(names):
+                topic = view.run[name]
+                columns = topic.values[:, :2] if name == "fsm/command" else topic.values
+                load = 100 * np.abs(columns).max(axis=1) / authority[name]
+                t, y = envelope(topic.time, load)
+                peak = float(np.nanmax(load))
+                peaks.append(f"{view.label} {name} peaks at {peak:.3g} %")
+                axis.plot(t, y, color=COLOURS[i], lw=0.8, label=f"{name}, peak {peak:.3g} %")
+            axis.axhline(100, color=LIMIT, ls="--", lw=0.9)
+            axis.set_yscale("symlog", linthresh=1.0)
+            axis.set_ylim(0, 300)
+            axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
+            axis.set_ylabel("% of authority")
+            axis.set_title(view.label)
+            axis.legend(loc="lower right", ncols=2)
+        axes[-1].set_xlabel("time [s]")
+
+    made = picture("commands", "Commands against their authority", "", 1.2 + 1.4 * len(shown), draw)
+    alt = "Commands as a percentage of the actuators' authority over time: " + "; ".join(peaks)
+    return Picture(made.name, made.title, alt, made.svg)
+
+
+def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> Picture | None:
+    """Histogram of times in microseconds, logarithmic counts."""
+    data = [(name, values) for name, values in histograms if values.size]
+    if not data:
+        return None
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        low = min(float(v.min()) for _, v in data)
+        high = max(float(np.quantile(v, 0.9999)) for _, v in data)
+        edges = np.linspace(low, max(high, low + 1), 61)
+        for i, (name, values) in enumerate(data):
+            axis.hist(np.minimum(values, edges[-1]), bins=edges, histtype="step", color=COLOURS[i % 6], label=name)
+        axis.set_yscale("log")
+        axis.set_xlabel(label)
+        axis.set_ylabel("ticks")
+        axis.legend(loc="upper right")
+
+    alt = f"{title}: " + "; ".join(
+        f"{name} median {np.median(v):.0f}, 99.9 % {np.quantile(v, 0.999):.0f} microseconds" for name, v in data
+    )
+    return picture("timing-" + label.split()[0], title, alt, 3.0, draw)

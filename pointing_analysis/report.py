@@ -1,0 +1,337 @@
+"""One self-contained HTML page from one or several bags: opens from disk, needs no network, prints well.
+
+The page depends on the bags alone: the same bags give the same page byte for byte.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis import figures, requirements, spectra
+from pointing_analysis.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.read import Run
+from pointing_analysis.requirements import Requirement, Verdict
+from pointing_analysis.summary import WINDOW, Summary, summarise
+
+TEMPLATE = Path(__file__).with_name("report.html.j2")
+AUTHORITY = {"fsm/command": 5.3e-3, "pma/command": 31.6}  # [rad], [N]; the bag's own ``authority`` goes before
+HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
+LINES_SHOWN = 12
+WORDS = {
+    "compliant": "compliant",
+    "not compliant": "not compliant",
+    "not enough data": "not enough data",
+    "not judged": "not judged",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the requirement table, ready to print."""
+
+    run: str
+    name: str
+    text: str
+    status: str
+    css: str
+    value: str
+    bound: str
+    exceeding: str
+    effective: str
+    needed: str
+    note: str
+
+
+def digits(value: float, places: int = 3) -> str:
+    """Number for a table: a few significant digits, a dash where there is none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "no bound yet"
+    return f"{value:,.0f}".replace(",", "\u2009") if abs(value) >= 10**places else f"{value:.{places}g}"
+
+
+def _css(status: str) -> str:
+    return {"compliant": "ok", "not compliant": "bad"}.get(status, "open")
+
+
+def _row(label: str, v: Verdict) -> Row:
+    scale, unit = v.requirement.scale, v.requirement.unit
+    needed = ""
+    if v.status == "not enough data":
+        needed = (
+            "no length of run decides it" if math.isinf(v.seconds_needed) else f"{digits(v.seconds_needed)} s would do"
+        )
+    return Row(
+        run=label,
+        name=v.requirement.name,
+        text=str(v.requirement),
+        status=WORDS[v.status],
+        css=_css(v.status),
+        value=f"{digits(v.quantile.value / scale)} {unit}",
+        bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
+        exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
+        effective=f"{digits(v.effective)} of {digits(v.samples, 6)}",
+        needed=needed,
+        note=v.note,
+    )
+
+
+def overall(verdicts: Sequence[Verdict]) -> str:
+    """One word for several verdicts: the worst of them."""
+    found = {v.status for v in verdicts}
+    for status in ("not compliant", "not enough data", "not judged"):
+        if status in found:
+            return status
+    return "compliant" if found else "not judged"
+
+
+def labels(runs: Sequence[Run]) -> tuple[str, ...]:
+    """Short names of the runs, unique: the loop stage; with scenario, seed or file name where that is not enough."""
+    for make in (
+        lambda r: r.title,
+        lambda r: f"{r.title}, {r.parameters.get('scenario', '')}",
+        lambda r: f"{r.title}, {r.parameters.get('scenario', '')}, seed {r.parameters.get('seed', '')}",
+        lambda r: f"{r.title}, {r.path.name}",
+    ):
+        names = [make(r) for r in runs]
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(f"{name} ({i + 1})" for i, name in enumerate(names))
+
+
+def tones_of(run: Run) -> NDArray[np.float64]:
+    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheels where their speed is constant."""
+    found: list[float] = []
+    for key in ("tones_rad_s", "wheel_speeds_rad_s"):
+        value = run.parameters.get(key, [])
+        value = value if isinstance(value, list) else [value]
+        found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]
+    return np.unique(np.array(found, dtype=float))
+
+
+def view(run: Run, label: str, transient: float | None = None) -> RunView:
+    """Everything the pictures need from one run."""
+    series = performance_error(run, transient)
+    try:
+        spectrum = spectra.psd(series.values, series.dt)
+    except ValueError:
+        spectrum = None  # too short or too many gaps: the page says so in place of the curve
+    tones = spectra.lines(series.values, series.dt, tones_of(run), WINDOW)
+    return RunView(label, run, series, spectrum, tones, WINDOW)
+
+
+def _authority(runs: Sequence[Run]) -> dict[str, float]:
+    known = dict(AUTHORITY)
+    for run in runs:
+        own = run.parameters.get("authority")
+        if isinstance(own, dict):
+            known.update({k: float(v) for k, v in own.items() if k in known and isinstance(v, (int, float)) and v > 0})
+    return known
+
+
+def intervals_us(run: Run) -> NDArray[np.float64]:
+    """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
+    topic = run["truth/los"]
+    sent = topic.published
+    if len(topic) < 3 or np.all(np.diff(sent) == np.diff(topic.stamp)):
+        return np.empty(0)
+    return np.diff(sent) / 1e3
+
+
+def latency_us(run: Run) -> NDArray[np.float64]:
+    """Time from the publication of a tick's sensors to that of its mirror command [us]; empty where unknown."""
+    if "fsm/command" not in run or "isolator/accel" not in run:
+        return np.empty(0)
+    sensor, command = run["isolator/accel"], run["fsm/command"]
+    _, i, j = np.intersect1d(sensor.stamp, command.stamp, assume_unique=True, return_indices=True)
+    delay = (command.published[j] - sensor.published[i]) / 1e3
+    return delay if delay.size and np.any(delay != 0) else np.empty(0)
+
+
+def pictures(views: Sequence[RunView], wanted: Sequence[Requirement]) -> list[Picture]:
+    """All pictures of the page, in reading order."""
+    limits = {k: sorted({r.limit for r in wanted if r.index == k and not r.axis}) for k in ("APE", "RPE")}
+    ape = limits["APE"][0] / figures.RAD_PER_ARCSEC if limits["APE"] else None
+    runs = [v.run for v in views]
+    made: list[Picture | None] = [
+        figures.time_history(views),
+        figures.trajectory(views, ape),
+        figures.density(views) if any(v.spectrum for v in views) else None,
+        figures.cumulative(views) if any(v.spectrum for v in views) else None,
+        figures.exceedance(views, "APE", limits["APE"]),
+        figures.exceedance(views, "RPE", limits["RPE"])
+        if all(v.series.duration > WINDOW for v in views)
+        else None,
+        figures.commands(views, _authority(runs)),
+        figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
+        figures.timing(
+            [(v.label, latency_us(v.run)) for v in views], "Sensor to command", "latency sensor to command [µs]"
+        ),
+    ]
+    return [p for p in made if p is not None]
+
+
+def _digest(run: Run) -> str:
+    files = sorted(run.path.glob("*.mcap*")) if run.path.is_dir() else [run.path]
+    if sum(f.stat().st_size for f in files) > HASH_LIMIT:
+        return "not computed (large bag)"
+    total = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                total.update(block)
+    return total.hexdigest()
+
+
+def _provenance(run: Run) -> list[tuple[str, str]]:
+    rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
+    for key in sorted(run.parameters):
+        value = run.parameters[key]
+        text = ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value) if isinstance(value, list) else value
+        rows.append((key, str(text)))
+    for name, data in sorted(run.attachments.items()):
+        rows.append((f"attachment {name}", f"{len(data)} bytes, SHA-256 {hashlib.sha256(data).hexdigest()[:16]}…"))
+    return rows
+
+
+def _line_rows(v: RunView) -> list[dict[str, str]]:
+    total = math.fsum(line.rpe**2 for line in v.tones)
+    return [
+        {
+            "omega": f"{line.omega:.2f}" + (f" ({line.merged} lines)" if line.merged > 1 else ""),
+            "hertz": f"{line.omega / (2 * math.pi):.3f}",
+            "x": digits(float(line.amplitude[0]) / RAD_PER_MAS),
+            "y": digits(float(line.amplitude[1]) / RAD_PER_MAS),
+            "rpe": digits(line.rpe / RAD_PER_MAS),
+            "share": f"{100 * line.rpe**2 / total:.1f} %" if total else "–",
+        }
+        for line in v.tones[:LINES_SHOWN]
+    ]
+
+
+def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
+    status = overall(s.verdicts)
+    return {
+        "label": label,
+        "status": status,
+        "css": _css(status),
+        "scenario": s.scenario,
+        "mode": s.mode,
+        "figures": [
+            ("APE max", f"{digits(s.ape_max)} arcsec"),
+            ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
+            ("RPE rms, 20 ms", f"{digits(s.rpe_rms)} mas"),
+            ("RPE 99.7 %, 20 ms", f"{digits(s.rpe_p997)} mas"),
+        ],
+        "knowledge": s.knowledge
+        and [
+            ("AKE 99.7 %", f"{digits(s.knowledge.ake_p997_arcsec)} arcsec"),
+            ("RKE rms, 20 ms", f"{digits(s.knowledge.rke_rms_mas)} mas"),
+        ],
+        "data": (
+            f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "
+            f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"
+        ),
+        "problems": s.problems,
+        "lines": _line_rows(v),
+        "line_count": len(v.tones),
+        "provenance": _provenance(v.run),
+    }
+
+
+def render(
+    runs: Sequence[Run],
+    *,
+    transient: float | None = None,
+    wanted: Sequence[Requirement] | None = None,
+) -> str:
+    """The report as HTML text.
+
+    Parameters
+    ----------
+    runs : one or several opened bags, for instance the four loop stages
+    transient : seconds to drop at the start of each
+    wanted : requirements; by default those of the reference telescope
+
+    Raises
+    ------
+    BagError
+        A run has no truth topic or only transient.
+    ValueError
+        No run was given.
+    """
+    if not runs:
+        raise ValueError("expected at least one run for a report; got none")
+    chosen = requirements.load() if wanted is None else tuple(wanted)
+    names = labels(runs)
+    summaries = [summarise(run, transient=transient, wanted=chosen) for run in runs]
+    views = [view(run, name, transient) for run, name in zip(runs, names)]
+    drawn = pictures(views, chosen)
+    rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
+    # Requirements over several runs are judged once, on all of them.
+    if len(runs) > 1:
+        over_runs = [r for r in chosen if r.interpretation != "temporal"]
+        rows = [row for row in rows if row.text not in {str(r) for r in over_runs}]
+        rows += [_row("all runs", requirements.judge(r, runs, transient)) for r in over_runs]
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        title=" / ".join(names) if len(names) > 1 else names[0],
+        several=len(runs) > 1,
+        rows=rows,
+        cards=[_run_card(v, s, n) for v, s, n in zip(views, summaries, names)],
+        pictures=[
+            {
+                "id": p.name,
+                "title": p.title,
+                "alt": p.alt,
+                "data": "data:image/svg+xml;base64," + base64.b64encode(p.svg).decode(),
+            }
+            for p in drawn
+        ],
+        no_spectrum=[v.label for v in views if v.spectrum is None],
+        untimed=[v.label for v in views if not intervals_us(v.run).size],
+    )
+
+
+def write_report(
+    runs: Sequence[Run],
+    path: str | os.PathLike[str],
+    *,
+    transient: float | None = None,
+    wanted: Sequence[Requirement] | None = None,
+) -> Path:
+    """Write the report of one or several runs; nothing is left half-written.
+
+    Parameters
+    ----------
+    runs, transient, wanted : see `render`
+    path : HTML file to write; an existing one is replaced
+
+    Returns
+    -------
+    The path of the file.
+    """
+    target = Path(path)
+    page = render(runs, transient=transient, wanted=wanted)
+    if not target.parent.is_dir():
+        raise ValueError(f"expected an existing folder for the report; got {target.parent}")
+    with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:
+        stream.write(page)
+    os.chmod(stream.name, 0o644)
+    os.replace(stream.name, target)
+    return target

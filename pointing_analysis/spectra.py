@@ -1,0 +1,179 @@
+"""Spectra of the line of sight: power density, cumulative RMS, and what each disturbance line adds to the RPE.
+
+Nothing is detrended: an offset is part of the APE and stays in the spectrum at zero frequency.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, signal
+
+from pointing_analysis import weights
+from pointing_analysis.topic import read_only
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral density.
+
+    Attributes
+    ----------
+    frequency : (m,) [Hz]
+    density : (m, 2) per axis [unit^2/Hz]; the integral over frequency is the mean square
+    segments, skipped : averaged segments, and those left out because a sample is missing
+    """
+
+    frequency: Floats
+    density: Floats
+    segments: int
+    skipped: int
+
+    @property
+    def step(self) -> float:
+        """Distance of two frequencies [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    def cumulative_rms(self, weight: ArrayLike = 1.0) -> Floats:
+        """Radial RMS of all that lies at or below each frequency: (m,), same unit as the error.
+
+        Parameters
+        ----------
+        weight : (m,) magnitude of a weight, for instance `weights.rpe_exact` for the RPE
+        """
+        total = self.density.sum(axis=1) * np.square(weight)
+        return np.asarray(np.sqrt(np.cumsum(total) * self.step))
+
+
+def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
+    """One-sided power spectral density by Welch's method (Hann window, half overlap, no detrending).
+
+    Parameters
+    ----------
+    error : (n, 2), NaN where a sample is missing
+    dt : sampling period [s]
+    segment : length of a segment [s]; cut to the length of the run
+
+    Raises
+    ------
+    ValueError
+        Fewer than 8 samples, or no segment without a missing sample.
+
+    Examples
+    --------
+    White noise of one unit rms per axis at 1 kHz has a density of 1 / 500 Hz:
+
+    >>> white = np.random.default_rng(0).standard_normal((100_000, 2))
+    >>> spectrum = psd(white, dt=1e-3, segment=0.1)
+    >>> bool(np.allclose(spectrum.density[1:-1].mean(axis=0), 1 / 500, rtol=0.02))
+    True
+    """
+    e = np.asarray(error, dtype=float)
+    n = min(max(round(segment / dt), 8), len(e))
+    if n < 8:
+        raise ValueError(f"expected at least 8 samples for a spectrum; got {len(e)}")
+    window = signal.get_window("hann", n)
+    scale = 2 * dt / np.square(window).sum()
+    density = np.zeros((n // 2 + 1, 2))
+    used = skipped = 0
+    for start in range(0, len(e) - n + 1, max(n // 2, 1)):
+        piece = e[start : start + n]
+        if np.isnan(piece).any():
+            skipped += 1
+            continue
+        density += scale * np.square(np.abs(np.fft.rfft(piece * window[:, None], axis=0)))
+        used += 1
+    if not used:
+        raise ValueError(f"expected a stretch of {n * dt:g} s without a missing sample for the spectrum; found none")
+    density /= used
+    density[0] /= 2
+    if n % 2 == 0:
+        density[-1] /= 2
+    return Spectrum(read_only(np.fft.rfftfreq(n, dt)), read_only(density), used, skipped)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A disturbance line in the error.
+
+    Attributes
+    ----------
+    omega : [rad/s]
+    amplitude : (2,) amplitude per axis, unit of the error
+    rms : radial rms of the line
+    rpe : radial RPE rms the line causes in windows of the stated length
+    merged : how many of the given tones this line stands for (the run is too short to tell them apart)
+    """
+
+    omega: float
+    amplitude: Floats
+    rms: float
+    rpe: float
+    merged: int = 1
+
+
+def _resolved(omegas: Floats, duration: float) -> list[Floats]:
+    """Group tones closer than one period over the whole run."""
+    groups: list[list[float]] = []
+    for omega in np.sort(omegas):
+        if groups and omega - groups[-1][0] < 2 * np.pi / duration:
+            groups[-1].append(float(omega))
+        else:
+            groups.append([float(omega)])
+    return [np.array(g) for g in groups]
+
+
+def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tuple[Line, ...]:
+    """Least-squares amplitudes of known tones in the error, and the RPE each causes.
+
+    All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN are left out
+    dt : [s]
+    omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are left out
+    window : RPE window [s]
+
+    Returns
+    -------
+    Lines, largest RPE first
+
+    Examples
+    --------
+    >>> t = 1e-3 * np.arange(5000)
+    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.zeros(5000)])
+    >>> lines(tone, 1e-3, [100.0], window=0.02)[0].amplitude.round(9)
+    array([3., 0.])
+    """
+    e = np.asarray(error, dtype=float)
+    present = ~np.isnan(e).any(axis=1)
+    duration = dt * len(e)
+    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
+    wanted = np.unique(wanted[np.isfinite(wanted) & (wanted > 2 * np.pi / duration) & (wanted < np.pi / dt)])
+    groups = _resolved(wanted, duration)
+    if not groups or present.sum() < 4 * len(groups) + 2:
+        return ()
+    centre = np.array([g.mean() for g in groups])
+    k = 2 * len(centre) + 1
+    gram, right = np.zeros((k, k)), np.zeros((k, 2))
+    index = np.flatnonzero(present)
+    for part in np.array_split(index, max(1, index.size // 20_000)):
+        angle = np.outer(part * dt, centre)
+        basis = np.hstack([np.ones((part.size, 1)), np.cos(angle), np.sin(angle)])
+        gram += basis.T @ basis
+        right += basis.T @ e[part]
+    solution = np.asarray(linalg.lstsq(gram, right)[0])
+    m = len(centre)
+    amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])
+    rms = np.hypot(amplitude[:, 0], amplitude[:, 1]) / np.sqrt(2)
+    rpe = rms * weights.rpe_discrete(centre, max(round(window / dt), 1), dt)
+    order = np.argsort(-rpe, kind="stable")
+    return tuple(
+        Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
+        for i in order
+    )
