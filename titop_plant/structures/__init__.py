@@ -3,6 +3,7 @@
 from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
+from titop_plant.structures.modal_file import read_modal_data, write_modal_data
 from titop_plant.structures.reference import build_body, build_payload, port_visibility
 from titop_plant.structures.residual_mass import (
     ResidualMode,
@@ -30,8 +31,10 @@ __all__ = [
     "effective_masses",
     "from_inertia",
     "port_visibility",
+    "read_modal_data",
     "repair_residual_mass",
     "smallest_residual_fraction",
     "static_displacement",
     "to_modal_data",
+    "write_modal_data",
 ]

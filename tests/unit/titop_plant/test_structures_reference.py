@@ -1,0 +1,93 @@
+"""The reference telescope's structures: what the design page asks of them."""
+
+from __future__ import annotations
+
+import sys
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pytest
+
+from titop_plant.structures import (
+    ModalData,
+    build_body,
+    build_payload,
+    check_residual_mass,
+    port_visibility,
+    smallest_residual_fraction,
+)
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+HERTZ = 2 * np.pi
+
+
+@pytest.fixture(scope="module")
+def parameters() -> dict[str, Any]:
+    return tomllib.loads(files("titop_plant.telescope").joinpath("reference.toml").read_text("utf-8"))
+
+
+@pytest.fixture(scope="module")
+def body(parameters: dict[str, Any]) -> ModalData:
+    return build_body(parameters)
+
+
+@pytest.fixture(scope="module")
+def payload(parameters: dict[str, Any]) -> ModalData:
+    return build_payload(parameters)
+
+
+def test_mass_and_first_modes_are_in_the_ranges_of_the_design(body: ModalData, payload: ModalData) -> None:
+    assert 1000 < body.mass < 3000
+    assert body.frequencies[0] > 15 * HERTZ
+    assert 90 < payload.mass < 110
+    assert 50 * HERTZ < payload.frequencies[0] < 100 * HERTZ
+    assert max(body.frequencies[-1], payload.frequencies[-1]) < 1e4
+
+
+def test_parent_of_the_body_is_its_center_of_mass(body: ModalData) -> None:
+    np.testing.assert_allclose(body.center_of_mass, body.parent_position, atol=1e-9)
+    assert np.abs(body.mass_matrix[:3, 3:]).max() < 1e-6 * body.mass
+
+
+def test_residual_mass_is_physical(body: ModalData, payload: ModalData) -> None:
+    for data in (body, payload):
+        check_residual_mass(data)
+        assert smallest_residual_fraction(data) > 1e-4
+
+
+def test_every_mode_is_seen_by_a_port_and_stands_alone(body: ModalData, payload: ModalData) -> None:
+    """A mode that no port sees, or two at one frequency, would vanish in the minimal realisation."""
+    for data in (body, payload):
+        assert port_visibility(data).min() > 5e-3
+        assert np.min(np.diff(data.frequencies) / data.frequencies[1:]) > 5e-4
+
+
+def test_ports_are_where_the_optics_put_them(parameters: dict[str, Any], body: ModalData, payload: ModalData) -> None:
+    optics = parameters["optics"]
+    m1, m2, detector = (payload.child(name).position for name in ("M1", "M2", "DET"))
+    np.testing.assert_allclose(m2 - m1, [0, 0, optics["mirror_distance"]], atol=1e-12)
+    assert m1[2] - detector[2] == pytest.approx(optics["back_focal_distance"])
+    assert optics["mirror_distance"] < optics["primary_focal_length"]
+    assert body.child("A1").position[1] > 0 > body.child("A2").position[1]
+    np.testing.assert_array_equal(payload.parent_position, 0.0)
+
+
+def test_same_parameters_same_numbers(parameters: dict[str, Any], payload: ModalData) -> None:
+    again = build_payload(parameters)
+    np.testing.assert_array_equal(again.participation, payload.participation)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "word"),
+    [("shape", "star", "shape must be one of"), ("material", "oak", "material must be one of")],
+)
+def test_unknown_section_is_refused(parameters: dict[str, Any], key: str, value: str, word: str) -> None:
+    sections = {**parameters["payload"]["sections"]}
+    sections["vane"] = {**sections["vane"], key: value}
+    with pytest.raises(ValueError, match=f"{word}.*{value}"):
+        build_payload({**parameters, "payload": {**parameters["payload"], "sections": sections}})
