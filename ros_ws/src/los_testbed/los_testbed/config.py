@@ -1,0 +1,223 @@
+"""The configuration of a run: every figure, checked once at the door.
+
+The same table of fields makes the command line's ``--set``, the YAML file, the ROS parameters with their
+descriptions and ranges, and the metadata of the bag.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+MODES = ("realtime", "lockstep", "inprocess")
+LOOPS = ("none", "isolator", "fsm", "fsm+pma")
+SCENARIOS = ("design", "imbalance")
+RATE = 1000
+"""Ticks per second."""
+
+
+def _parameter(
+    default: Any, description: str, unit: str = "", low: float | None = None, high: float | None = None
+) -> Any:
+    """Field with what a user wants to know about it; `low` and `high` are inclusive bounds."""
+    return field(default=default, metadata={"description": description, "unit": unit, "low": low, "high": high})
+
+
+def _choice(default: str, description: str, choices: tuple[str, ...]) -> Any:
+    return field(default=default, metadata={"description": description, "unit": "", "choices": choices})
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """All figures of a run.
+
+    Raises
+    ------
+    ValueError
+        A value of another type, out of range or not finite, or a camera rate that does not divide 1 kHz.
+
+    Examples
+    --------
+    >>> RunConfig(duration=10.0).ticks
+    10000
+    >>> RunConfig(camera_rate=50.0).frame_ticks
+    20
+    >>> RunConfig.from_mapping({"durtion": 3.0})
+    Traceback (most recent call last):
+        ...
+    ValueError: unknown parameter 'durtion': did you mean duration?
+    """
+
+    duration: float = _parameter(10.0, "length of the run", "s", 1e-3, 86400.0)
+    mode: str = _choice("realtime", "how the cores run", MODES)
+    loop: str = _choice("fsm+pma", "which loops are closed", LOOPS)
+    scenario: str = _choice("design", "disturbance scenario", SCENARIOS)
+    seed: int = _parameter(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
+    noise: bool = _parameter(True, "sensor noise on")
+    disturbance: bool = _parameter(True, "wheel and drive disturbances on")
+    camera_rate: float = _parameter(50.0, "frames per second; it divides 1000", "Hz", 1.0, 1000.0)
+    camera_dropout: float = _parameter(0.0, "probability that a frame is dropped", "1", 0.0, 1.0)
+    theta: float = _parameter(0.0, "angle of both solar arrays", "rad", -6.28, 6.28)
+    wheel_speed: tuple[float, ...] = _parameter(
+        (), "speeds of the four wheels; empty for the plant's own", "rad/s", -1100.0, 1100.0
+    )
+    omega_1: float = _parameter(0.0, "first frequency of the solar arrays; 0 for the nominal one", "rad/s", 0.0, 1000.0)
+    omega_2: float = _parameter(
+        0.0, "second frequency of the solar arrays; 0 for the nominal one", "rad/s", 0.0, 1000.0
+    )
+    fsm_authority: float = _parameter(5.3e-3, "largest mirror angle per axis", "rad", 1e-9, 1.0)
+    pma_authority: float = _parameter(31.6, "largest force of one actuator", "N", 1e-9, 1e6)
+    k_fsm: str = _parameter("", "observer file; empty for the design that ships")
+    k_pma: str = _parameter("", "proof-mass controller file; empty for the design that ships")
+    hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
+    fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
+    output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
+    domain: int = _parameter(-1, "ROS domain; -1 for ROS_DOMAIN_ID or 0", "", -1, 232)
+    priority: bool = _parameter(True, "ask for real-time scheduling and locked memory")
+    wait_for_recorder: bool = _parameter(False, "begin only when a recorder sees every topic")
+    start_timeout: float = _parameter(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            object.__setattr__(self, entry.name, _checked(entry, getattr(self, entry.name)))
+        frame = RATE / self.camera_rate
+        if abs(frame - round(frame)) > 1e-9 * frame:
+            raise ValueError(
+                f"camera_rate must divide {RATE} Hz, the loop's rate (50, 40, 25, ...), got {self.camera_rate:g} Hz"
+            )
+        if len(self.wheel_speed) not in (0, 4):
+            raise ValueError(f"wheel_speed must hold four speeds, got {len(self.wheel_speed)}")
+        if abs(self.ticks - self.duration * RATE) > 1e-6:
+            raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks."""
+        return round(self.duration * RATE)
+
+    @property
+    def frame_ticks(self) -> int:
+        """Ticks from one camera frame to the next."""
+        return round(RATE / self.camera_rate)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> RunConfig:
+        """Make a configuration from names and values; unknown names are refused.
+
+        Raises
+        ------
+        ValueError
+            Unknown name (the nearest known one is proposed) or a value that does not fit.
+        """
+        for name in values:
+            if name not in FIELDS:
+                raise ValueError(unknown(str(name)))
+        return cls(**dict(values))
+
+    @classmethod
+    def from_file(cls, path: Path) -> RunConfig:
+        """Read a YAML file of names and values; the form of a ROS parameter file is accepted too."""
+        return cls.from_mapping(read_yaml(path))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Names and values with plain types, as :meth:`from_mapping` takes them."""
+        values = {name: getattr(self, name) for name in FIELDS}
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
+    def to_strings(self) -> dict[str, str]:
+        """Names and values as text, for the metadata of a bag."""
+        return {name: json.dumps(v) if not isinstance(v, str) else v for name, v in self.to_mapping().items()}
+
+
+FIELDS: dict[str, Field[Any]] = {entry.name: entry for entry in fields(RunConfig)}
+
+PHYSICAL = (
+    "scenario", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
+    "omega_1", "omega_2",
+)  # fmt: skip
+"""Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
+
+
+def unknown(name: str) -> str:
+    """Message about a name that is not a parameter."""
+    near = difflib.get_close_matches(name, FIELDS, 1)
+    hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(FIELDS)}"
+    return f"unknown parameter {name!r}: {hint}"
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Names and values of a YAML file.
+
+    Raises
+    ------
+    ValueError
+        No such file, not YAML, or not a table.
+    """
+    try:
+        content = yaml.safe_load(path.read_text("utf-8"))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise ValueError(f"{path} is not a configuration: expected YAML") from None
+    if isinstance(content, dict) and set(content) == {"/**"}:
+        content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} is not a configuration: expected names and values")
+    return content
+
+
+def parse_value(name: str, text: str) -> Any:
+    """Value of a ``NAME=VALUE`` on the command line."""
+    if name not in FIELDS:
+        raise ValueError(unknown(name))
+    if isinstance(FIELDS[name].default, str):
+        return text
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ValueError(f"{name}: cannot read the value {text!r}") from None
+
+
+def physical_hash(config: RunConfig) -> str:
+    """SHA-256 of the figures that the plant is built from."""
+    values = {name: config.to_mapping()[name] for name in PHYSICAL}
+    values["isolated"] = config.loop != "none"
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _checked(entry: Field[Any], value: Any) -> Any:
+    meta, default = entry.metadata, entry.default
+    name, unit = entry.name, f" {meta['unit']}" if meta["unit"] else ""
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be true or false, got {value!r}")
+        return value
+    if isinstance(default, str):
+        choices = meta.get("choices")
+        if not isinstance(value, str) or (choices and value not in choices):
+            expected = f"one of {', '.join(choices)}" if choices else "a text"
+            raise ValueError(f"{name} must be {expected}, got {value!r}")
+        return value
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)):
+            raise ValueError(f"{name} must be a list of numbers, got {value!r}")
+        return tuple(_number(name, unit, meta, float, item) for item in value)
+    return _number(name, unit, meta, type(default), value)
+
+
+def _number(name: str, unit: str, meta: Mapping[str, Any], kind: type, value: Any) -> Any:
+    whole = kind is int
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or (whole and value != int(value)):
+        raise ValueError(f"{name} must be {'a whole number' if whole else 'a number'}, got {value!r}")
+    low, high = meta["low"], meta["high"]
+    if not math.isfinite(value) or not low <= value <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}")
+    return kind(value)

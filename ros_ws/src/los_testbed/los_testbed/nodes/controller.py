@@ -1,0 +1,65 @@
+"""Controller node: ``los_estimate`` and ``isolator/accel`` in, both command topics out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.codecs import codec_for
+from los_testbed.config import RunConfig
+from los_testbed.cores import build_controller
+from los_testbed.join import HOLD_STAMP, Part, SampleJoin
+from los_testbed.nodes.follower import Follower
+from los_testbed.nodes.raw_topics import RawPublisher
+from los_testbed.nodes.shell import Shell, run_node
+from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
+
+
+class Controller(Protocol):
+    """Core of this node."""
+
+    def step(self, los_estimate: NDArray[np.float64], accel_Ip: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        """One tick: estimate (2,) and acceleration (6,) to the command `out` (8,)."""
+
+    def reset(self) -> None:
+        """Back to the zero state."""
+
+
+def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
+    """Run the node; returns the exit code."""
+
+    def body(shell: Shell) -> int:
+        core = build(shell.config)
+        parts = [
+            Part(codec_for(ISOLATOR_ACCEL), slice(2, 8)),
+            Part(codec_for(LOS_ESTIMATE), slice(0, 2)),
+        ]
+        outputs = [(RawPublisher(shell.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
+        command, held, nothing = np.zeros(8), np.zeros(8), np.zeros(8)
+        slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
+
+        def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
+            if stamp == HOLD_STAMP:
+                core.reset()
+                for publisher, codec, _, zero in slots:
+                    publisher.publish(codec.encode(stamp, zero))
+                return
+            for _ in range(gap):  # time went on without samples: the state must too
+                core.step(held[:2], held[2:], command)
+            core.step(sample[:2], sample[2:], command)
+            for publisher, codec, values, _ in slots:
+                publisher.publish(codec.encode(stamp, values))
+            held[:] = sample
+
+        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), SampleJoin(parts, 8), tick)
+        return follower.run()
+
+    return run_node("controller", arguments, body)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

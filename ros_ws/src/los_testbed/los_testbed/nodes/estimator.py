@@ -1,0 +1,63 @@
+"""Estimator node: five sensor topics in, ``los_estimate`` out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.codecs import codec_for
+from los_testbed.config import RunConfig
+from los_testbed.cores import build_estimator
+from los_testbed.join import HOLD_STAMP, Part, SampleJoin
+from los_testbed.nodes.follower import Follower
+from los_testbed.nodes.raw_topics import RawPublisher
+from los_testbed.nodes.shell import Shell, run_node
+from los_testbed.topics import LOS_ESTIMATE, SENSORS
+
+
+class Estimator(Protocol):
+    """Core of this node."""
+
+    def step(self, measurement: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        """One tick: `measurement` (22,) to the estimate `out` (2,)."""
+
+    def reset(self) -> None:
+        """Back to the zero state."""
+
+
+def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
+    """Run the node; returns the exit code."""
+
+    def body(shell: Shell) -> int:
+        core = build(shell.config)
+        every = shell.config.frame_ticks
+        parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
+        codec = codec_for(LOS_ESTIMATE)
+        publisher = RawPublisher(shell.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
+        los, held, nothing = np.zeros(2), np.zeros(22), np.zeros(2)
+        held[18:20] = np.nan
+
+        def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
+            if stamp == HOLD_STAMP:
+                core.reset()
+                publisher.publish(codec.encode(stamp, nothing))
+                return
+            for _ in range(gap):  # time went on without samples: the state must too
+                core.step(held, los)
+            core.step(measurement, los)
+            publisher.publish(codec.encode(stamp, los))
+            held[:18] = measurement[:18]
+            held[20:] = measurement[20:]
+
+        follower = Follower(shell, SENSORS, SampleJoin(parts, 22), tick)
+        return follower.run()
+
+    return run_node("estimator", arguments, body)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""Loop of a node that follows the plant's clock: wait for the last sample of a tick, join, act."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.codecs import stamp_of
+from los_testbed.join import HOLD_STAMP, SampleJoin
+from los_testbed.nodes.raw_topics import RawSubscription, Waiter
+from los_testbed.nodes.shell import OK, STALE, WARN, Shell
+from los_testbed.statistics import Durations
+from los_testbed.topics import Topic
+
+WAIT_NS = 50_000_000
+HORIZON_NS = 50_000_000
+"""A stamp may be this much newer than the time that passed since the last tick allows."""
+
+GAP_LIMIT = 50
+"""Longest gap, in ticks, over which a core is stepped on held samples; after a longer one it starts anew."""
+
+Tick = Callable[[int, NDArray[np.float64], int], None]
+
+
+class Follower:
+    """Takes samples as they come and calls `tick(stamp, vector, gap)` once for each complete tick.
+
+    Parameters
+    ----------
+    shell : Shell
+        The node.
+    topics : sequence of Topic
+        Inputs, in the order of the join's parts; the last one is published last and wakes the loop.
+    join : SampleJoin
+        Joins them by stamp.
+    tick : callable
+        What to do with a tick; publishes its result.
+    """
+
+    def __init__(self, shell: Shell, topics: Sequence[Topic], join: SampleJoin, tick: Tick) -> None:
+        self._shell = shell
+        self._join = join
+        self._tick = tick
+        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name) for t in topics]
+        self._on_trigger = Waiter(shell.node, self._subscriptions[-1:])
+        self._on_any = Waiter(shell.node, self._subscriptions)
+        self._execution = Durations()
+        self._last_done = 0
+        self.ticks = 0
+
+    def run(self) -> int:
+        """Work until a signal comes."""
+        shell, join = self._shell, self._join
+        shell.become_real_time()
+        shell.event("ready")
+        paced = shell.config.mode == "realtime"  # in lockstep no time is too early
+        next_report, next_service = time.monotonic_ns(), 0
+        while not shell.stop:
+            (self._on_any if join.waiting else self._on_trigger).wait(WAIT_NS)
+            before = time.monotonic_ns()
+            if paced and join.last:
+                join.horizon = join.last + before - self._last_done + HORIZON_NS
+            if self._drain():
+                self._last_done = time.monotonic_ns()
+                self._execution.add(self._last_done - before)
+            if before >= next_service:  # in the slack after the tick's work
+                next_service = before + 200_000_000
+                shell.service()
+            if before >= next_report:
+                next_report = before + 1_000_000_000
+                self._report()
+        self._report()
+        shell.event("done", statistics=self.statistics())
+        return 0
+
+    def _drain(self) -> bool:
+        """Take what has come; True if a tick was completed.
+
+        The trigger is taken first. It carries the newest stamp, and the other topics are taken up to
+        that stamp: no take is spent on asking whether there is more.
+        """
+        join, done = self._join, False
+        trigger = len(self._subscriptions) - 1
+        waiting, newest = [], -1
+        while (taken := self._subscriptions[trigger].take()) is not None:
+            waiting.append(taken[0])
+            newest = stamp_of(taken[0]) if len(taken[0]) >= 12 else newest
+        for index in range(trigger):
+            period = join.parts[index].period_ns
+            due = newest - newest % period if newest > 0 else newest
+            take, seen = self._subscriptions[index].take, -1
+            while seen < due or newest <= 0:
+                taken = take()
+                if taken is None:
+                    break
+                seen = stamp_of(taken[0]) if len(taken[0]) >= 12 else seen
+                done |= self._put(index, taken[0])
+        for data in waiting:
+            done |= self._put(trigger, data)
+        return done
+
+    def _put(self, index: int, data: bytes) -> bool:
+        join = self._join
+        vector = join.put(index, data)
+        if vector is None:
+            return False
+        stamp, gap = join.stamp, join.gap
+        if gap > GAP_LIMIT:
+            gap = 0
+        self._tick(stamp, vector, gap)
+        if stamp != HOLD_STAMP:
+            self.ticks += 1
+        return True
+
+    def statistics(self) -> dict[str, str]:
+        """Counts and times of the loop."""
+        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(self._join.rejected.items())}
+        return {
+            "ticks": str(self.ticks),
+            "gap_ticks": str(self._join.gaps),
+            **self._execution.summary("execution"),
+            **rejected,
+        }
+
+    def _report(self) -> None:
+        values = self.statistics()
+        if not self.ticks:
+            level, message = STALE, "no samples yet"
+        elif self._join.gaps or self._join.rejected:
+            level, message = WARN, "samples missing or rejected"
+        else:
+            level, message = OK, "following"
+        self._shell.diagnose(level, message, values, self._join.stamp)

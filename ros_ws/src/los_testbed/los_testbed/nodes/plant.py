@@ -1,0 +1,189 @@
+"""Plant node: owns time, publishes sensors and truth, applies the commands of the tick before.
+
+Tick k of the real-time loop: wake at the deadline, take the commands that were computed from tick k - 1,
+pass them through the gates, step the core, publish. In lockstep the wait for the clock is replaced by a
+wait for both commands of the tick just published, and ``/clock`` follows the ticks.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from los_testbed.config import RunConfig
+from los_testbed.cores import Plant, build_plant, plant_notes
+from los_testbed.inprocess import SIMULATED_START_NS, LoopDivergedError, aligned_start
+from los_testbed.nodes.handshake import refuse_second_plant, wait_for_followers
+from los_testbed.nodes.lockstep import LockstepPacer
+from los_testbed.nodes.plant_io import PlantIo
+from los_testbed.nodes.shell import ERROR, OK, WARN, Shell, run_node
+from los_testbed.real_time import TickClock
+from los_testbed.statistics import Durations
+from los_testbed.topics import TICK_NS
+
+RING = 64
+
+
+def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
+    """Run the node; returns the exit code."""
+
+    def body(shell: Shell) -> int:
+        refuse_second_plant(shell)
+        shell.event("alone")
+        core = build(shell.config)
+        return PlantLoop(shell, core).run()
+
+    return run_node("plant", arguments, body)
+
+
+class PlantLoop:
+    """The loop of the plant node.
+
+    Parameters
+    ----------
+    shell : Shell
+        The node.
+    core : Plant
+        What is simulated.
+    """
+
+    def __init__(self, shell: Shell, core: Plant) -> None:
+        self.shell = shell
+        self.core = core
+        self.io = PlantIo(shell)
+        self.ticks = 0
+        self.missed = 0
+        self.clock = TickClock(TICK_NS)
+        self.lateness = Durations()
+        self.latency = Durations()
+        self.execution = Durations()
+        self._woke = [0] * RING
+        self._command = np.zeros(8)
+        self._measurement = np.zeros(22)
+        self._truth = np.zeros(2)
+        self._reported: tuple[int, int] = (0, 0)
+
+    def run(self) -> int:
+        """Handshake, the ticks of the run, the last report."""
+        shell, config = self.shell, self.shell.config
+        shell.become_real_time()
+        wait_for_followers(shell, self.io)
+        if shell.stop:
+            return 0
+        self.core.reset()
+        if config.mode == "lockstep":
+            start = aligned_start(SIMULATED_START_NS, config.frame_ticks)
+        else:
+            start = aligned_start(time.time_ns() + 20_000_000, config.frame_ticks)
+            self.clock.begin(time.monotonic_ns() + start - time.time_ns())
+        self.io.begin(start)
+        shell.event("running", start_ns=start)
+        if config.mode == "lockstep":
+            self._lockstep(start)
+        else:
+            self._real_time(start)
+        self._report(start + self.ticks * TICK_NS, last=True)
+        shell.event("done", statistics=self.statistics())
+        if not np.isfinite(self._truth).all():
+            raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
+        return 0
+
+    def _real_time(self, start: int) -> None:
+        shell, clock = self.shell, self.clock
+        total = shell.config.ticks
+        for k in range(total + 1):
+            self.lateness.add(clock.wait())
+            now = start + k * TICK_NS
+            began = time.monotonic_ns()
+            self._woke[k % RING] = time.time_ns()
+            self._take_commands(now)
+            if k == total or shell.stop:  # one more wake-up, for the commands of the last tick
+                break
+            self._tick(now)
+            self.execution.add(time.monotonic_ns() - began)
+            self._slack(k, now)
+        self.missed += clock.skipped
+
+    def _take_commands(self, now: int) -> None:
+        """Offer all that came to the gates; note when the mirror command of a tick arrived."""
+        io = self.io
+        while (taken := io.pma_input.take()) is not None:
+            io.pma_gate.offer(taken[0], now)
+        while (taken := io.fsm_input.take()) is not None:
+            if io.fsm_gate.offer(taken[0], now):
+                tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
+                self.latency.add(taken[1]["received_timestamp"] - self._woke[tick % RING])
+        if not (io.fsm_gate.fresh(now) and io.pma_gate.fresh(now)):
+            self.missed += 1
+
+    def _tick(self, now: int) -> None:
+        io, command = self.io, self._command
+        io.fsm_gate.apply(now, command[:2])
+        io.pma_gate.apply(now, command[2:])
+        self.core.step(command, self._measurement, self._truth)
+        io.publish(now, self._measurement, self._truth)
+        self.ticks += 1
+
+    def _slack(self, k: int, now: int) -> None:
+        """Work that can wait, one kind per tick, when the next deadline is far enough."""
+        phase = k % 200
+        if phase == 50 or phase == 150:
+            self.shell.event("progress", tick=self.ticks)
+        elif phase == 100:
+            self.shell.service()
+        elif phase == 0 and k % 1000 == 0:
+            self._report(now)
+
+    def _lockstep(self, start: int) -> None:
+        shell, total = self.shell, self.shell.config.ticks
+        pacer = LockstepPacer(shell, self.io)
+        for k in range(total):
+            now = start + k * TICK_NS
+            pacer.clock(now)
+            began = time.monotonic_ns()
+            self._tick(now)
+            if not pacer.wait(now):
+                break
+            self.latency.add(time.monotonic_ns() - began)
+            if k % 500 == 0:
+                shell.event("progress", tick=self.ticks)
+                shell.service()
+        shell.event("progress", tick=self.ticks)
+
+    def statistics(self) -> dict[str, str]:
+        """Counts and times of the loop."""
+        lockstep = self.shell.config.mode == "lockstep"
+        return {
+            "ticks": str(self.ticks),
+            "missed_ticks": str(self.missed),
+            "skipped_periods": str(self.clock.skipped),
+            **(self.latency.summary("turnaround" if lockstep else "latency")),
+            **({} if lockstep else self.lateness.summary("lateness")),
+            **self.execution.summary("execution"),
+            **self.io.rejections(),
+            **plant_notes(self.core),
+        }
+
+    def _report(self, now: int, last: bool = False) -> None:
+        """Level by what happened since the last report."""
+        rejected = self.io.rejected_total()
+        news = (self.missed - self._reported[0], rejected - self._reported[1])
+        self._reported = (self.missed, rejected)
+        if self.io.fading():
+            level, message = ERROR, "no valid commands: actuators brought to zero"
+        elif news[1]:
+            level, message = WARN, f"{news[1]} commands rejected"
+        elif news[0] > 10:
+            level, message = ERROR, f"{news[0]} ticks missed"
+        elif news[0]:
+            level, message = WARN, f"{news[0]} ticks missed"
+        else:
+            level, message = OK, "finished" if last else "running"
+        self.shell.diagnose(level, message, self.statistics(), now)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

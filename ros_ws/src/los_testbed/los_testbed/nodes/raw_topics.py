@@ -1,0 +1,90 @@
+"""Publishers and subscriptions that carry bytes, and a wait on them, all outside any executor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped, Vector3Stamped
+from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, VECTOR3
+
+MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
+DEPTH = 10
+
+
+class _HandsOff(CallbackGroup):  # type: ignore[misc, unused-ignore]
+    """Group of entities that no executor touches: their messages are taken by the loop."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        return None
+
+
+class RawPublisher:
+    """Publisher of serialised messages on a topic relative to the node's namespace."""
+
+    def __init__(self, node: Node, name: str, type_name: str, depth: int = DEPTH) -> None:
+        self._publisher = node.create_publisher(MESSAGES[type_name], name, QoSProfile(depth=depth))
+        self._handle = self._publisher.handle
+        self._handle.__enter__()  # keeps it alive; entered once instead of at every message
+        self.publish = self._handle.publish_raw
+
+    def close(self) -> None:
+        """Release the handle."""
+        self._handle.__exit__(None, None, None)
+
+
+class RawSubscription:
+    """Subscription whose messages are taken as bytes."""
+
+    def __init__(self, node: Node, name: str, message: Any, depth: int = DEPTH) -> None:
+        self.message = MESSAGES[message] if isinstance(message, str) else message
+        self._node = node
+        self._subscription = node.create_subscription(
+            self.message, name, _ignore, QoSProfile(depth=depth), callback_group=_HandsOff(), raw=True
+        )
+        self.handle = self._subscription.handle
+        self.handle.__enter__()
+        self._take = self.handle.take_message
+
+    def take(self) -> tuple[bytes, dict[str, int]] | None:
+        """Oldest message with its times, or None."""
+        return self._take(self.message, True)  # type: ignore[no-any-return, unused-ignore]
+
+    def close(self) -> None:
+        """Release the handle and leave the topic."""
+        self.handle.__exit__(None, None, None)
+        self._node.destroy_subscription(self._subscription)
+
+
+class Waiter:
+    """Wait until one of some subscriptions has a message."""
+
+    def __init__(self, node: Node, subscriptions: Sequence[RawSubscription]) -> None:
+        self._handles = [subscription.handle for subscription in subscriptions]
+        with node.context.handle:
+            self._set = rclpy_implementation.WaitSet(len(self._handles), 0, 0, 0, 0, 0, node.context.handle)
+
+    def wait(self, timeout_ns: int) -> None:
+        """Return when there is a message or after `timeout_ns`."""
+        waiting = self._set
+        waiting.clear_entities()
+        for handle in self._handles:
+            waiting.add_subscription(handle)
+        waiting.wait(timeout_ns)
+
+
+def _ignore(message: bytes) -> None:
+    """Callback that is never called."""

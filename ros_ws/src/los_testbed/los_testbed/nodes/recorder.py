@@ -1,0 +1,228 @@
+"""Recorder node: every topic of the table, as bytes, into a bag."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
+
+from los_testbed.bag import BagWriter, check_new_bag
+from los_testbed.codecs import HeaderCodec, stamp_of
+from los_testbed.join import HOLD_STAMP
+from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.shell import OK, STALE, WARN, Shell, run_node
+from los_testbed.run_record import METADATA_NAME, attachments, final_metadata, run_metadata
+from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
+
+DEPTH = 5000
+PERIOD_S = 0.01
+QUIET_S = 0.2
+CHUNK_S = 1.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return run_node("recorder", arguments, lambda shell: Recorder(shell).run())
+
+
+def default_bag() -> Path:
+    """New name under bags/ of the working directory."""
+    return Path("bags") / datetime.now().strftime("run-%Y%m%d-%H%M%S")
+
+
+class Track:
+    """What came on one topic since the last chunk, and what is known of it altogether."""
+
+    def __init__(self, path: str, subscription: RawSubscription, period_ns: int) -> None:
+        self.path = path
+        self.subscription = subscription
+        self.period_ns = period_ns
+        self.data: list[bytes] = []
+        self.received: list[int] = []
+        self.sent: list[int] = []
+        self.seen_hold = False
+        self.first = 0
+        self.last = 0
+        self.distinct = 0
+
+    def drain(self) -> int:
+        """Take everything that waits; the number of samples taken."""
+        take, before = self.subscription.take, len(self.data)
+        data, received, sent = self.data.append, self.received.append, self.sent.append
+        while (taken := take()) is not None:
+            message, times = taken
+            if len(message) >= 12 and stamp_of(message) == HOLD_STAMP and self.period_ns:
+                self.seen_hold = True
+                continue
+            data(message)
+            received(times["received_timestamp"])
+            sent(times["source_timestamp"])
+        if len(self.data) > before and self.period_ns:
+            self._note(self.data[before:])
+        return len(self.data) - before
+
+    def _note(self, messages: list[bytes]) -> None:
+        for message in messages:
+            stamp = stamp_of(message) if len(message) >= 12 else 0
+            if stamp > self.last and stamp % self.period_ns == 0:
+                self.first = self.first or stamp
+                self.last = stamp
+                self.distinct += 1
+
+    def lost(self, first: int, last: int) -> int:
+        """Samples that should lie in this span of stamps and did not come."""
+        expected = last // self.period_ns - (first - 1) // self.period_ns
+        return max(0, expected - self.distinct)
+
+
+class Recorder:
+    """Loop of the recorder: every 10 ms take what came, once a second write a chunk."""
+
+    def __init__(self, shell: Shell) -> None:
+        config, node = shell.config, shell.node
+        self.shell = shell
+        self.path = Path(config.output) if config.output else default_bag()
+        check_new_bag(self.path)
+        frame_ns = config.frame_ticks * TICK_NS
+        self.tracks = [
+            Track(
+                topic.path,
+                RawSubscription(node, topic.name, topic.type_name, DEPTH),
+                frame_ns if topic.rate == "camera" else TICK_NS,
+            )
+            for topic in TOPICS
+        ]
+        self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
+        self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
+        self._header = HeaderCodec()
+        self.simulated = config.mode == "lockstep"
+        self.bag: BagWriter | None = None
+        self.statistics: dict[str, dict[str, str]] = {}
+
+    def run(self) -> int:
+        """Record until a signal comes and the topics are quiet."""
+        shell = self.shell
+        shell.become_real_time()
+        shell.event("ready")
+        quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
+        while True:
+            count = sum(track.drain() for track in self.tracks)
+            count += self.diagnostics.drain()
+            now = time.monotonic()
+            if count:
+                quiet_since = now
+            self._tell_progress()
+            if now >= next_chunk or sum(len(track.data) for track in self.tracks) > 20_000:
+                next_chunk = now + CHUNK_S
+                self._write_chunk()
+                self._report()
+            if now >= next_service:
+                next_service = now + 0.2
+                shell.service()
+            if shell.stop and now - quiet_since > QUIET_S:
+                break
+            time.sleep(PERIOD_S if not self.simulated else PERIOD_S / 4)
+        self._close()
+        return 0
+
+    def _tell_progress(self) -> None:
+        """Stamp of the newest tick that is here of every topic; zero while the plant holds."""
+        ticks = [track.last for track in self.tracks if track.period_ns == TICK_NS]
+        if any(ticks):
+            stamp = min(ticks)
+            if not self.simulated:
+                return
+        elif all(track.seen_hold for track in self.tracks):
+            stamp = HOLD_STAMP
+        else:
+            return
+        self.progress.publish(self._header.encode(stamp))
+
+    def _write_chunk(self) -> None:
+        if self.bag is None:
+            if not any(track.data for track in self.tracks):
+                return
+            config = self.shell.config
+            self.bag = BagWriter(
+                self.path,
+                {METADATA_NAME: run_metadata(config)},
+                attachments(config),
+                diagnostics=not self.simulated,
+            )
+        for track in self.tracks:
+            self._write(self.bag, track)
+        self._keep_statistics()
+        if not self.simulated:  # wall-clock figures would make two equal runs differ
+            self._write(self.bag, self.diagnostics)
+        self.diagnostics.data, self.diagnostics.received, self.diagnostics.sent = [], [], []
+        self.bag.end_chunk()
+
+    def _write(self, bag: BagWriter, track: Track) -> None:
+        """Messages of equal length go in one block."""
+        if not track.data:
+            return
+        sizes = np.array([len(message) for message in track.data])
+        log, sent = np.array(track.received, np.int64), np.array(track.sent, np.int64)
+        if self.simulated:
+            log = sent = np.array([stamp_of(message) for message in track.data], np.int64)
+        for start, stop in _runs(sizes):
+            block = np.frombuffer(b"".join(track.data[start:stop]), np.uint8).reshape(stop - start, -1)
+            bag.write(track.path, log[start:stop], sent[start:stop], block)
+        track.data, track.received, track.sent = [], [], []
+
+    def _keep_statistics(self) -> None:
+        """Last word of each node; it goes into the metadata at the end."""
+        for message in self.diagnostics.data:
+            for status in deserialize_message(message, DiagnosticArray).status:
+                name = status.name.partition(": ")[2]
+                self.statistics[name] = {entry.key: entry.value for entry in status.values}
+
+    def own_statistics(self) -> dict[str, str]:
+        """Messages and losses so far."""
+        started = [track for track in self.tracks if track.first]
+        first = min((track.first for track in started), default=0)
+        last = max((track.last for track in started), default=0)
+        lost = {t.path: t.lost(first, last) for t in self.tracks} if started else {}
+        return {
+            "messages": str(sum(track.distinct for track in self.tracks)),
+            "samples_lost": str(sum(lost.values())),
+            **{f"lost_{name}": str(count) for name, count in lost.items() if count},
+        }
+
+    def _report(self) -> None:
+        values = self.own_statistics()
+        if self.bag is None:
+            level, message = STALE, "no samples yet"
+        else:
+            level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
+        self.shell.diagnose(level, message, values, self.tracks[0].last)
+
+    def _close(self) -> None:
+        self._write_chunk()
+        values = self.own_statistics()
+        if self.bag is not None:
+            final = {**self.statistics, "recorder": values}
+            self.bag.close({METADATA_NAME: final_metadata(self.shell.config, final)})
+        path = str(self.path) if self.bag is not None else None
+        self.shell.event("done", statistics=values, bag=path, nodes=self.statistics)
+        if self.bag is None:
+            raise ValueError("nothing came to be recorded: expected a plant on this domain")
+
+
+def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Stretches of equal sizes."""
+    cuts = np.flatnonzero(np.diff(sizes)) + 1
+    edges = [0, *cuts.tolist(), len(sizes)]
+    return list(itertools.pairwise(edges))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""What a bag says about its run: configuration, origin, controllers, results."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import yaml
+
+from los_testbed.config import RunConfig, physical_hash
+from los_testbed.cores import controller_files
+
+METADATA_NAME = "los_testbed"
+"""Name of the metadata record; it is written at the start and, with the results, at the end."""
+
+
+def run_metadata(config: RunConfig) -> dict[str, str]:
+    """Configuration, seed, hash of the plant's figures, software version and commit."""
+    return {
+        **config.to_strings(),
+        "plant_hash": physical_hash(config),
+        "software_version": _version(),
+        "commit": _commit(),
+        "python": sys.version.split()[0],
+    }
+
+
+def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """The same with the statistics of each node, as one JSON object, and the plant's tones."""
+    record = run_metadata(config)
+    plant = dict(statistics.get("plant", {}))
+    for name in ("tones_rad_s", "plant_parameters_hash"):
+        if name in plant:
+            record[name] = plant.pop(name)
+    record["statistics"] = json.dumps({**statistics, "plant": plant})
+    return record
+
+
+def attachments(config: RunConfig) -> dict[str, tuple[str, bytes]]:
+    """Controller files as flown and the configuration as YAML."""
+    content = {
+        f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
+    }
+    text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
+    content["run.yaml"] = ("application/yaml", text.encode())
+    return content
+
+
+def _version() -> str:
+    try:
+        return version("los-testbed")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _commit() -> str:
+    """Commit of the source tree; a tree with changes is marked."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return result.stdout.strip()

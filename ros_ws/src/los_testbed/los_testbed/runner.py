@@ -1,0 +1,316 @@
+"""Start the four nodes as processes, watch them, end them in the right order, collect their results."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib.util
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+
+from los_testbed.bag import check_new_bag
+from los_testbed.config import RunConfig
+from los_testbed.cores import build_controller, build_estimator
+
+NODES = ("plant", "estimator", "controller", "recorder")
+STOP_S = 10.0
+EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+
+
+class RunError(RuntimeError):
+    """A node failed; `code` is the exit code that fits."""
+
+    def __init__(self, message: str, code: int = 1) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass
+class Results:
+    """What the nodes said at the end."""
+
+    statistics: dict[str, dict[str, str]] = field(default_factory=dict)
+    bag: Path | None = None
+    warnings: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+
+def node_command(name: str) -> list[str]:
+    """Command that starts a node with this interpreter."""
+    return [sys.executable, "-m", f"los_testbed.nodes.{name}"]
+
+
+def check_ros() -> None:
+    """Refuse to start processes that cannot run.
+
+    Raises
+    ------
+    ValueError
+        rclpy is not installed.
+    """
+    if importlib.util.find_spec("rclpy") is None:
+        raise ValueError(
+            "ROS 2 is not installed: expected rclpy for this mode; install the extra with "
+            "`pip install los-testbed[ros]`, or use --mode inprocess"
+        )
+
+
+def parameter_file(config: RunConfig, path: Path) -> None:
+    """Write the ROS parameter file of a run."""
+    values = {name: value for name, value in config.to_mapping().items() if value != []}
+    values["use_sim_time"] = config.mode == "lockstep"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), "utf-8")
+
+
+def environment(config: RunConfig, logs: Path) -> dict[str, str]:
+    """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
+    variables = dict(os.environ)
+    variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    variables.setdefault("ROS_LOG_DIR", str(logs))
+    variables["OPENBLAS_NUM_THREADS"] = "1"
+    variables[EVENTS_VARIABLE] = "1"
+    if config.domain >= 0:
+        variables["ROS_DOMAIN_ID"] = str(config.domain)
+    if Path(sys.prefix, "share", "ament_index").is_dir():
+        variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    return variables
+
+
+@contextlib.contextmanager
+def domain_lock(domain: str) -> Iterator[None]:
+    """Hold the domain for one run on this machine.
+
+    Raises
+    ------
+    ValueError
+        Another run holds it.
+    """
+    path = Path(tempfile.gettempdir()) / f"los_testbed_domain_{domain}.lock"
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError:  # another user's file: the plant still listens before it talks
+        yield
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        raise ValueError(
+            f"another run holds ROS domain {domain} on this machine: expected a free one, see --domain"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+class NodeProcess:
+    """One node as a child process; its events come line by line."""
+
+    def __init__(self, name: str, command: Sequence[str], variables: Mapping[str, str]) -> None:
+        self.name = name
+        self.process = subprocess.Popen(
+            command,
+            env=dict(variables),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # the terminal's interrupt is for the runner, which ends them in order
+        )
+        self.errors = ""
+        self._rest = b""
+        self.asked_to_stop = False
+
+    @property
+    def streams(self) -> tuple[IO[bytes], IO[bytes]]:
+        """Output and error output."""
+        assert self.process.stdout is not None and self.process.stderr is not None
+        return self.process.stdout, self.process.stderr
+
+    def feed(self, data: bytes) -> list[dict[str, Any]]:
+        """Events in the output that came."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        events = []
+        for line in lines:
+            with contextlib.suppress(ValueError):
+                event = json.loads(line)
+                if isinstance(event, dict) and "event" in event:
+                    events.append(event)
+        return events
+
+    def interrupt(self) -> None:
+        """Ask it to end."""
+        self.asked_to_stop = True
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+
+
+class Runner:
+    """One run with processes.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The run; its `output` is the folder of the bag.
+    progress : callable
+        Called with the number of ticks done.
+    commands : mapping, optional
+        Commands for nodes that are not the package's own (another plant, another controller).
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        progress: Callable[[int], None] = lambda ticks: None,
+        commands: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self._config = config
+        self._progress = progress
+        self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
+        self._nodes: dict[str, NodeProcess] = {}
+        self._selector = selectors.DefaultSelector()
+        self._seen: dict[tuple[str, str], dict[str, Any]] = {}
+        self._errors: list[tuple[str, str]] = []
+        self.results = Results()
+
+    def run(self) -> Results:
+        """Start, watch and end the nodes.
+
+        Raises
+        ------
+        ValueError
+            A mistake that shows before anything is started.
+        RunError
+            A node failed; the others were ended.
+        """
+        check_ros()
+        check_new_bag(Path(self._config.output))
+        build_estimator(self._config)
+        build_controller(self._config)
+        domain = self._config.domain if self._config.domain >= 0 else os.environ.get("ROS_DOMAIN_ID", "0")
+        with domain_lock(str(domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+            parameters = Path(folder) / "run.yaml"
+            parameter_file(self._config, parameters)
+            variables = environment(self._config, Path(folder) / "log")
+            try:
+                self._perform(parameters, variables)
+            finally:
+                self._end_all()
+        return self.results
+
+    def _perform(self, parameters: Path, variables: Mapping[str, str]) -> None:
+        try:
+            self._start("plant", parameters, variables)
+            self._until("plant", "alone", 30.0)
+            for name in NODES[1:]:
+                self._start(name, parameters, variables)
+            self._until("plant", "running", self._config.start_timeout + 120.0)
+            self._until("plant", "done", None)
+        except KeyboardInterrupt:
+            self.results.interrupted = True
+            if ("plant", "running") not in self._seen:
+                return
+            self._nodes["plant"].interrupt()
+            self._until("plant", "done", STOP_S)
+        self._finish()
+
+    def _finish(self) -> None:
+        """Followers first, so that their last samples reach the recorder; then the recorder."""
+        for name in ("estimator", "controller"):
+            self._nodes[name].interrupt()
+        self._await_exit(("plant", "estimator", "controller"))
+        self._nodes["recorder"].interrupt()
+        self._until("recorder", "done", 60.0)
+        self._await_exit(("recorder",))
+        for name in NODES:
+            self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
+        bag = self._seen[("recorder", "done")].get("bag")
+        self.results.bag = Path(bag) if bag else None
+
+    def _start(self, name: str, parameters: Path, variables: Mapping[str, str]) -> None:
+        command = [*self._commands[name], "--ros-args", "--params-file", str(parameters)]
+        node = self._nodes[name] = NodeProcess(name, command, variables)
+        for stream in node.streams:
+            os.set_blocking(stream.fileno(), False)
+            self._selector.register(stream, selectors.EVENT_READ, node)
+
+    def _until(self, name: str, kind: str, timeout: float | None) -> None:
+        """Watch everybody until this node said this."""
+        end = None if timeout is None else time.monotonic() + timeout
+        while (name, kind) not in self._seen:
+            self._poll(0.1)
+            self._check()
+            if end is not None and time.monotonic() > end:
+                raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s")
+
+    def _poll(self, timeout: float) -> None:
+        for key, _ in self._selector.select(timeout):
+            node: NodeProcess = key.data
+            data = os.read(key.fd, 65536)
+            if not data:
+                self._selector.unregister(key.fileobj)
+            elif key.fileobj is node.streams[1]:
+                node.errors = (node.errors + data.decode(errors="replace"))[-4000:]
+            else:
+                for event in node.feed(data):
+                    self._handle(node.name, event)
+
+    def _handle(self, name: str, event: dict[str, Any]) -> None:
+        kind = str(event["event"])
+        if kind == "progress":
+            self._progress(int(event["tick"]))
+        elif kind == "warning":
+            message = str(event["message"])
+            if message not in self.results.warnings:
+                self.results.warnings.append(message)
+        elif kind == "error":
+            self._errors.append((name, str(event["message"])))
+        self._seen[(name, kind)] = event
+
+    def _check(self) -> None:
+        """Raise if a node ended that was not asked to."""
+        for node in self._nodes.values():
+            code = node.process.poll()
+            if code is None or node.asked_to_stop or (code == 0 and (node.name, "done") in self._seen):
+                continue
+            self._poll(0.1)
+            told = [message for name, message in self._errors if name == node.name]
+            if told:
+                raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 else 1)
+            last = node.errors.strip().splitlines()[-1:] or [""]
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            raise RunError(f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
+
+    def _await_exit(self, names: Sequence[str]) -> None:
+        end = time.monotonic() + STOP_S
+        while any(self._nodes[name].process.poll() is None for name in names) and time.monotonic() < end:
+            self._poll(0.02)
+        self._poll(0.02)
+
+    def _end_all(self) -> None:
+        """Whatever happened: no process stays behind."""
+        alive = [node for node in self._nodes.values() if node.process.poll() is None]
+        for node in alive:
+            node.interrupt()
+        for node in alive:
+            try:
+                node.process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                node.process.kill()
+                node.process.wait()
+        for node in self._nodes.values():
+            for stream in node.streams:
+                stream.close()
+        self._selector.close()

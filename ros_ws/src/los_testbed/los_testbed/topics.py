@@ -1,0 +1,93 @@
+"""The one table of topics: name, type, rate, frame, place in the loop's vectors.
+
+Everything that publishes, records, checks or documents a topic reads this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+NAMESPACE = "/telescope"
+
+TICK_NS = 1_000_000
+"""Period of the loop [ns]; every stamp is a multiple of it."""
+
+ACCEL = "geometry_msgs/msg/AccelStamped"
+VECTOR3 = "geometry_msgs/msg/Vector3Stamped"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+HEADER = "std_msgs/msg/Header"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One stream of messages of the loop.
+
+    Parameters
+    ----------
+    name : str
+        Relative to the namespace ``/telescope``.
+    type_name : str
+        ROS message type.
+    frame_id : str
+        What the header carries.
+    publisher : str
+        Node that sends it: plant, estimator or controller.
+    vector : str
+        Vector of the loop it carries: measurement, truth, los_estimate or command.
+    columns : slice
+        Place of its values in that vector.
+    rate : str
+        ``tick`` (1 kHz) or ``camera`` (every frame).
+    unit : str
+        SI unit of the values.
+    """
+
+    name: str
+    type_name: str
+    frame_id: str
+    publisher: str
+    vector: str
+    columns: slice
+    rate: str = "tick"
+    unit: str = "rad"
+
+    @property
+    def path(self) -> str:
+        """Absolute name."""
+        return f"{NAMESPACE}/{self.name}"
+
+    @property
+    def size(self) -> int:
+        """Number of values in a message."""
+        return int(self.columns.stop) - int(self.columns.start)
+
+    def expected_count(self, ticks: int, frame_ticks: int) -> int:
+        """Messages of a run of `ticks` ticks with one camera frame every `frame_ticks`."""
+        return ticks if self.rate == "tick" else -(-ticks // frame_ticks)
+
+
+ISOLATOR_ACCEL = Topic(
+    "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", slice(0, 6), unit="m/s2,rad/s2"
+)
+M1_ACCEL = Topic("m1/accel", ACCEL, "m1", "plant", "measurement", slice(6, 12), unit="m/s2,rad/s2")
+M2_ACCEL = Topic("m2/accel", ACCEL, "m2", "plant", "measurement", slice(12, 18), unit="m/s2,rad/s2")
+CAMERA_LOS = Topic("camera/los", VECTOR3, "line_of_sight", "plant", "measurement", slice(18, 20), rate="camera")
+FSM_ANGLE = Topic("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", slice(20, 22))
+TRUTH_LOS = Topic("truth/los", VECTOR3, "line_of_sight", "plant", "truth", slice(0, 2))
+LOS_ESTIMATE = Topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", slice(0, 2))
+FSM_COMMAND = Topic("fsm/command", VECTOR3, "fsm", "controller", "command", slice(0, 2))
+PMA_COMMAND = Topic("pma/command", JOINT_STATE, "pma", "controller", "command", slice(2, 8), unit="N")
+
+SENSORS = (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, CAMERA_LOS, FSM_ANGLE)
+"""Sent by the plant in this order; the strain gauge comes last and wakes the estimator."""
+
+COMMANDS = (PMA_COMMAND, FSM_COMMAND)
+"""Sent by the controller in this order; the mirror command comes last and closes the tick."""
+
+TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
+"""Every topic that a bag holds, in the order of its channels."""
+
+DIAGNOSTICS_TOPIC = "/diagnostics"
+PROGRESS_TOPIC = "recorder/progress"
+"""Header whose stamp is the newest tick the recorder has of every topic (0: ready, nothing yet)."""
