@@ -87,7 +87,9 @@ def layout(schema: str, payload: bytes) -> Layout:
     if schema not in SUPPORTED:
         raise BagError(f"expected one of {', '.join(SUPPORTED)}; got {schema!r}")
     if len(payload) < 16 or payload[0] != 0 or payload[1] not in (0, 1):
-        raise BagError(f"{schema}: expected a plain CDR payload; got {len(payload)} bytes beginning {payload[:4].hex()}")
+        raise BagError(
+            f"{schema}: expected a plain CDR payload; got {len(payload)} bytes beginning {payload[:4].hex()}"
+        )
     cursor = _Cursor(payload, "<" if payload[1] else ">")
     try:
         cursor.at = _STAMP + 8

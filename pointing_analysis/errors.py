@@ -39,7 +39,7 @@ class ErrorSeries:
     @property
     def time(self) -> Floats:
         """(n,) seconds after the first sample of the run."""
-        return self.start + self.dt * np.arange(len(self.values))
+        return np.asarray(self.start + self.dt * np.arange(len(self.values)), dtype=np.float64)
 
     @property
     def duration(self) -> float:
@@ -101,16 +101,37 @@ def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
     BagError
         A needed topic is missing, only transient, or a time axis that is not uniform.
     """
-    for name in ("truth/los", "los_estimate", "fsm/strain_gauge"):
+    _need(run, "los_estimate")
+    estimate = run["los_estimate"]
+    return knowledge_error_of(run, estimate.stamp, estimate.values, transient)
+
+
+def _need(run: Run, *names: str) -> None:
+    for name in names:
         if name not in run:
             raise BagError(f"{run.path}: a knowledge error needs the topic {name}; the bag has {', '.join(run.topics)}")
-    truth, estimate, angle = run["truth/los"], run["los_estimate"], run["fsm/strain_gauge"]
+
+
+def knowledge_error_of(
+    run: Run, stamp: NDArray[np.int64], estimate: Floats, transient: float | None = None
+) -> ErrorSeries:
+    """Knowledge error of any estimate against the truth of a run; see `knowledge_error`.
+
+    Parameters
+    ----------
+    run : with the topics ``truth/los`` and ``fsm/strain_gauge``
+    stamp : (n,) stamps of the estimate [ns], strictly increasing
+    estimate : (n, 2 or more) estimated line of sight without the mirror [rad]
+    transient : seconds to drop at the start
+    """
+    _need(run, "truth/los", "fsm/strain_gauge")
+    truth, angle = run["truth/los"], run["fsm/strain_gauge"]
     grid, dt = on_grid(truth)
     gain = float(run.parameters.get("fsm_to_los", FSM_TO_LOS))
     full = np.full((len(grid), 2), np.nan)
     step = round(dt * 1e9)
-    common, rows, columns = np.intersect1d(estimate.stamp, angle.stamp, assume_unique=True, return_indices=True)
+    common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)
     index, rest = np.divmod(common - truth.stamp[0], step)
     fits = (rest == 0) & (index >= 0) & (index < len(grid))
-    full[index[fits]] = estimate.values[rows[fits], :2] + gain * angle.values[columns[fits], :2]
+    full[index[fits]] = estimate[rows[fits], :2] + gain * angle.values[columns[fits], :2]
     return _drop(full - grid[:, :2], dt, transient_of(run, transient), run.path)

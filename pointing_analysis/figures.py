@@ -1,4 +1,4 @@
-"""Pictures of the report: one function per picture, each gives an SVG that is the same byte for byte for the same run."""
+"""Pictures of the report: one function per picture; the same run gives the same SVG byte for byte."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pointing_analysis.spectra import Line, Spectrum
 Floats = NDArray[np.float64]
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
 LIMIT = "#b00020"
-WIDTH = 5.4  # [inch]; small, so that lettering stays readable on a telephone
+WIDTH = 4.7  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "pointing_analysis",
     "svg.fonttype": "path",
@@ -75,7 +75,8 @@ def _svg(figure: Figure) -> bytes:
 
 def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
     """Draw one picture in the style of the report."""
-    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE, "svg.hashsalt": name}):
+    settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(settings):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         draw(figure)
         return Picture(name, title, alt, _svg(figure))
@@ -92,6 +93,13 @@ def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, F
     high = np.fmax.reduce(blocks, axis=1)
     t = time[: m * n : n]
     return np.repeat(t, 2), np.column_stack([low, high]).ravel()
+
+
+def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
+    """Legend above the picture: it never covers a curve."""
+    handles, names = axis.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=1.6, columnspacing=1.2)
 
 
 def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
@@ -114,7 +122,7 @@ def time_history(views: Sequence[RunView]) -> Picture:
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
             axis.set_title(view.label)
             axis.set_ylabel("LOS error [arcsec]")
-        axes[0].legend(loc="upper right", ncols=2)
+        _legend(figure, axes[0])
         axes[-1].set_xlabel("time [s]")
 
     alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
@@ -134,18 +142,20 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
             largest = float(np.nanmax(metrics.radial(e)))
             axis.plot(e[::step, 0], e[::step, 1], color=COLOURS[0], linewidth=0.5)
             angle = np.linspace(0, 2 * np.pi, 181)
-            axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label=f"max {largest:.3g}")
+            axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label="largest error")
             if limit is not None and limit < 4 * largest:
-                axis.plot(limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g}")
+                axis.plot(
+                    limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g} arcsec"
+                )
             axis.set_aspect("equal", adjustable="datalim")
-            axis.set_title(view.label)
+            axis.set_title(f"{view.label}: largest {largest:.3g} arcsec")
             axis.set_xlabel("LOS x [arcsec]")
             axis.set_ylabel("LOS y [arcsec]")
-            axis.legend(loc="upper right", fontsize=7)
+        _legend(figure, max(axes, key=lambda a: len(a.get_lines())))
 
     alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
     rows = -(-len(views) // 2)
-    return picture("trajectory", "Trajectory and its circle", alt, 4.4 if len(views) == 1 else 3.0 * rows, draw)
+    return picture("trajectory", "Trajectory and its circle", alt, 4.8 if len(views) == 1 else 0.3 + 2.9 * rows, draw)
 
 
 def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
@@ -168,10 +178,10 @@ def density(views: Sequence[RunView]) -> Picture:
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS density [mas²/Hz]")
-        axis.legend(loc="lower left")
+        _legend(figure, axis)
 
     alt = "Power spectral density of the line of sight against frequency on logarithmic axes"
-    return picture("psd", "Power spectral density", alt, 3.4, draw)
+    return picture("psd", "Power spectral density", alt, 3.8, draw)
 
 
 def cumulative(views: Sequence[RunView]) -> Picture:
@@ -191,10 +201,10 @@ def cumulative(views: Sequence[RunView]) -> Picture:
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("RMS below frequency [mas]")
-        axis.legend(loc="lower right")
+        _legend(figure, axis)
 
     alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
-    return picture("cumulative", "Cumulative RMS", alt, 3.4, draw)
+    return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
 
 
 def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:
@@ -218,11 +228,11 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
         axis.set_xlabel(f"radial {kind} [{unit}]")
         axis.set_ylabel("share of time above")
-        axis.legend(loc="lower left")
+        _legend(figure, axis)
 
     what = "absolute performance error" if kind == "APE" else "relative performance error"
     alt = f"Share of time in which the {what} exceeds each value, against the limits"
-    return picture(kind.lower(), f"{kind} distribution", alt, 3.4, draw)
+    return picture(kind.lower(), f"{kind} distribution", alt, 3.8, draw)
 
 
 def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:
@@ -246,11 +256,11 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
                 axis.plot(t, y, color=COLOURS[i], lw=0.8, label=f"{name}, peak {peak:.3g} %")
             axis.axhline(100, color=LIMIT, ls="--", lw=0.9)
             axis.set_yscale("symlog", linthresh=1.0)
-            axis.set_ylim(0, 300)
+            axis.set_ylim(0, 700)
             axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
             axis.set_ylabel("% of authority")
             axis.set_title(view.label)
-            axis.legend(loc="lower right", ncols=2)
+            axis.legend(loc="upper right", ncols=2, fontsize=7.5, borderaxespad=0.1)
         axes[-1].set_xlabel("time [s]")
 
     made = picture("commands", "Commands against their authority", "", 1.2 + 1.4 * len(shown), draw)
@@ -270,13 +280,15 @@ def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> 
         high = max(float(np.quantile(v, 0.9999)) for _, v in data)
         edges = np.linspace(low, max(high, low + 1), 61)
         for i, (name, values) in enumerate(data):
-            axis.hist(np.minimum(values, edges[-1]), bins=edges, histtype="step", color=COLOURS[i % 6], label=name)
+            axis.hist(
+                np.minimum(values, edges[-1]), bins=edges.tolist(), histtype="step", color=COLOURS[i % 6], label=name
+            )
         axis.set_yscale("log")
         axis.set_xlabel(label)
         axis.set_ylabel("ticks")
-        axis.legend(loc="upper right")
+        _legend(figure, axis)
 
     alt = f"{title}: " + "; ".join(
         f"{name} median {np.median(v):.0f}, 99.9 % {np.quantile(v, 0.999):.0f} microseconds" for name, v in data
     )
-    return picture("timing-" + label.split()[0], title, alt, 3.0, draw)
+    return picture("timing-" + label.split()[0], title, alt, 3.2, draw)

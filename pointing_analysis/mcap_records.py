@@ -161,7 +161,7 @@ def _block(info: FileInfo, data: bytes, indexed: list[bytes]) -> Block | None:
 
 
 def _lz4(data: bytes, size: int) -> bytes:
-    import lz4.frame  # noqa: PLC0415 - only for files that need it; mcap installs it
+    import lz4.frame  # type: ignore[import-untyped]  # only for files that need it; mcap installs it
 
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
 

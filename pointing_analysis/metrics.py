@@ -19,8 +19,8 @@ Everything is done **on the 2-vector, and the norm is taken last**: a circular m
 the norm and smears the picture all the same. Two estimators of the RPE exist and both are here:
 
 *window* estimator
-    per axis :math:`v = \overline{e^2} - \bar e^2` of each disjoint window (division by N); rms is :math:`\sqrt{\bar v}`.
-    This one corresponds to the spectral weight of `weights`.
+    per axis :math:`v = \overline{e^2} - \bar e^2` of each disjoint window (division by N); rms is
+    :math:`\sqrt{\bar v}`. This one corresponds to the spectral weight of `weights`.
 *instant* estimator
     the samples of :math:`e(t) - \bar e` themselves, for quantiles; t stands at the centre of its window, at its end, or
     runs through all of a disjoint window (then its mean square equals the window estimator).
@@ -189,7 +189,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     if position not in ("centred", "end"):
         raise ValueError(f"expected position 'all', 'centred' or 'end'; got {position!r}")
     at = n // 2 if position == "centred" else n - 1
-    missing = np.isnan(e).any(axis=1)
+    missing: NDArray[np.bool_] = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
     offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
     filled = np.where(missing[:, None], 0.0, e - offset)
@@ -198,7 +198,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     holes = np.cumsum(np.append(0, missing))
     result = filled[at : at + len(mean)] - mean
     result[(holes[n:] - holes[:-n]) > 0] = np.nan
-    return result
+    return np.asarray(result)
 
 
 def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats:

@@ -20,14 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis import figures, requirements, spectra
-from pointing_analysis.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
 from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import WINDOW, Summary, summarise
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
-AUTHORITY = {"fsm/command": 5.3e-3, "pma/command": 31.6}  # [rad], [N]; the bag's own ``authority`` goes before
+AUTHORITY = {
+    "fsm/command": 5.3e-3,
+    "pma/command": 31.6,
+}  # [rad], [N]; the bag's own ``fsm_authority``, ``pma_authority`` go before
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 WORDS = {
@@ -61,7 +64,7 @@ def digits(value: float, places: int = 3) -> str:
         return "–"
     if math.isinf(value):
         return "no bound yet"
-    return f"{value:,.0f}".replace(",", "\u2009") if abs(value) >= 10**places else f"{value:.{places}g}"
+    return f"{value:,.0f}".replace(",", "\u2009") if abs(value) >= 1000 else f"{value:.{places}g}"
 
 
 def _css(status: str) -> str:
@@ -73,7 +76,9 @@ def _row(label: str, v: Verdict) -> Row:
     needed = ""
     if v.status == "not enough data":
         needed = (
-            "no length of run decides it" if math.isinf(v.seconds_needed) else f"{digits(v.seconds_needed)} s would do"
+            "no length of run decides it"
+            if math.isinf(v.seconds_needed)
+            else f"{digits(v.seconds_needed)} s would decide"
         )
     return Row(
         run=label,
@@ -114,13 +119,13 @@ def labels(runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def tones_of(run: Run) -> NDArray[np.float64]:
-    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheels where their speed is constant."""
+    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds ``wheel_speed``."""
     found: list[float] = []
-    for key in ("tones_rad_s", "wheel_speeds_rad_s"):
+    for key in ("tones_rad_s", "wheel_speed"):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
         found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]
-    return np.unique(np.array(found, dtype=float))
+    return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
 def view(run: Run, label: str, transient: float | None = None) -> RunView:
@@ -137,9 +142,10 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
 def _authority(runs: Sequence[Run]) -> dict[str, float]:
     known = dict(AUTHORITY)
     for run in runs:
-        own = run.parameters.get("authority")
-        if isinstance(own, dict):
-            known.update({k: float(v) for k, v in own.items() if k in known and isinstance(v, (int, float)) and v > 0})
+        for topic, key in (("fsm/command", "fsm_authority"), ("pma/command", "pma_authority")):
+            own = run.parameters.get(key)
+            if isinstance(own, (int, float)) and own > 0:
+                known[topic] = float(own)
     return known
 
 
@@ -149,7 +155,7 @@ def intervals_us(run: Run) -> NDArray[np.float64]:
     sent = topic.published
     if len(topic) < 3 or np.all(np.diff(sent) == np.diff(topic.stamp)):
         return np.empty(0)
-    return np.diff(sent) / 1e3
+    return np.asarray(np.diff(sent) / 1e3)
 
 
 def latency_us(run: Run) -> NDArray[np.float64]:
@@ -165,7 +171,7 @@ def latency_us(run: Run) -> NDArray[np.float64]:
 def pictures(views: Sequence[RunView], wanted: Sequence[Requirement]) -> list[Picture]:
     """All pictures of the page, in reading order."""
     limits = {k: sorted({r.limit for r in wanted if r.index == k and not r.axis}) for k in ("APE", "RPE")}
-    ape = limits["APE"][0] / figures.RAD_PER_ARCSEC if limits["APE"] else None
+    ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
     runs = [v.run for v in views]
     made: list[Picture | None] = [
         figures.time_history(views),
@@ -173,9 +179,7 @@ def pictures(views: Sequence[RunView], wanted: Sequence[Requirement]) -> list[Pi
         figures.density(views) if any(v.spectrum for v in views) else None,
         figures.cumulative(views) if any(v.spectrum for v in views) else None,
         figures.exceedance(views, "APE", limits["APE"]),
-        figures.exceedance(views, "RPE", limits["RPE"])
-        if all(v.series.duration > WINDOW for v in views)
-        else None,
+        figures.exceedance(views, "RPE", limits["RPE"]) if all(v.series.duration > WINDOW for v in views) else None,
         figures.commands(views, _authority(runs)),
         figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
         figures.timing(
@@ -201,7 +205,11 @@ def _provenance(run: Run) -> list[tuple[str, str]]:
     rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
     for key in sorted(run.parameters):
         value = run.parameters[key]
-        text = ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value) if isinstance(value, list) else value
+        text = (
+            ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value)
+            if isinstance(value, list)
+            else value
+        )
         rows.append((key, str(text)))
     for name, data in sorted(run.attachments.items()):
         rows.append((f"attachment {name}", f"{len(data)} bytes, SHA-256 {hashlib.sha256(data).hexdigest()[:16]}…"))
@@ -287,7 +295,9 @@ def render(
         over_runs = [r for r in chosen if r.interpretation != "temporal"]
         rows = [row for row in rows if row.text not in {str(r) for r in over_runs}]
         rows += [_row("all runs", requirements.judge(r, runs, transient)) for r in over_runs]
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         title=" / ".join(names) if len(names) > 1 else names[0],

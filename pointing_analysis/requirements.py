@@ -5,8 +5,9 @@ The text form is the requirement form of ECSS-E-ST-60-10C::
     prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
 
 with an index (APE, MPE, RPE, PDE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two times
-for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default: every run,
-over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and time together).
+for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default:
+every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and time
+together).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from pointing_analysis.read import Run
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # type: ignore[import-not-found]
 
 ANGLES = {
     "mas": RAD_PER_MAS,
@@ -124,8 +125,7 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     m = _TEXT.fullmatch(text.strip())
     if m is None:
         raise RequirementError(
-            "expected a requirement such as 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence'; "
-            f"got {text!r}"
+            f"expected a requirement such as 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence'; got {text!r}"
         )
     index, kind = m["index"].upper(), m["kind"] or "temporal"
     _member("index", index, INDICES)
@@ -187,7 +187,9 @@ def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]
         if unknown:
             raise RequirementError(f"{file}: expected the keys text, name, loop; got {sorted(unknown)}")
         loops = entry.get("loop", ())
-        found.append(parse(str(entry["text"]), str(entry.get("name", "")), [loops] if isinstance(loops, str) else loops))
+        found.append(
+            parse(str(entry["text"]), str(entry.get("name", "")), [loops] if isinstance(loops, str) else loops)
+        )
     return tuple(found)
 
 
@@ -270,8 +272,8 @@ def decide(requirement: Requirement, values: NDArray[np.float64], effective: flo
 def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None = None) -> Verdict:
     """Judge runs against one requirement.
 
-    With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the worst
-    instant of each run as one independent sample; the mixed one puts the samples of all runs together.
+    With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
+    worst instant of each run as one independent sample; the mixed one puts the samples of all runs together.
     """
     if requirement.interpretation != "temporal" and len(runs) < 2:
         return _not_judged(requirement, f"a {requirement.interpretation} requirement needs several runs; got one")

@@ -136,7 +136,8 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tupl
     ----------
     error : (n, 2), rows with NaN are left out
     dt : [s]
-    omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are left out
+    omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
+        left out
     window : RPE window [s]
 
     Returns

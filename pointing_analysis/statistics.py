@@ -1,10 +1,10 @@
 r"""Statistics of pointing errors: quantiles with confidence bounds that assume no distribution.
 
-A pointing requirement is a probability with a confidence: :math:`P(|e| < \text{limit}) \ge 99.7\,\%` at 95 %. The count of
-exceedances among independent samples is binomial, so Clopper and Pearson's exact bounds on its probability decide the
-requirement, and the same reasoning on ranks bounds a quantile, whatever the distribution. Samples of a line of sight are
-*not* independent: N of them weigh as much as :math:`N / (2\tau_{int})` independent ones, with the integrated
-autocorrelation time :math:`\tau_{int}` (Sokal 1997) estimated from the run itself.
+A pointing requirement is a probability with a confidence: :math:`P(|e| < \text{limit}) \ge 99.7\,\%` at 95 %. The
+count of exceedances among independent samples is binomial, so Clopper and Pearson's exact bounds on its probability
+decide the requirement, and the same reasoning on ranks bounds a quantile, whatever the distribution. Samples of a
+line of sight are *not* independent: N of them weigh as much as :math:`N / (2\tau_{int})` independent ones, with the
+integrated autocorrelation time :math:`\tau_{int}` (Sokal 1997) estimated from the run itself.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def samples_to_decide(probability: float, confidence: float, rate: float) -> flo
 def autocorrelation_time(values: ArrayLike) -> float:
     r"""Integrated autocorrelation time :math:`\tau_{int} = 1/2 + \sum_{k \ge 1} \rho_k` in samples, at least 1/2.
 
-    The sum stops at the first lag above `SOKAL_WINDOW` times the sum so far (Sokal's automatic window); NaN are left out.
+    The sum stops at the first lag above `SOKAL_WINDOW` times the sum so far (Sokal's automatic window); NaN are left
+    out.
 
     Parameters
     ----------
@@ -127,21 +128,23 @@ def autocorrelation_time(values: ArrayLike) -> float:
     n = x.size
     if n < 4:
         return 0.5
+    largest = float(np.abs(x).max())
     x = x - x.mean()
     power = float(x @ x)
     # A constant: one value said n times. Rounding noise about it must not pass for information.
-    if power <= n * (1e-14 * float(np.abs(np.asarray(values)[~np.isnan(values)]).max())) ** 2:
+    if power <= n * (1e-14 * largest) ** 2:
         return n / 2
     size = fft.next_fast_len(2 * n, real=True)
     spectrum = fft.rfft(x, size)
     rho = fft.irfft(np.abs(spectrum) ** 2, size)[:n] / power
-    # The estimate is taken about the sample mean, which lowers every lag by about (2 tau / n): put that back once.
     tau = np.cumsum(rho) - 0.5
     lags = np.arange(n)
     found = np.flatnonzero(lags >= SOKAL_WINDOW * np.maximum(tau, 0.5))
-    t = float(tau[found[0]]) if found.size else n / 2
-    t = max(t, 0.5)
-    return float(min(t / max(1 - 2 * t * (2 * SOKAL_WINDOW + 1) / n, 2 * t / n), n / 2))
+    if not found.size:
+        return n / 2
+    # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back.
+    lag = int(found[0])
+    return float(min(max(tau[lag], 0.5) * (1 + (2 * lag + 1) / n), n / 2))
 
 
 def effective_number(values: ArrayLike) -> float:

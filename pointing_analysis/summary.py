@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointing_analysis import metrics, requirements
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, knowledge_error, performance_error
@@ -202,7 +203,8 @@ def summarise(
     series = performance_error(run, transient)
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
-    rms, p997, cut, skipped = np.full(2, nan), nan, 0, 0
+    rms: NDArray[np.float64] = np.full(2, nan)
+    p997, cut, skipped = nan, 0, 0
     if series.duration >= WINDOW:
         w = metrics.windows(series.values, series.dt, WINDOW)
         rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped

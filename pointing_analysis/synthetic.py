@@ -1,7 +1,8 @@
 """Bags with known answers: write any signals in the layout of the testbed's recordings.
 
-For tests, for the reading benchmark, and for trying a pointing analysis on an error whose APE and RPE are known on paper
-(a tone, white noise, a circular motion). A run of the testbed is recorded by its own recorder, not by this module.
+For tests, for the reading benchmark, and for trying a pointing analysis on an error whose APE and RPE are known on
+paper (a tone, white noise, a circular motion). A run of the testbed is recorded by its own recorder, not by this
+module.
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ def write_bag(
             data = encode(events[0][name][0], stamp, events[0][name][1][row], frame=name.replace("/", "_"))
             writer.add_message(channels[name], stamp, data, stamp, sequence=row)
         writer.finish()
-    _write_yaml(folder, file.name, namespace, events[0], len(events[1]))
+    _write_yaml(folder, file.name, namespace, events[0], np.array([e[0] for e in events[1]], dtype=np.int64))
     return folder
 
 
@@ -171,22 +172,37 @@ def _events(
     return typed, sorted(events, key=lambda event: event[0])
 
 
-def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, messages: int) -> None:
+def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, times: NDArray[np.int64]) -> None:
     topics = [
         {
-            "topic_metadata": {"name": f"{namespace}/{name}", "type": schema, "serialization_format": "cdr"},
+            "topic_metadata": {
+                "name": f"{namespace}/{name}",
+                "type": schema,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [],
+                "type_description_hash": "",
+            },
             "message_count": len(values),
         }
         for name, (schema, values) in typed.items()
     ]
+    first, last = (int(times.min()), int(times.max())) if times.size else (0, 0)
+    begin, length = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
     info = {
         "version": 9,
         "storage_identifier": "mcap",
-        "relative_file_paths": [file],
-        "message_count": messages,
+        "duration": length,
+        "starting_time": begin,
+        "message_count": int(times.size),
         "topics_with_message_count": topics,
         "compression_format": "",
         "compression_mode": "",
+        "relative_file_paths": [file],
+        "files": [
+            {"path": file, "starting_time": dict(begin), "duration": dict(length), "message_count": int(times.size)}
+        ],
+        "custom_data": None,
+        "ros_distro": "jazzy",
     }
     text = yaml.safe_dump({"rosbag2_bagfile_information": info}, sort_keys=False)
     (folder / "metadata.yaml").write_text(text)

@@ -1,9 +1,10 @@
 r"""Spectral weights of the pointing indices: the part of a tone's rms that an index sees.
 
-A tone of amplitude A and frequency :math:`\omega` on one axis has :math:`\mathrm{RPE_{rms}} = |W(\omega)|\, A/\sqrt 2`. Exact weights
-follow from the window mean (Lucke et al. 1992; Ott et al. 2011); the rational one is the common second-order fit used for
-synthesis. **The rational weight is no upper bound**: the exact one is up to 4.5 % larger in amplitude (near
-:math:`\omega\Delta t = 5.3`, 42 Hz for 20 ms), so a design with norm 1 allows a measured RPE of 1.045 times its limit.
+A tone of amplitude A and frequency :math:`\omega` on one axis has :math:`\mathrm{RPE_{rms}} = |W(\omega)|\, A/\sqrt
+2`. Exact weights follow from the window mean (Lucke et al. 1992; Ott et al. 2011); the rational one is the common
+second-order fit used for synthesis. **The rational weight is no upper bound**: the exact one is up to 4.5 % larger in
+amplitude (near :math:`\omega\Delta t = 5.3`, 42 Hz for 20 ms), so a design with norm 1 allows a measured RPE of 1.045
+times its limit.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def mean_exact(omega: ArrayLike, window: float) -> Floats:
     window : [s]
     """
     y = np.asarray(omega, dtype=float) * window
-    return np.abs(np.sinc(y / (2 * np.pi)))
+    return np.asarray(np.abs(np.sinc(y / (2 * np.pi))))
 
 
 def rpe_exact(omega: ArrayLike, window: float) -> Floats:
@@ -42,7 +43,7 @@ def rpe_exact(omega: ArrayLike, window: float) -> Floats:
     # 1 - sinc^2 loses its digits for small y; the series y^2/12 (1 - y^2/30) is exact there to 1e-13.
     small = np.abs(y) < 2e-3
     series = y**2 / 12 * (1 - y**2 / 30)
-    return np.sqrt(np.where(small, series, np.maximum(1 - np.sinc(y / (2 * np.pi)) ** 2, 0)))
+    return np.asarray(np.sqrt(np.where(small, series, np.maximum(1 - np.sinc(y / (2 * np.pi)) ** 2, 0))))
 
 
 def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> Floats:
@@ -58,12 +59,12 @@ def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> Floats:
     bottom = samples * np.sin(half)
     flat = np.abs(bottom) < 1e-9
     kernel = np.where(flat, 1.0, np.sin(samples * half) / np.where(flat, 1.0, bottom))
-    return np.sqrt(np.maximum(1 - kernel**2, 0))
+    return np.asarray(np.sqrt(np.maximum(1 - kernel**2, 0)))
 
 
 def drift_exact(omega: ArrayLike, separation: float) -> Floats:
     r"""Weight of the difference of two instants `separation` apart: :math:`\sqrt{2(1-\cos\omega\Delta t_s)}`."""
-    return 2 * np.abs(np.sin(np.asarray(omega, dtype=float) * separation / 2))
+    return np.asarray(2 * np.abs(np.sin(np.asarray(omega, dtype=float) * separation / 2)))
 
 
 def pde_exact(omega: ArrayLike, window: float, separation: float) -> Floats:
@@ -72,7 +73,7 @@ def pde_exact(omega: ArrayLike, window: float, separation: float) -> Floats:
 
 
 def rpe_rational(omega: ArrayLike, window: float) -> Floats:
-    r"""Rational RPE weight :math:`|s\Delta t(s\Delta t+\sqrt{12})/((s\Delta t)^2+6 s\Delta t+12)|` at :math:`s=j\omega`.
+    r"""Rational RPE weight: :math:`|y(y+\sqrt{12})/(y^2+6 y+12)|` at :math:`y=j\omega\Delta t`.
 
     Examples
     --------
@@ -80,7 +81,7 @@ def rpe_rational(omega: ArrayLike, window: float) -> Floats:
     0.360016
     """
     s = 1j * np.asarray(omega, dtype=float) * window
-    return np.abs(s * (s + np.sqrt(12)) / (s**2 + 6 * s + 12))
+    return np.asarray(np.abs(s * (s + np.sqrt(12)) / (s**2 + 6 * s + 12)))
 
 
 def worst_ratio() -> tuple[float, float]:
