@@ -304,12 +304,12 @@ class Runner:
         alive = [node for node in self._nodes.values() if node.process.poll() is None]
         for node in alive:
             node.interrupt()
+        end = time.monotonic() + STOP_S
         for node in alive:
-            try:
-                node.process.wait(STOP_S)
-            except subprocess.TimeoutExpired:
-                node.process.kill()
-                node.process.wait()
+            while node.process.poll() is None:
+                if time.monotonic() > end:
+                    node.process.kill()
+                time.sleep(0.01)
         for node in self._nodes.values():
             for stream in node.streams:
                 stream.close()

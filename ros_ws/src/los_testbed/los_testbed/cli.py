@@ -1,0 +1,220 @@
+"""Command line: ``los-testbed run`` and ``los-testbed analyse``."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from los_testbed.config import RunConfig, parse_value, read_yaml
+from los_testbed.inprocess import LoopDivergedError
+
+app = typer.Typer(
+    name="los-testbed",
+    help="Testbed for fine line-of-sight control of a flexible space telescope.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+)
+
+RUN_EXAMPLES = """Run the loop, record it, judge it.
+
+**Examples**
+
+    los-testbed run                                    # 10 s on ROS 2 in real time, all loops closed
+
+    los-testbed run --loop isolator --seed 3           # the same telescope without control
+
+    los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it goes
+
+    los-testbed run --k-fsm my_observer.json --set wheel_speed='[200, 210, 220, 230]'
+"""
+
+ANALYSE_EXAMPLES = """Judge recorded runs and write an HTML report.
+
+**Examples**
+
+    los-testbed analyse bags/run-20260101-120000
+
+    los-testbed analyse bags/isolator bags/fsm+pma --report comparison.html --json
+"""
+
+
+@app.command(help=RUN_EXAMPLES)
+def run(
+    duration: Annotated[float | None, typer.Option(help="Length of the run [s].")] = None,
+    mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
+    loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="design or imbalance.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of noise and disturbance phases.")] = None,
+    noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
+    disturbance: Annotated[
+        bool | None, typer.Option("--disturbance/--no-disturbance", help="Wheels and array drive.")
+    ] = None,
+    camera_rate: Annotated[float | None, typer.Option(help="Frames per second; divides 1000 [Hz].")] = None,
+    k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the one that ships.")] = None,
+    k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file.")] = None,
+    output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
+    domain: Annotated[int | None, typer.Option(help="ROS domain.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
+    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+) -> None:
+    """See RUN_EXAMPLES."""
+    given = {
+        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
+        "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
+        "output": output, "domain": domain,
+    }  # fmt: skip
+    from los_testbed.judgement import judge, show
+
+    chosen = configure(config, settings or [], given)
+    console = Console(stderr=json_)
+    bag, interrupted, warnings = execute(chosen, console)
+    for warning in warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}")
+    judgement = judge([bag], bag / "report.html" if report else None)
+    show(console, judgement)
+    if json_:
+        print_json(judgement.runs[0])
+    if interrupted:
+        raise typer.Exit(130)
+
+
+@app.command(help=ANALYSE_EXAMPLES)
+def analyse(
+    bags: Annotated[list[Path], typer.Argument(help="Bags: folders or .mcap files.")],
+    report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    transient: Annotated[float | None, typer.Option(help="Seconds to leave out at the start.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+) -> None:
+    """See ANALYSE_EXAMPLES."""
+    from los_testbed.judgement import judge, show
+
+    target = report
+    if target is None and len(bags) == 1 and bags[0].is_dir():
+        target = bags[0] / "report.html"
+    judgement = judge(bags, target, transient)
+    show(Console(stderr=json_), judgement)
+    if json_:
+        print_json(judgement.runs[0] if len(bags) == 1 else {"runs": list(judgement.runs)})
+
+
+def configure(file: Path | None, settings: list[str], given: dict[str, Any]) -> RunConfig:
+    """Configuration from file, ``--set`` and options; the later ones win.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, values that do not fit.
+    """
+    values: dict[str, Any] = read_yaml(file) if file is not None else {}
+    for setting in settings:
+        name, sign, text = setting.partition("=")
+        if not sign:
+            raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
+        values[name] = parse_value(name, text)
+    values.update({name: value for name, value in given.items() if value is not None})
+    chosen = RunConfig.from_mapping(values)
+    if not chosen.output:
+        chosen = replace(chosen, output=str(new_bag(chosen)))
+    return chosen
+
+
+def new_bag(config: RunConfig) -> Path:
+    """Name for a bag that is not there yet, under bags/."""
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{config.mode}-{config.loop}"
+    folder = Path("bags")
+    names = (folder / (stem if i == 0 else f"{stem}-{i}") for i in range(1000))
+    return next(name for name in names if not name.exists())
+
+
+def execute(config: RunConfig, console: Console) -> tuple[Path, bool, list[str]]:
+    """Run, with a progress bar; the bag, whether it was interrupted, and warnings."""
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} ms"),
+        TimeElapsedColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(f"{config.loop}, {config.mode}", total=config.ticks)
+
+        def progress(ticks: int) -> None:
+            bar.update(task, completed=ticks)
+
+        if config.mode == "inprocess":
+            from los_testbed.inprocess import run_in_process
+
+            path = Path(config.output)
+            run_in_process(config, path, progress=progress)
+            return path, False, []
+        from los_testbed.runner import Runner
+
+        results = Runner(replace(config, wait_for_recorder=True), progress).run()
+    if results.bag is None:
+        raise KeyboardInterrupt
+    return results.bag, results.interrupted, results.warnings
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """One JSON object on one line of the output."""
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point: mistakes are one line on the error output and exit code 2, failures 1."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    signal.signal(signal.SIGTERM, _interrupt)
+    command: Callable[..., Any] = typer.main.get_command(app)
+    try:
+        result = command(args=arguments, prog_name="los-testbed", standalone_mode=False)
+    except typer.Exit as stop:
+        code: int = stop.exit_code
+        return _leave(code)
+    except typer.Abort:
+        return _leave(130)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except ValueError as error:
+        return _fail(str(error), 2)
+    except (LoopDivergedError, OSError) as error:
+        return _fail(str(error), 1)
+    except RuntimeError as error:
+        return _fail(str(error), int(getattr(error, "code", 1)))
+    except Exception as error:
+        if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
+            return _fail(error.format_message(), 2)
+        raise
+    return _leave(result if isinstance(result, int) else 0)
+
+
+def _leave(code: int) -> int:
+    if code:
+        sys.exit(code)
+    return 0
+
+
+def _fail(message: str, code: int) -> int:
+    sys.stderr.write(f"los-testbed: {' '.join(message.split())}\n")
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()
