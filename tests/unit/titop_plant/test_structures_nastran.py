@@ -1,0 +1,238 @@
+"""NASTRAN import on files that pyNastran itself writes from one of our frames."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
+
+from titop_plant.structures import Beam, BeamFrame, LumpedMass, ModalData, Section, to_modal_data
+from titop_plant.structures.beam_frame import assemble
+from titop_plant.structures.nastran import read_nastran
+
+pytest.importorskip("pyNastran", reason="extra nastran")
+
+PARENT, KEEP = "a", 8
+SECTION = Section(E=7e10, G=2.7e10, density=2800.0, A=4e-4, Iy=3e-8, Iz=6e-8, J=5e-8)
+
+
+def frame(density: float = 2800.0) -> BeamFrame:
+    """A crooked frame with two eccentric blocks; without density all its mass is in CONM2 cards."""
+    section = Section(SECTION.E, SECTION.G, density, SECTION.A, SECTION.Iy, SECTION.Iz, SECTION.J)
+    nodes = {"a": [0.3, -0.2, 0.1], "c": [0.8, 0.1, 0.2], "d": [0.7, 0.9, 0.5], "e": [1.4, 0.9, 0.6]}
+    up = np.array([0.1, 0.2, 1.0])
+    beams = tuple(Beam(i, j, section, up) for i, j in ("ac", "cd", "ad", "de"))
+    spin = Rotation.from_euler("xyz", [0.5, 0.2, -0.3]).as_matrix()
+    masses = tuple(
+        LumpedMass(node, 5.0 + k, spin @ np.diag([0.3, 0.2, 0.4]) @ spin.T, [0.1, 0.02 * k, -0.05])
+        for k, node in enumerate("cde")
+    )
+    return BeamFrame("crane", nodes, beams, masses)
+
+
+def write_bdf(source: BeamFrame, path: Path, clamp: str = "123456", also: int | None = None, cd: int = 0) -> None:
+    from pyNastran.bdf.bdf import BDF
+
+    model = BDF(debug=None)
+    grids = {name: i for i, name in enumerate(source.nodes, start=1)}
+    for name, grid in grids.items():
+        model.add_grid(grid, source.nodes[name], cd=cd)
+    if cd:
+        model.add_cord2r(cd, [0.0, 0, 0], [0.0, 0, 1], [0.0, 1, 0])
+    s = source.beams[0].section
+    model.add_mat1(1, s.E, s.G, None, rho=s.density)
+    model.add_pbar(1, 1, A=s.A, i1=s.Iz, i2=s.Iy, j=s.J)
+    for k, beam in enumerate(source.beams, start=1):
+        model.add_cbar(k, 1, [grids[beam.start], grids[beam.end]], beam.up, None)
+    for k, lump in enumerate(source.masses, start=101):
+        i = lump.inertia
+        inertia = [i[0, 0], -i[1, 0], i[1, 1], -i[2, 0], -i[2, 1], i[2, 2]]
+        model.add_conm2(k, grids[lump.node], lump.mass, X=lump.offset, I=inertia)
+    if clamp:
+        model.add_spc1(1, clamp, [1] if also is None else [1, also])
+    model.write_bdf(str(path), size=16, is_double=True)
+
+
+def write_op2(
+    source: BeamFrame, path: Path, *, modes: bool = True, forces: bool = True, weight: int | None = 0
+) -> None:
+    """Modes, constraint forces and grid point weight of our own mass and stiffness matrices."""
+    from pyNastran.op2.op2 import OP2
+    from pyNastran.op2.result_objects.grid_point_weight import GridPointWeight
+    from pyNastran.op2.tables.oqg_constraintForces.oqg_spc_forces import RealSPCForcesArray
+    from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
+
+    names, M, K = assemble(source)
+    free = np.arange(6, M.shape[0])
+    squares, shapes = eigh(K[6:, 6:], M[6:, 6:], subset_by_index=(0, KEEP - 1))
+    phi = np.zeros((M.shape[0], KEEP))
+    phi[free] = shapes
+    reaction = K @ phi - (M @ phi) * squares
+    reaction[6:] = 0.0
+    grids = np.column_stack([np.arange(1, len(names) + 1), np.ones(len(names))]).astype("int32")
+    model = OP2(debug=None)
+    model.set_as_msc()
+    model.is_nx, model.is_msc, model.is_optistruct = False, True, False
+    numbers, cycles = np.arange(1, KEEP + 1), np.sqrt(squares) / (2 * np.pi)
+
+    def table(kind: Any, name: str, columns: np.ndarray) -> Any:
+        data = columns.T.reshape(KEEP, len(names), 6).astype("float32")
+        return kind.add_modal_case(name, grids, data, 1, numbers, squares, cycles)
+
+    if modes:
+        vectors = table(RealEigenvectorArray, "OUGV1", phi)
+        vectors.table_code = vectors.data_code["table_code"] = 7  # eigenvectors, not displacements
+        model.eigenvectors[1] = vectors
+    if forces:
+        model.spc_forces[1] = table(RealSPCForcesArray, "OQG1", reaction)
+    if weight is not None:
+        point = np.zeros(3) if weight == 0 else source.nodes[names[weight - 1]]
+        from titop_plant.structures.beam_frame import rigid_body_modes
+
+        rigid = rigid_body_modes(source, names, point)
+        eye = np.eye(3)
+        model.grid_point_weight[""] = GridPointWeight(
+            weight, rigid.T @ M @ rigid, eye, np.ones(3), 0 * eye, eye, np.ones(3), eye
+        )
+    model.write_op2(str(path), nastran_format="msc")
+
+
+def imported(folder: Path, source: BeamFrame | None = None, **op2: Any) -> ModalData:
+    source = source or frame()
+    write_bdf(source, folder / "crane.bdf")
+    write_op2(source, folder / "crane.op2", **op2)
+    return load(folder)
+
+
+def load(folder: Path, **options: Any) -> ModalData:
+    arguments: dict[str, Any] = {"name": "crane", "parent": ("a", 1), "ports": {"e": 4, "d": 3}, **options}
+    return read_nastran(folder / "crane.bdf", folder / "crane.op2", **arguments)
+
+
+def same_body(found: ModalData, expected: ModalData, tolerance: float) -> None:
+    np.testing.assert_allclose(found.frequencies, expected.frequencies, rtol=tolerance)
+    np.testing.assert_allclose(
+        found.mass_matrix, expected.mass_matrix, atol=tolerance * np.abs(expected.mass_matrix).max()
+    )
+    signs = np.sign(np.sum(found.participation * expected.participation, axis=1))
+    largest = np.abs(expected.participation).max()
+    np.testing.assert_allclose(
+        signs[:, None] * found.participation, expected.participation, atol=10 * tolerance * largest
+    )
+    for child in expected.children:
+        shapes = found.child(child.name).shapes
+        np.testing.assert_allclose(signs * shapes, child.shapes, atol=10 * tolerance * np.abs(child.shapes).max())
+        np.testing.assert_allclose(found.child(child.name).position, child.position, atol=1e-12)
+
+
+@pytest.mark.parametrize("weight", [0, 1, 3])
+def test_import_agrees_with_the_frame_to_single_precision(tmp_path: Path, weight: int) -> None:
+    same_body(imported(tmp_path, weight=weight), to_modal_data(frame(), PARENT, ["e", "d"], KEEP), 2e-6)
+
+
+def test_mass_comes_from_the_bulk_data_if_the_run_did_not_weigh(tmp_path: Path) -> None:
+    """Lumped masses exactly (products of inertia with their sign), bars as slender rods."""
+    light = frame(density=1e-6)
+    found = imported(tmp_path, light, weight=None)
+    expected = to_modal_data(light, PARENT, ["e"], KEEP)
+    np.testing.assert_allclose(found.mass_matrix, expected.mass_matrix, atol=1e-6)
+    heavy = imported(tmp_path, weight=None)
+    rods = to_modal_data(frame(), PARENT, ["e"], KEEP)
+    spin_inertia = 2800.0 * (SECTION.Iy + SECTION.Iz) * 4.0  # left out of slender rods, at most
+    np.testing.assert_allclose(heavy.mass_matrix, rods.mass_matrix, atol=spin_inertia)
+
+
+def test_fewer_modes_and_damping(tmp_path: Path) -> None:
+    imported(tmp_path)
+    body = load(tmp_path, n_modes=3, damping=0.02)
+    assert body.n_modes == 3
+    np.testing.assert_array_equal(body.damping, 0.02)
+
+
+def test_a_mass_matrix_of_the_users_own(tmp_path: Path) -> None:
+    known = imported(tmp_path).mass_matrix
+    np.testing.assert_array_equal(load(tmp_path, mass_matrix=1.5 * known).mass_matrix, 1.5 * known)
+    with pytest.raises(ValueError, match="crane: residual mass"):
+        load(tmp_path, mass_matrix=0.5 * known)
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [
+        ({"modes": False}, ["crane.op2", "no real eigenvectors"]),
+        ({"forces": False}, ["crane.op2", "no forces of single-point constraint"]),
+    ],
+)
+def test_an_op2_without_what_is_needed_is_named(tmp_path: Path, missing: dict[str, bool], words: list[str]) -> None:
+    with pytest.raises(ValueError) as caught:
+        imported(tmp_path, **missing)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"clamp": ""}, "crane.bdf: the parent GRID 1 must be clamped .*got nothing"),
+        ({"clamp": "123"}, "crane.bdf: the parent GRID 1 must be clamped .*got 123"),
+        ({"also": 3}, r"crane.bdf: only the parent GRID 1 may be held, got SPC at \[3\]"),
+        ({"cd": 7}, "crane.bdf: GRID 1 .*CD = 0.*got 7"),
+    ],
+)
+def test_a_bdf_that_does_not_fit_is_named(tmp_path: Path, options: dict[str, Any], word: str) -> None:
+    write_bdf(frame(), tmp_path / "crane.bdf", **options)
+    write_op2(frame(), tmp_path / "crane.op2")
+    with pytest.raises(ValueError, match=word):
+        load(tmp_path)
+
+
+def spoil(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_text("this is no NASTRAN file\n")
+
+
+@pytest.mark.parametrize(
+    ("damage", "error", "word"),
+    [
+        (spoil("crane.bdf"), ValueError, "crane.bdf: pyNastran cannot read this BDF"),
+        (spoil("crane.op2"), ValueError, "crane.op2: pyNastran cannot read this OP2"),
+        (lambda folder: (folder / "crane.op2").unlink(), FileNotFoundError, "crane.op2"),
+        (lambda folder: (folder / "crane.bdf").unlink(), FileNotFoundError, "crane.bdf"),
+    ],
+)
+def test_broken_files_are_named_in_one_line(
+    tmp_path: Path, damage: Callable[[Path], None], error: type[Exception], word: str
+) -> None:
+    imported(tmp_path)
+    damage(tmp_path)
+    with pytest.raises(error, match=word) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_grid_and_subcase(tmp_path: Path) -> None:
+    imported(tmp_path)
+    with pytest.raises(ValueError, match=r"crane.bdf: no GRID 99 for 'M1'"):
+        load(tmp_path, ports={"M1": 99})
+    with pytest.raises(ValueError, match=r"no real eigenvectors of subcase 5, there are \[1\]"):
+        load(tmp_path, subcase=5)
+
+
+def test_without_pynastran_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    imported(tmp_path)
+    real = builtins.__import__
+
+    def refuse(name: str, *arguments: Any, **keywords: Any) -> Any:
+        if name.startswith("pyNastran"):
+            raise ImportError("No module named 'pyNastran'")
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(ImportError, match=r"pip install 'los-testbed\[nastran\]'") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
