@@ -1,0 +1,187 @@
+"""State-space side of a closed loop as a function of the gain matrix: poles and H2 norms with exact gradients.
+
+A controller of order n_K is a static gain for the plant extended by n_K integrators: with the gain matrix
+``K = [[A_K, B_K], [C_K, D_K]]`` the closed loop is affine in ``K (I - D22 K)^-1`` and every derivative is a product.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from robust_design.model import Model, pade_delay, series
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+sl: Any = scipy.linalg
+
+
+@dataclass(frozen=True)
+class ExtendedPlant:
+    """Plant with weights folded in, extended by the controller's states.
+
+    Parameters
+    ----------
+    A, B1, B2, C1, C2 : ndarray
+        States (n + n_K), disturbances, (n_K + u), performance outputs, (n_K + y).
+    D11, D12, D21, D22 : ndarray
+    """
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    D12: FloatArray
+    D21: FloatArray
+    D22: FloatArray
+
+    def closed(self, K: FloatArray) -> ClosedLoop:
+        """Closed loop with the gain matrix K (n_K + u, n_K + y)."""
+        inner = sl.inv(np.eye(K.shape[1]) - self.D22 @ K)
+        KS = K @ inner
+        left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
+        left_z = self.D12 + self.D12 @ KS @ self.D22
+        right, right_w = inner @ self.C2, inner @ self.D21
+        return ClosedLoop(
+            self.A + self.B2 @ KS @ self.C2,
+            self.B1 + self.B2 @ KS @ self.D21,
+            self.C1 + self.D12 @ KS @ self.C2,
+            self.D11 + self.D12 @ KS @ self.D21,
+            left,
+            left_z,
+            right,
+            right_w,
+        )
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Matrices of the closed loop and the factors of their derivatives: ``dA = left dK right`` and so on."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    left: FloatArray
+    left_z: FloatArray
+    right: FloatArray
+    right_w: FloatArray
+
+
+def extended_plant(
+    model: Model,
+    measurements: tuple[str, ...],
+    commands: tuple[str, ...],
+    controller_order: int,
+    *,
+    inputs: tuple[str, ...] = (),
+    outputs: tuple[str, ...] = (),
+    weight_in: Model | None = None,
+    weight_out: Model | None = None,
+    scale: float = 1.0,
+    loop_delay: float = 0.0,
+    pade_order: int = 6,
+) -> ExtendedPlant:
+    """Extend `model`, with weights on the performance ports and a Padé delay on the commands.
+
+    **Sign: u = + K y.** `scale` multiplies the performance outputs.
+    """
+    cw, cu = model.input_indices(inputs), model.input_indices(commands)
+    rz, ry = model.output_indices(outputs), model.output_indices(measurements)
+    A, B, C, D = model.A, model.B[:, np.r_[cw, cu]], model.C[np.r_[rz, ry]], model.D[np.ix_(np.r_[rz, ry], np.r_[cw, cu])]
+    nw, nu, nz, ny = len(cw), len(cu), len(rz), len(ry)
+    before = [_or_unit(weight_in, nw), pade_delay(loop_delay, pade_order, nu)]
+    after = [_or_unit(weight_out, nz), _or_unit(None, ny)]
+    core = Model(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
+    whole = series(series(_stacked(before), core), _stacked(after))
+    nw, nz = before[0].D.shape[1], after[0].D.shape[0]
+    k = controller_order
+    n = whole.order
+    return ExtendedPlant(
+        sl.block_diag(whole.A, np.zeros((k, k))),
+        np.vstack([whole.B[:, :nw], np.zeros((k, nw))]),
+        np.block([[np.zeros((n, k)), whole.B[:, nw:]], [np.eye(k), np.zeros((k, nu))]]),
+        scale * np.hstack([whole.C[:nz], np.zeros((nz, k))]),
+        np.block([[np.zeros((k, n)), np.eye(k)], [whole.C[nz:], np.zeros((ny, k))]]),
+        scale * whole.D[:nz, :nw],
+        scale * np.hstack([np.zeros((nz, k)), whole.D[:nz, nw:]]),
+        np.vstack([np.zeros((k, nw)), whole.D[nz:, :nw]]),
+        sl.block_diag(np.zeros((k, k)), whole.D[nz:, nw:]),
+    )
+
+
+def poles(A: FloatArray) -> ComplexArray:
+    """Eigenvalues of a closed-loop matrix."""
+    return np.asarray(sl.eigvals(A, check_finite=False), dtype=complex)
+
+
+def pole_gradients(
+    loop: ClosedLoop, wanted: ComplexArray
+) -> tuple[ComplexArray, list[ComplexArray]]:
+    """Derivatives of the poles nearest to `wanted` (k,): ``ds = sum(G * dK)`` with a complex G per pole."""
+    values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
+    found, gradients = [], []
+    for s in wanted:
+        i = int(np.argmin(np.abs(values - s)))
+        w, v = left[:, i], right[:, i]
+        scale = np.vdot(w, v)
+        if abs(scale) < 1e-14:  # defective: no derivative; the unscaled one still points downhill
+            scale = 1e-14
+        gradients.append(np.outer(loop.left.T @ w.conj(), loop.right @ v) / scale)
+        found.append(values[i])
+    return np.array(found, dtype=complex), gradients
+
+
+def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:
+    """H2 norm of a stable closed loop with D = 0, and its gradient with respect to the gain matrix.
+
+    With P and X the controllability and observability Gramians, ``d trace(C P C') = 2 <X P, dA> + 2 <X B, dB> +
+    2 <C P, dC>``.
+    """
+    T, Q = sl.schur(loop.A, output="real", check_finite=False)
+    b, c = Q.T @ loop.B, loop.C @ Q
+    P = _lyapunov(T, b @ b.T, transposed=False)
+    square = max(float(np.sum((c @ P) * c)), 0.0)
+    value = float(np.sqrt(square))
+    if not need_gradient:
+        return value, None
+    X = _lyapunov(T, c.T @ c, transposed=True)
+    left, right = loop.left.T @ Q, loop.right @ Q
+    gradient = left @ (X @ P) @ right.T + left @ (X @ b) @ loop.right_w.T + loop.left_z.T @ (c @ P) @ right.T
+    return value, gradient / max(value, 1e-300)
+
+
+def _lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool) -> FloatArray:
+    """Solution of ``T P + P T' + W = 0`` (or with T transposed) for quasi-triangular T."""
+    trana, tranb = ("T", "N") if transposed else ("N", "T")
+    solution, scale, info = sl.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
+    if info < 0:
+        raise ArithmeticError("the Lyapunov equation could not be solved: illegal argument")
+    return np.asarray(0.5 * (solution + solution.T) / scale)
+
+
+def _or_unit(weight: Model | None, size: int) -> Model:
+    if weight is not None:
+        return weight
+    return Model(
+        np.zeros((0, 0)),
+        np.zeros((0, size)),
+        np.zeros((size, 0)),
+        np.eye(size),
+        (("in", size),) if size else (),  # type: ignore[arg-type]
+        (("out", size),) if size else (),  # type: ignore[arg-type]
+    )
+
+
+def _stacked(parts: list[Model]) -> Model:
+    A, B, C, D = (sl.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
+    n = sum(p.order for p in parts)
+    m, r = sum(p.D.shape[1] for p in parts), sum(p.D.shape[0] for p in parts)
+    A, B, C, D = A.reshape(n, n), B.reshape(n, m), C.reshape(r, n), D.reshape(r, m)
+    return Model(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]

@@ -1,0 +1,310 @@
+"""A design problem: models, requirements and a structure; its values and gradients at any controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robust_design.gains import LoopGains
+from robust_design.loop import ExtendedPlant, extended_plant, h2_value, pole_gradients, poles
+from robust_design.model import Model
+from robust_design.requirements import (
+    ClosedLoopPoles,
+    ControllerPoles,
+    H2Gain,
+    HinfGain,
+    Requirement,
+    check_names,
+)
+from robust_design.structures import Structure
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One smooth piece of the nonsmooth problem.
+
+    Parameters
+    ----------
+    value : float
+        Normalised value.
+    gradient : ndarray, shape (size,)
+        With respect to the structure's parameters.
+    hard : bool
+    requirement, model : int
+        Numbers in the problem's lists.
+    place : float
+        Frequency of the peak or modulus of the pole [rad/s]; 0 for an H2 norm.
+    """
+
+    value: float
+    gradient: FloatArray
+    hard: bool
+    requirement: int
+    model: int
+    place: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Values of all requirements at one controller.
+
+    Parameters
+    ----------
+    abscissa : float
+        Largest real part of the closed-loop poles over the models [rad/s].
+    values : ndarray, shape (requirements, models)
+        Normalised values; infinite where the loop is unstable.
+    places : ndarray, shape (requirements, models)
+        Frequencies [rad/s] of the values.
+    pieces : tuple of Piece
+        Everything active or nearly so.
+    """
+
+    abscissa: float
+    values: FloatArray
+    places: FloatArray
+    pieces: tuple[Piece, ...]
+
+
+class Problem:
+    """Values and exact gradients of a tuning problem.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The active models; all have the ports that the structure and the requirements name.
+    requirements : sequence of requirements
+    structure : Structure
+    loop_delay : float
+        Delay of the loop [s]: exact in the H-infinity gains, Padé of order `pade_order` in poles and H2 norms.
+    pade_order : int
+
+    Raises
+    ------
+    ValueError
+        A port that does not exist, sizes that do not fit, an H2 requirement whose norm is infinite for every
+        controller of the structure.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        requirements: Sequence[Requirement],
+        structure: Structure,
+        *,
+        loop_delay: float = 0.0,
+        pade_order: int = 6,
+    ) -> None:
+        check_names(requirements)
+        if not models:
+            raise ValueError("a design needs at least one model, got none")
+        self.requirements = tuple(requirements)
+        self.structure = structure
+        self.loop_delay = loop_delay
+        self.pade_order = pade_order
+        self.models: tuple[Model, ...] = ()
+        self._bare: list[ExtendedPlant] = []
+        self._gains: list[LoopGains | None] = []
+        self._variances: list[dict[int, ExtendedPlant]] = []
+        self._measurements = tuple(p.name for p in structure.inputs)
+        self._commands = tuple(p.name for p in structure.outputs)
+        self._hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
+        self._h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
+        for model in models:
+            self.add_model(model)
+
+    def add_model(self, model: Model) -> None:
+        """Make one more model active."""
+        _check_sizes(model, self.structure)
+        common = dict(loop_delay=self.loop_delay, pade_order=self.pade_order)
+        order = self.structure.order
+        bare = extended_plant(model, self._measurements, self._commands, order, **common)  # type: ignore[arg-type]
+        variances = {}
+        for i in self._h2:
+            r = self.requirements[i]
+            assert isinstance(r, H2Gain)
+            variances[i] = extended_plant(
+                model,
+                self._measurements,
+                self._commands,
+                order,
+                inputs=r.inputs,
+                outputs=r.outputs,
+                weight_in=r.weight_in,
+                weight_out=r.weight_out,
+                scale=1.0 / r.bound,
+                **common,  # type: ignore[arg-type]
+            )
+            self._refuse_feedthrough(variances[i], r.name)
+        gains = [self.requirements[i] for i in self._hinf]
+        self._gains.append(
+            LoopGains(model, self._measurements, self._commands, tuple(gains), self.loop_delay)  # type: ignore[arg-type]
+            if gains
+            else None
+        )
+        self._bare.append(bare)
+        self._variances.append(variances)
+        self.models = (*self.models, model)
+
+    def _refuse_feedthrough(self, plant: ExtendedPlant, name: str) -> None:
+        x = np.random.default_rng(0).standard_normal(self.structure.size)
+        if np.abs(plant.closed(self.structure.gain_matrix(x)).D).max(initial=0.0) > 1e-12:
+            raise ValueError(
+                f"H2 requirement {name!r} has a direct feedthrough, so its norm is infinite: use a strictly proper "
+                "weight or a structure with feedthrough=False"
+            )
+
+    def abscissa(self, x: FloatArray) -> float:
+        """Largest real part of the closed-loop poles over all models [rad/s]."""
+        K = self.structure.gain_matrix(x)
+        return max(float(poles(plant.closed(K).A).real.max()) for plant in self._bare)
+
+    def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
+        """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
+        K = self.structure.gain_matrix(x)
+        spectra = [poles(plant.closed(K).A) for plant in self._bare]
+        worst = max(float(s.real.max()) for s in spectra)
+        pieces = []
+        for k, (plant, s) in enumerate(zip(self._bare, spectra)):
+            wanted = s[(s.real >= worst - band) & (s.imag >= 0)]
+            wanted = wanted[np.argsort(-wanted.real)][:8]
+            if len(wanted) == 0:
+                continue
+            found, gradients = pole_gradients(plant.closed(K), wanted)
+            for value, gradient in zip(found, gradients):
+                g = self.structure.pullback(x, np.real(gradient))
+                pieces.append(Piece(float(value.real), g, False, 0, k, float(abs(value))))
+        return worst, pieces
+
+    def evaluate(
+        self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, margin: float = 0.0
+    ) -> Evaluation:
+        """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest of their kind.
+
+        Models are looked at in order; with an unstable loop (abscissa above ``-margin``) every value is infinite.
+        """
+        K = self.structure.gain_matrix(x)
+        shape = (len(self.requirements), len(self.models))
+        values, places = np.full(shape, np.inf), np.zeros(shape)
+        spectra = []
+        for plant in self._bare:
+            s = poles(plant.closed(K).A)
+            if not (s.real.max() < -margin):
+                return Evaluation(float(s.real.max()), values, places, ())
+            spectra.append(s)
+        pieces: list[Piece] = []
+        values[:] = -np.inf
+        for k in range(len(self.models)):
+            pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)
+            pieces += self._variance_pieces(x, K, k, gradients)
+            pieces += self._pole_pieces(x, K, k, spectra[k], band, gradients)
+        for piece in pieces:
+            if piece.value > values[piece.requirement, piece.model]:
+                values[piece.requirement, piece.model] = piece.value
+                places[piece.requirement, piece.model] = piece.place
+        kept = _active(pieces, band) if gradients else ()
+        return Evaluation(max(float(s.real.max()) for s in spectra), values, places, tuple(kept))
+
+    def _gain_pieces(
+        self, x: FloatArray, K: FloatArray, k: int, spectrum: ComplexArray, band: float, gradients: bool
+    ) -> list[Piece]:
+        loop = self._gains[k]
+        if loop is None:
+            return []
+        found = loop.peaks(
+            K,
+            self.structure.order,
+            closed_loop_poles=spectrum,
+            band=band if gradients else 0.95,
+            gradients=gradients,
+        )
+        pieces = []
+        for i, peaks in zip(self._hinf, found):
+            for peak in peaks:
+                g = _pulled(self.structure, x, peak.gradient)
+                pieces.append(Piece(peak.value, g, self.requirements[i].hard, i, k, peak.omega))
+        return pieces
+
+    def _variance_pieces(self, x: FloatArray, K: FloatArray, k: int, gradients: bool) -> list[Piece]:
+        pieces = []
+        for i, plant in self._variances[k].items():
+            value, gradient = h2_value(plant.closed(K), gradients)
+            g = _pulled(self.structure, x, gradient)
+            pieces.append(Piece(value, g, self.requirements[i].hard, i, k, 0.0))
+        return pieces
+
+    def _pole_pieces(
+        self, x: FloatArray, K: FloatArray, k: int, spectrum: ComplexArray, band: float, gradients: bool
+    ) -> list[Piece]:
+        pieces: list[Piece] = []
+        n = self.structure.order
+        for i, r in enumerate(self.requirements):
+            if isinstance(r, ClosedLoopPoles):
+                own, plant = spectrum, self._bare[k]
+            elif isinstance(r, ControllerPoles) and k == 0 and n:
+                own, plant = poles(K[:n, :n]), None
+            else:
+                continue
+            values, slopes, number = r.pieces(own)
+            chosen = np.flatnonzero((values >= min(band * values.max(), values.max())) & (own[number].imag >= 0))
+            chosen = chosen[np.argsort(-values[chosen])][: 8 if gradients else 1]
+            derivatives: list[ComplexArray] = []
+            if gradients:
+                loop = plant.closed(K) if plant else _alone(K, n)
+                derivatives = pole_gradients(loop, own[number[chosen]])[1]
+            for j, c in enumerate(chosen):
+                full = np.real(np.conj(slopes[c]) * derivatives[j]) if gradients else None
+                g = _pulled(self.structure, x, full)
+                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(own[number[c]]))))
+        return pieces
+
+
+def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:
+    """Largest soft and largest hard value (minus infinity where there is none)."""
+    hard = np.array([r.hard for r in problem.requirements])
+    soft_value = float(evaluation.values[~hard].max(initial=-np.inf))
+    return soft_value, float(evaluation.values[hard].max(initial=-np.inf))
+
+
+def _alone(K: FloatArray, n: int):  # type: ignore[no-untyped-def]
+    """The controller itself as a closed loop: ``dA = dK[:n, :n]``."""
+    from robust_design.loop import ClosedLoop
+
+    left, right = np.eye(n, K.shape[0]), np.eye(K.shape[1], n)
+    empty = np.zeros((0, 0))
+    return ClosedLoop(K[:n, :n], empty, empty, empty, left, empty, right, empty)
+
+
+def _active(pieces: list[Piece], band: float, most: int = 80) -> list[Piece]:
+    kept: list[Piece] = []
+    for hard in (False, True):
+        own = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
+        if own:
+            level = band * max(own[0].value, 1.0) if hard else own[0].value - (1 - band) * abs(own[0].value)
+            kept += [p for p in own if p.value >= level][:most]
+    return kept
+
+
+def _pulled(structure: Structure, x: FloatArray, gradient: FloatArray | None) -> FloatArray:
+    return np.zeros(0) if gradient is None else np.asarray(structure.pullback(x, gradient), dtype=float)
+
+
+def _check_sizes(model: Model, structure: Structure) -> None:
+    for what, ports, there in (
+        ("measurement", structure.inputs, model.outputs),
+        ("command", structure.outputs, model.inputs),
+    ):
+        sizes = {p.name: p.size for p in there}
+        for port in ports:
+            if port.name not in sizes:
+                raise ValueError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
+            if sizes[port.name] != port.size:
+                raise ValueError(
+                    f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, the controller has {port.size}"
+                )
