@@ -125,7 +125,7 @@ def autocorrelation_time(values: ArrayLike) -> float:
     """
     x = np.asarray(values, dtype=float)
     x = x[~np.isnan(x)]
-    n = x.size
+    n = int(x.size)
     if n < 4:
         return 0.5
     largest = float(np.abs(x).max())

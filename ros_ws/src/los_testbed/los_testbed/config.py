@@ -82,6 +82,7 @@ class RunConfig:
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
     domain: int = _parameter(-1, "ROS domain; -1 for ROS_DOMAIN_ID or 0", "", -1, 232)
     priority: bool = _parameter(True, "ask for real-time scheduling and locked memory")
+    pin: bool = _parameter(True, "keep each node on one processor, if real-time scheduling is permitted")
     wait_for_recorder: bool = _parameter(False, "begin only when a recorder sees every topic")
     start_timeout: float = _parameter(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
 

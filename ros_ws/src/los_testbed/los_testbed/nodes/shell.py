@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from los_testbed.nodes.parameters import declare_config
-from los_testbed.real_time import PRIORITIES, become_real_time, sharpen_timers
+from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, sharpen_timers
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
 
 OK, WARN, ERROR, STALE = (bytes([level]) for level in range(4))
@@ -58,7 +58,8 @@ class Shell:
         """Raise the process to real time, or say once what was not permitted."""
         if not self.config.priority or self.config.mode != "realtime":
             return
-        refused = become_real_time(PRIORITIES[self.name])
+        place = PLACES[self.name] if self.config.pin else None
+        refused = become_real_time(PRIORITIES[self.name], place)
         if refused:
             self.event("warning", message=f"not permitted: {', '.join(refused)}; running without")
             if not self._events:
