@@ -214,6 +214,15 @@ class _Walk:
             self._cut("a chunk" if op == OP_CHUNK else "a record")
         return op, body, len(body) == length
 
+    def _summary(self) -> None:
+        """Channels without a message stand only in the summary after the data."""
+        while len(head := self.stream.read(RECORD.size)) == RECORD.size:
+            op, length = RECORD.unpack(head)
+            if op in (0, OP_FOOTER) or length > LARGEST_RECORD or len(body := self.stream.read(length)) < length:
+                return
+            if op in (OP_SCHEMA, OP_CHANNEL):
+                _SIDE_RECORDS[op](self.info, body)
+
     def flush(self) -> Iterator[Block]:
         if self.plain:
             block = _block(self.info, bytes(self.plain), [])
@@ -235,6 +244,7 @@ class _Walk:
                     yield block
             if op in (OP_DATA_END, OP_FOOTER):
                 self.info.finished = True
+                self._summary()
                 break
             if op == OP_CHUNK and len(body) > 40:
                 chunk = _unpack(self.info, body, self.where, cut=not whole)

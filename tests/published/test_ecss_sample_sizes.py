@@ -1,0 +1,30 @@
+"""Sample sizes and factors printed in the literature on pointing statistics (ESSB-HB-E-003; Clopper & Pearson 1934)."""
+
+from __future__ import annotations
+
+import pytest
+
+from pointing_analysis import statistics
+
+
+@pytest.mark.parametrize(
+    ("probability", "exceedances", "samples"),
+    [
+        (0.997, 0, 998),
+        (0.997, 1, 1580),
+        (0.997, 2, 2097),
+        (0.997, 5, 3502),
+        (0.95, 0, 59),
+        (0.95, 1, 93),
+        (0.95, 2, 124),
+        (0.95, 5, 208),
+    ],
+)
+def test_samples_needed_at_95_percent_confidence(probability: float, exceedances: int, samples: int) -> None:
+    assert statistics.samples_needed(probability, 0.95, exceedances) == samples
+
+
+def test_gaussian_and_radial_factors() -> None:
+    assert statistics.gaussian_factor(0.997) == pytest.approx(2.96774, abs=6e-6)
+    for probability, factor in ((0.95, 2.44775), (0.997, 3.40856), (0.9973, 3.43933)):
+        assert statistics.radial_factor(probability) == pytest.approx(factor, abs=6e-6)

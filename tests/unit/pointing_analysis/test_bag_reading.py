@@ -1,0 +1,315 @@
+"""Every kind of bag is read to the same values; every defect is named."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+import zstandard
+from mcap.writer import Writer
+
+from pointing_analysis import cdr
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.read import Run
+from pointing_analysis.synthetic import DEFINITIONS, encode, write_bag
+from pointing_analysis.topic import on_grid
+
+N = 3000
+
+
+@pytest.fixture(scope="module")
+def signals() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    found = {k: rng.standard_normal((N, 6)) for k in ("isolator/accel", "m1/accel", "m2/accel", "pma/command")}
+    found |= {k: rng.standard_normal((N, 2)) for k in ("fsm/strain_gauge", "los_estimate", "fsm/command", "truth/los")}
+    camera = rng.standard_normal((N // 20, 2))
+    camera[7] = np.nan
+    found["camera/los"] = camera
+    return found
+
+
+def check(run: Run, signals: dict[str, np.ndarray]) -> None:
+    assert set(run.topics) == set(signals)
+    for name, values in signals.items():
+        assert np.array_equal(run[name].values[:, : values.shape[1]], values, equal_nan=True), name
+        assert np.ptp(np.diff(run[name].stamp)) == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": "lz4"},
+        {"compression": "none"},
+        {"index": False},
+        {"chunks": False},
+        {"chunks": False, "index": False},
+        {"chunk_size": 1000},
+        {"namespace": ""},
+        {"namespace": "/lab/telescope_2"},
+    ],
+    ids=str,
+)
+def test_every_layout_of_the_file_gives_the_same_values(tmp_path: Path, signals, options) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, **options)
+    run = Run.open(bag)
+    check(run, signals)
+    assert run.problems == ()
+    check(Run.open(bag / "bag_0.mcap"), signals)
+
+
+def test_equal_to_rosbags(tmp_path: Path, signals) -> None:
+    reader = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
+    store, run = get_typestore(Stores.ROS2_JAZZY), Run.open(bag)
+    efforts, stamps = [], []
+    with reader.Reader(bag) as opened:
+        chosen = [c for c in opened.connections if c.topic == "/telescope/pma/command"]
+        for connection, _, raw in opened.messages(connections=chosen):
+            message = store.deserialize_cdr(raw, connection.msgtype)
+            efforts.append(message.effort)
+            stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+    assert np.array_equal(run["pma/command"].values, efforts)
+    assert np.array_equal(run["pma/command"].stamp, stamps)
+
+
+def test_split_recording_is_one_run(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    los = rng.standard_normal((2000, 2))
+    folder = tmp_path / "split"
+    folder.mkdir()
+    files = []
+    for i in (0, 1):
+        part = write_bag(tmp_path / f"part{i}", {"truth/los": los[1000 * i : 1000 * i + 1000]}, start=10**9 * (i + 1))
+        files.append(f"split_{i}.mcap")
+        (part / f"part{i}_0.mcap").rename(folder / files[i])
+    check(Run.open(folder), {"truth/los": los})  # by name order: no metadata.yaml
+    assert "metadata.yaml" in Run.open(folder).problems[0]
+    info = {"rosbag2_bagfile_information": {"relative_file_paths": files}}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(info))
+    check(Run.open(folder), {"truth/los": los})
+    assert Run.open(folder).problems == ()
+    (folder / files[1]).unlink()
+    assert "split_1.mcap" in Run.open(folder).problems[0]
+
+
+def test_file_wise_and_message_wise_compression(tmp_path: Path, signals) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
+    raw = (bag / "bag_0.mcap").read_bytes()
+    (bag / "bag_0.mcap").unlink()
+    (bag / "bag_0.mcap.zstd").write_bytes(zstandard.compress(raw))
+    text = (bag / "metadata.yaml").read_text().replace("bag_0.mcap", "bag_0.mcap.zstd")
+    (bag / "metadata.yaml").write_text(text)
+    check(Run.open(bag), signals)
+
+    los = signals["truth/los"]
+    folder = tmp_path / "message"
+    folder.mkdir()
+    with (folder / "m_0.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        kind = "geometry_msgs/msg/Vector3Stamped"
+        schema = writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+        channel = writer.register_channel("/telescope/truth/los", "cdr", schema)
+        for i, row in enumerate(los):
+            data = zstandard.compress(encode(kind, 10**9 + 10**6 * i, [*row, 0.0]))
+            writer.add_message(channel, i, data, i)
+        writer.finish()
+    info = {"relative_file_paths": ["m_0.mcap"], "compression_mode": "MESSAGE", "compression_format": "zstd"}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": info}))
+    check(Run.open(folder), {"truth/los": los})
+
+
+@pytest.mark.parametrize("options", [{}, {"chunks": False}, {"compression": "none"}], ids=str)
+@pytest.mark.parametrize("share", [0.95, 0.6, 0.3])
+def test_cut_off_file_gives_what_is_there_and_says_so(tmp_path: Path, signals, options, share) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, **options)
+    file = bag / "bag_0.mcap"
+    raw = file.read_bytes()
+    file.write_bytes(raw[: int(share * len(raw))])
+    run = Run.open(bag)
+    got = run["truth/los"]
+    assert 0.5 * share * N < len(got) <= N
+    assert np.array_equal(got.values[:, :2], signals["truth/los"][: len(got)])
+    assert any("cut off" in problem for problem in run.problems)
+
+
+def test_damaged_chunk_is_left_out_and_named(tmp_path: Path, signals) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, chunk_size=50_000, compression="none")
+    file = bag / "bag_0.mcap"
+    raw = bytearray(file.read_bytes())
+    raw[len(raw) // 2] ^= 0xFF
+    file.write_bytes(raw)
+    run = Run.open(bag)
+    assert any("damaged" in problem for problem in run.problems)
+    assert run["truth/los"].integrity.missing > 0
+
+
+def test_gaps_duplicates_and_disorder_are_counted(tmp_path: Path) -> None:
+    los = np.arange(200.0).reshape(100, 2)
+    start, ms = 10**12, 10**6
+    stamps = start + ms * np.arange(100)
+    stamps[50:] += 5 * ms  # five samples missing
+    stamps[[10, 11]] = stamps[[11, 10]]
+    stamps[70] = stamps[69]
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, stamps={"truth/los": stamps}))
+    topic, state = run["truth/los"], run["truth/los"].integrity
+    assert (state.messages, len(topic)) == (100, 99)
+    assert (state.out_of_order, state.duplicates, state.conflicts) == (1, 1, 1)
+    assert state.missing == 6  # five, and the one whose stamp was overwritten
+    assert state.gaps[0] == (pytest.approx(0.049), 5)
+    assert np.all(np.diff(topic.stamp) > 0)
+    assert topic.values[10, 0] == 22.0  # sorted by stamp: rows 10 and 11 changed places
+
+
+def test_changing_frame_names_do_not_disturb(tmp_path: Path) -> None:
+    """Frame names of other and of equal total length: the layout of the first message does not fit all of them."""
+    kind = "sensor_msgs/msg/JointState"
+    folder = tmp_path / "b"
+    folder.mkdir()
+    rows = np.random.default_rng(2).standard_normal((60, 6))
+    with (folder / "b_0.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+        channel = writer.register_channel("/telescope/pma/command", "cdr", schema)
+        for i, row in enumerate(rows):
+            frame = ["pma", "abcdefg", "a_much_longer_frame_name", "abcde"][i % 4]
+            writer.add_message(channel, i, encode(kind, 10**9 + 10**6 * i, row, frame), i)
+        writer.finish()
+    assert np.array_equal(Run.open(folder)["pma/command"].values, rows)
+
+
+def test_big_endian_payload() -> None:
+    row = [1.5, -2.5, 3.5]
+    data = b"\0\0\0\0" + struct.pack(">iI", 3, 7) + struct.pack(">I", 4) + b"los\0" + struct.pack(">3d", *row)
+    plan = cdr.layout("geometry_msgs/msg/Vector3Stamped", data)
+    stamp, values, fits = cdr.decode(np.frombuffer(data, np.uint8)[None], plan)
+    assert (stamp[0], fits[0]) == (3_000_000_007, True)
+    assert values[0].tolist() == row
+
+
+def test_part_of_a_run(tmp_path: Path, signals) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
+    part = Run.open(bag, start=1.0, stop=1.5)["truth/los"]
+    assert np.array_equal(part.values[:, :2], signals["truth/los"][1000:1500])
+
+
+def test_parameters_and_attachments(tmp_path: Path) -> None:
+    given = {"loop": "fsm+pma", "seed": 3, "tones_rad_s": [1.5, 2.5], "noise": False, "note": "no json {"}
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}, parameters=given))
+    assert dict(run.parameters) == given
+    assert run.title == "fsm+pma"
+
+
+def test_memory_limit(tmp_path: Path, signals) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
+    need = Run.open(bag)["m1/accel"].nbytes
+    run = Run.open(bag, memory_limit=need + 1000)  # topic by topic
+    check(run, signals)
+    small = Run.open(bag, memory_limit=need // 4)
+    with pytest.raises(BagError, match="start= and stop="):
+        small["truth/los"]
+    part = Run.open(bag, memory_limit=need // 4, stop=0.1)
+    assert len(part["truth/los"]) == 100
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------
+
+
+def test_no_such_bag(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="no such bag"):
+        Run.open(tmp_path / "nothing")
+
+
+def test_not_a_bag(tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    file.write_text("hello, this is no bag at all")
+    with pytest.raises(BagError, match="not an MCAP file: expected it to begin with"):
+        Run.open(file)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(BagError, match="found none"):
+        Run.open(tmp_path / "folder")
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(b"")
+    with pytest.raises(BagError, match="got b''"):
+        Run.open(empty)
+
+
+def test_sqlite_bag(tmp_path: Path) -> None:
+    (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0")
+    info = {"rosbag2_bagfile_information": {"relative_file_paths": ["x.db3"]}}
+    (tmp_path / "metadata.yaml").write_text(yaml.safe_dump(info))
+    with pytest.raises(BagError, match="sqlite3"):
+        Run.open(tmp_path)
+
+
+def test_two_plants_in_one_bag(tmp_path: Path) -> None:
+    los = np.random.default_rng(0).standard_normal((100, 2))
+    a = write_bag(tmp_path / "a", {"truth/los": los}, namespace="/one")
+    b = write_bag(tmp_path / "b", {"truth/los": 2 * los}, namespace="/two")
+    (b / "b_0.mcap").rename(a / "b_0.mcap")
+    (a / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match=r"expected one plant; got \['/one', '/two'\]"):
+        Run.open(a)
+    assert np.array_equal(Run.open(a, namespace="/two")["truth/los"].values[:, :2], 2 * los)
+    with pytest.raises(BagError, match="expected namespace one of"):
+        Run.open(a, namespace="/three")
+
+
+def test_two_publishers_on_one_topic(tmp_path: Path) -> None:
+    los = np.random.default_rng(0).standard_normal((200, 2))
+    stamps = 10**9 + 10**6 * np.repeat(np.arange(100), 2)
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, stamps={"truth/los": stamps}))
+    assert run["truth/los"].integrity.conflicts == 100
+    with pytest.raises(BagError, match="two publishers"):
+        on_grid(run["truth/los"])
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_mixed_sampling_rates(tmp_path: Path, order: tuple[int, int]) -> None:
+    steps = 10**6 * np.repeat(order, [600, 400])
+    stamps = 10**9 + np.cumsum(steps)
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((1000, 2))}, stamps={"truth/los": stamps}))
+    with pytest.raises(BagError, match="expected one sampling rate"):
+        on_grid(run["truth/los"])
+
+
+def test_irregular_stamps_and_clock_jump(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    stamps = 10**9 + np.cumsum(rng.integers(500_000, 1_500_000, 1000))
+    run = Run.open(write_bag(tmp_path / "a", {"truth/los": np.zeros((1000, 2))}, stamps={"truth/los": stamps}))
+    with pytest.raises(BagError, match="grid"):
+        on_grid(run["truth/los"])
+    stamps = 10**9 + 10**6 * np.arange(1000)
+    stamps[500:] += 10**15
+    run = Run.open(write_bag(tmp_path / "b", {"truth/los": np.zeros((1000, 2))}, stamps={"truth/los": stamps}))
+    with pytest.raises(BagError, match="clock jumped"):
+        on_grid(run["truth/los"])
+
+
+def test_other_topics_only(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="expected a topic such as /telescope/truth/los; the bag has /telescope/odd"):
+        Run.open(write_bag(tmp_path / "bag", {"odd": np.zeros((5, 2))}))
+
+
+def test_unknown_topic_and_empty_window(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": np.zeros((5, 2))})
+    with pytest.raises(BagError, match="no topic 'camera/los'"):
+        Run.open(bag)["camera/los"]
+    with pytest.raises(BagError, match="expected stop after start"):
+        Run.open(bag, start=2, stop=1)
+
+
+def test_payload_that_is_no_cdr() -> None:
+    with pytest.raises(BagError, match="plain CDR"):
+        cdr.layout("geometry_msgs/msg/Vector3Stamped", b"\x00\x07" + bytes(60))
+    with pytest.raises(BagError, match="too short"):
+        cdr.layout("geometry_msgs/msg/Vector3Stamped", encode("geometry_msgs/msg/Vector3Stamped", 0, [0, 0, 0])[:30])
+    with pytest.raises(BagError, match="expected one of"):
+        cdr.layout("std_msgs/msg/String", bytes(20))

@@ -1,0 +1,255 @@
+"""Requirements are read as written, and no verdict is given that the data do not carry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pointing_analysis import requirements
+from pointing_analysis.read import Run
+from pointing_analysis.requirements import RequirementError, judge, parse
+from pointing_analysis.summary import summarise
+from pointing_analysis.synthetic import write_bag
+
+MAS = np.pi / 648_000_000
+
+
+@pytest.fixture
+def noise_run(tmp_path):
+    """Runs of white noise; the 99.7 % quantile of its radial RPE in 20 ms is about 3.41 sqrt(0.95) sigma."""
+
+    def make(sigma_mas: float = 10.0, seconds: float = 30.0, seed: int = 0, **parameters) -> Run:
+        los = sigma_mas * MAS * np.random.default_rng(seed).standard_normal((round(1000 * seconds), 2))
+        folder = tmp_path / f"{sigma_mas}-{seconds}-{seed}-{len(parameters)}"
+        return Run.open(write_bag(folder, {"truth/los": los}, parameters={"transient_s": 0, **parameters}))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", ("RPE", "", (0.02,), 0.997, 0.95, "temporal")),
+        ("prob( |APE_x| <= 2.5 arcsec ) >= 99.7 % at 0.9 confidence, mixed", ("APE", "x", (), 0.997, 0.9, "mixed")),
+        (
+            "prob(|pde(1 s, 2 min)| < 1 urad) > 0.5 at 50% confidence, ensemble",
+            ("PDE", "", (1, 120), 0.5, 0.5, "ensemble"),
+        ),
+    ],
+)
+def test_text_form(text: str, expected: tuple) -> None:
+    r = parse(text)
+    assert (r.index, r.axis, r.times, r.probability, r.confidence, r.interpretation) == expected
+    assert parse(str(r)) == r
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("RPE below 40 mas", "expected a requirement such as"),
+        ("prob(|XPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", "index one of APE.*got 'XPE'"),
+        ("prob(|RPE| < 40 mas) >= 0.997 at 95 % confidence", r"1 times in RPE\(...\); got 0"),
+        ("prob(|APE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", r"0 times in APE\(...\); got 1"),
+        ("prob(|RPE(20)| < 40 mas) >= 0.997 at 95 % confidence", "time such as '20 ms'; got '20'"),
+        ("prob(|APE| < 40 parsec) >= 0.997 at 95 % confidence", "unit one of"),
+        ("prob(|APE| < 40 mas) >= 99.7 at 95 % confidence", "probability between 0 and 1"),
+        ("prob(|APE| < 40 mas) >= 0.997 at 95 confidence", "confidence between 0 and 1"),
+        ("prob(|APE| < 0 mas) >= 0.997 at 95 % confidence", "positive limit"),
+        ("prob(|APE| < 40 mas) >= 0.997 at 95 % confidence, hopeful", "interpretation one of"),
+    ],
+)
+def test_text_that_cannot_be_understood(text: str, message: str) -> None:
+    with pytest.raises(RequirementError, match=message):
+        parse(text)
+
+
+def test_files(tmp_path) -> None:
+    line = "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence"
+    toml = tmp_path / "r.toml"
+    toml.write_text(f'[[requirement]]\ntext = "{line}"\nname = "A"\nloop = "fsm"\n')
+    yaml = tmp_path / "r.yaml"
+    yaml.write_text(f"requirement:\n  - text: '{line}'\n    name: A\n    loop: [fsm]\n")
+    assert requirements.load(toml) == requirements.load(yaml)
+    assert requirements.load(toml)[0].loops == ("fsm",)
+    for content, message in (
+        ("x = [", "expected TOML or YAML"),
+        ("a = 1", "a list 'requirement'"),
+        ("requirement = [1]", "whose entries have a 'text'"),
+        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "the keys text, name, loop"),
+    ):
+        toml.write_text(content)
+        with pytest.raises(RequirementError, match=message):
+            requirements.load(toml)
+    with pytest.raises(RequirementError, match="cannot be read"):
+        requirements.load(tmp_path / "none.toml")
+
+
+RPE = "prob(|RPE(20 ms)| < {limit} mas) >= 0.997 at 95 % confidence"
+
+
+def test_compliant_not_compliant_and_not_enough(noise_run) -> None:
+    run = noise_run(10.0, 30.0)
+    quantile = 10 * math.sqrt(0.95) * 3.40856
+    good = judge(parse(RPE.format(limit=60)), [run])
+    assert good.status == "compliant"
+    assert good.quantile.value / MAS == pytest.approx(quantile, rel=0.03)
+    assert good.quantile.lower < good.quantile.value < good.quantile.upper < 60 * MAS
+    assert judge(parse(RPE.format(limit=20)), [run]).status == "not compliant"
+    assert judge(parse(RPE.format(limit=34)), [run]).status == "not enough data"
+
+
+def test_too_short_a_run_is_never_compliant_and_says_how_long_it_takes(noise_run) -> None:
+    """998 independent exposures of 20 ms are 19.96 s, however small the error."""
+    verdict = judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 10.0)])
+    assert (verdict.status, verdict.exceeding) == ("not enough data", 0.0)
+    assert verdict.effective == 500
+    assert verdict.seconds_needed == pytest.approx(19.96)
+    assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.9)]).status == "not enough data"
+    assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.98)]).status == "compliant"
+
+
+def test_exceedances_need_the_longer_run(noise_run) -> None:
+    bad = judge(parse(RPE.format(limit=1)), [noise_run(10.0, 0.2)])
+    assert bad.exceeding > 0.9
+    assert bad.status == "not compliant"  # a gross excess needs no long run
+
+
+def test_correlated_samples_count_less(tmp_path) -> None:
+    t = 1e-3 * np.arange(30_000)
+    slow = 10 * MAS * np.column_stack([np.sin(0.3 * t), np.cos(0.3 * t) * 0.5])
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": slow}))
+    verdict = judge(parse("prob(|APE| < 1000 mas) >= 0.997 at 95 % confidence"), [run])
+    assert verdict.status == "not enough data"
+    assert verdict.effective < 100
+    assert verdict.seconds_needed > 300
+
+
+def test_one_axis(tmp_path) -> None:
+    los = MAS * np.random.default_rng(0).standard_normal((30_000, 2)) * [1.0, 100.0]
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}))
+    text = "prob(|APE_{axis}| < 10 mas) >= 0.997 at 95 % confidence"
+    assert judge(parse(text.format(axis="x")), [run]).status == "compliant"
+    assert judge(parse(text.format(axis="y")), [run]).status == "not compliant"
+
+
+def test_drift_mean_and_knowledge_indices(tmp_path) -> None:
+    rng = np.random.default_rng(0)
+    n = 40_000
+    truth = MAS * rng.standard_normal((n, 2))
+    angle = 1e-6 * rng.standard_normal((n, 2))
+    estimate = truth - 0.1 * angle + 5 * MAS * rng.standard_normal((n, 2))
+    signals = {"truth/los": truth, "fsm/strain_gauge": angle, "los_estimate": estimate}
+    run = Run.open(write_bag(tmp_path / "bag", signals))
+    for text, sigma in (
+        ("AKE", 5.0),
+        ("MKE(20 ms)", 5 / math.sqrt(20)),
+        ("RKE(20 ms)", 5 * math.sqrt(0.95)),
+        ("MPE(20 ms)", 1 / math.sqrt(20)),
+        ("PDE(20 ms, 1 s)", math.sqrt(2 / 20)),
+    ):
+        verdict = judge(parse(f"prob(|{text}| < 100 mas) >= 0.95 at 95 % confidence"), [run])
+        assert verdict.status == "compliant", text
+        assert verdict.quantile.value / MAS == pytest.approx(2.44775 * sigma, rel=0.05), text
+
+
+def test_interpretations_over_runs(noise_run) -> None:
+    quiet = [noise_run(10.0, 30.0, seed) for seed in range(3)]
+    loud = noise_run(40.0, 30.0, 9)
+    text = RPE.format(limit=60)
+    assert judge(parse(text), quiet).status == "compliant"
+    assert judge(parse(text), [*quiet, loud]).status == "not compliant"  # temporal: every run
+    assert judge(parse(text + ", mixed"), quiet).status == "compliant"
+    single = judge(parse(text), quiet[:1])
+    pooled = judge(parse(text + ", mixed"), quiet)
+    assert pooled.effective == pytest.approx(3 * single.effective)
+    assert pooled.quantile.upper < 1.05 * single.quantile.upper
+    ensemble = judge(parse(text + ", ensemble"), quiet)
+    assert (ensemble.status, ensemble.samples) == ("not enough data", 3)
+    few = parse("prob(|RPE(20 ms)| < 90 mas) >= 0.3 at 95 % confidence, ensemble")
+    assert judge(few, quiet).status == "compliant"  # three of three: 1 - 0.05 ** (1/3) = 0.63 <= 0.7
+    assert judge(few, quiet[:1]).status == "not judged"
+
+
+def test_what_cannot_be_judged_says_why(noise_run, tmp_path) -> None:
+    run = noise_run(1.0, 1.0)
+    ask = "prob(|{}| < 1 mas) >= 0.9 at 90 % confidence".format
+    for text, message in (
+        (ask("RPE(5 s)"), "longer than the window"),
+        (ask("RPE(20.5 ms)"), "whole number"),
+        (ask("AKE"), "needs the topic los_estimate"),
+        (ask("PDE(1 s, 1 s)"), "window"),
+    ):
+        verdict = judge(parse(text), [run])
+        assert verdict.status == "not judged"
+        assert message in verdict.note
+    blind = Run.open(write_bag(tmp_path / "blind", {"los_estimate": np.zeros((100, 2))}))
+    assert "expected the topic truth/los" in judge(parse(ask("APE")), [blind]).note
+    with pytest.raises(ValueError, match="expected the topic truth/los"):
+        summarise(blind)
+
+
+def test_windows_all_broken_give_no_verdict(tmp_path) -> None:
+    stamps = 10**9 + 10**6 * np.array([i for i in range(3000) if i % 15], dtype=np.int64)
+    los = np.zeros((len(stamps), 2))
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, stamps={"truth/los": stamps}))
+    verdict = judge(parse(RPE.format(limit=10)), [run])
+    assert (verdict.status, "no complete window" in verdict.note) == ("not judged", True)
+
+
+def test_summary_takes_the_requirements_of_the_stage(noise_run) -> None:
+    pma = summarise(noise_run(2.0, 25.0, loop="fsm+pma", mode="inprocess"))
+    assert [v.requirement.name for v in pma.verdicts] == ["APE", "RPE, fine", "RPE, finest"]
+    fsm = summarise(noise_run(2.0, 25.0, 1, loop="fsm"))
+    assert [v.requirement.name for v in fsm.verdicts] == ["APE", "RPE, fine"]
+    figures = pma.as_dict()
+    assert (figures["loop"], figures["mode"], figures["ticks"]) == ("fsm+pma", "inprocess", 25_000)
+    assert set(figures["ape_arcsec"]) == {"max", "p997"}
+    assert set(figures["rpe_mas"]) == {"rms", "p997"}
+
+
+def test_summary_counts_what_was_lost(tmp_path) -> None:
+    n = 2000
+    stamps = 10**9 + 10**6 * np.arange(n)
+    late = np.delete(stamps, [500, 501, 900])
+    signals = {
+        "truth/los": np.zeros((n, 2)),
+        "m1/accel": np.zeros((n - 3, 6)),
+        "fsm/command": np.zeros((n - 50, 2)),
+        "camera/los": np.full((100, 2), np.nan),
+    }
+    given = {"truth/los": stamps, "m1/accel": late, "fsm/command": stamps[:-50], "camera/los": stamps[::20]}
+    run = Run.open(write_bag(tmp_path / "bag", signals, stamps=given))
+    s = summarise(run)
+    assert s.lost_by_topic == {"m1/accel": 3, "fsm/command": 50}
+    assert (s.samples_lost, s.camera_dropped) == (53, 100)
+    assert any("m1/accel: 3 samples missing in 2 gaps" in p for p in s.problems)
+
+
+@pytest.mark.parametrize("n", [0, 1, 15])
+def test_runs_too_short_for_anything(tmp_path, n: int) -> None:
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((n, 2))}))
+    with pytest.raises(ValueError, match="expected at least two samples|only start-up transient"):
+        summarise(run)
+
+
+def test_shorter_than_a_window_gives_the_ape_alone(tmp_path) -> None:
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.full((15, 2), MAS)}))
+    s = summarise(run, transient=0.0)
+    assert s.ape_max == pytest.approx(math.sqrt(2) * 1e-3)
+    assert math.isnan(s.rpe_rms)
+    assert {v.status for v in s.verdicts} == {"not enough data", "not judged"}
+    assert s.as_dict()["rpe_mas"] == {"rms": None, "p997": None}
+
+
+def test_nan_in_the_truth_is_no_zero(tmp_path) -> None:
+    los = MAS * np.random.default_rng(0).standard_normal((3000, 2))
+    los[1500:1510] = np.nan
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}))
+    s = summarise(run)
+    assert s.windows_skipped == 1
+    assert any("10 messages with NaN" in p for p in s.problems)
+    blank = Run.open(write_bag(tmp_path / "blank", {"truth/los": np.full((3000, 2), np.nan)}))
+    with pytest.raises(ValueError, match="every sample is missing or NaN"):
+        summarise(blank)
