@@ -1,0 +1,6 @@
+"""The small telescope of tests/support stands in for the plant."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))

@@ -1,0 +1,122 @@
+"""Bags: readers that others wrote find what was put in."""
+
+import zlib
+
+import numpy as np
+import pytest
+import yaml
+from los_testbed.bag import BagWriter
+from los_testbed.codecs import codec_for
+from los_testbed.topics import PMA_COMMAND, TOPICS, TRUTH_LOS
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def bag(tmp_path):
+    rng = np.random.default_rng(1)
+    stamps = 10**9 + MS * np.arange(300)
+    sent = {topic.path: rng.standard_normal((300, topic.size)) for topic in TOPICS}
+    with BagWriter(tmp_path / "a", {"los_testbed": {"seed": "1"}}, {"k.json": ("application/json", b"{}")}) as w:
+        for first in range(0, 300, 100):
+            for topic in TOPICS:
+                part = slice(first, first + 100)
+                messages = codec_for(topic).encode_many(stamps[part], sent[topic.path][part])
+                w.write(topic.path, stamps[part] + 7, stamps[part], messages)
+            w.end_chunk()
+    return tmp_path / "a", stamps, sent
+
+
+def _numbers(message):
+    if hasattr(message, "effort"):
+        return list(message.effort)
+    if hasattr(message, "vector"):
+        return [message.vector.x, message.vector.y]
+    a = message.accel
+    return [a.linear.x, a.linear.y, a.linear.z, a.angular.x, a.angular.y, a.angular.z]
+
+
+def test_rosbags_reads_every_message_back(bag):
+    path, stamps, sent = bag
+    seen = dict.fromkeys(sent, 0)
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == dict.fromkeys(sent, 300)
+        last = 0
+        for connection, time, raw in reader.messages():
+            assert time >= last
+            last = time
+            message = reader.deserialize(raw, connection.msgtype)
+            k = seen[connection.topic]
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            assert stamp == stamps[k] and time == stamps[k] + 7
+            assert _numbers(message) == sent[connection.topic][k].tolist()
+            seen[connection.topic] += 1
+    assert set(seen.values()) == {300}
+
+
+def test_the_mcap_reader_agrees_and_finds_checksums_index_metadata(bag):
+    path, _, _ = bag
+    with (path / "a_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == 300 * len(TOPICS)
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 3
+        assert all(c.compression == "zstd" for c in summary.chunk_indexes)
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        messages = list(reader.iter_messages(topics=[TRUTH_LOS.path]))
+        assert [m.sequence for _, _, m in messages] == list(range(1, 301))
+        assert reader.get_header().profile == "ros2"
+        assert {m.name: m.metadata for m in reader.iter_metadata()}["los_testbed"] == {"seed": "1"}
+        assert [(a.name, a.data) for a in reader.iter_attachments()] == [("k.json", b"{}")]
+
+
+def test_a_chunk_with_a_flipped_bit_is_noticed(bag):
+    path, _, _ = bag
+    file = path / "a_0.mcap"
+    data = bytearray(file.read_bytes())
+    with file.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[1]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    file.write_bytes(data)
+    with file.open("rb") as stream, pytest.raises(Exception, match=r"(?i)crc|decompress|checksum|corrupt|data"):
+        list(make_reader(stream, validate_crcs=True).iter_messages())
+
+
+def test_metadata_yaml_is_that_of_rosbag2_version_9(bag):
+    path, stamps, _ = bag
+    text = (path / "metadata.yaml").read_text()
+    assert "&id" not in text
+    info = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert info["version"] == 9
+    assert info["storage_identifier"] == "mcap"
+    assert info["relative_file_paths"] == ["a_0.mcap"]
+    assert info["message_count"] == 300 * len(TOPICS)
+    assert info["starting_time"]["nanoseconds_since_epoch"] == stamps[0] + 7
+    assert info["duration"]["nanoseconds"] == stamps[-1] - stamps[0]
+    types = {t["topic_metadata"]["name"]: t["topic_metadata"]["type"] for t in info["topics_with_message_count"]}
+    assert types[PMA_COMMAND.path] == "sensor_msgs/msg/JointState"
+
+
+def test_a_bag_is_never_overwritten(bag):
+    path, _, _ = bag
+    before = zlib.crc32((path / "a_0.mcap").read_bytes())
+    with pytest.raises(ValueError, match="exists already"):
+        BagWriter(path, {})
+    assert zlib.crc32((path / "a_0.mcap").read_bytes()) == before
+
+
+def test_a_place_that_is_no_folder_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="is not a folder"):
+        BagWriter(tmp_path / "file" / "bag", {})
+
+
+def test_an_empty_bag_is_a_bag(tmp_path):
+    BagWriter(tmp_path / "empty", {}).close()
+    with (tmp_path / "empty" / "empty_0.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary.statistics.message_count == 0
+    assert len(summary.channels) == len(TOPICS)

@@ -1,0 +1,113 @@
+"""Samples are joined by stamp, whatever the order in which they come."""
+
+import itertools
+
+import numpy as np
+import pytest
+from los_testbed.codecs import Codec
+from los_testbed.join import HOLD_STAMP, Part, SampleJoin
+from los_testbed.topics import VECTOR3
+
+MS = 1_000_000
+
+
+def make(camera_every=2):
+    codec = Codec(VECTOR3, 2, "f")
+    parts = [
+        Part(codec, slice(0, 2)),
+        Part(codec, slice(2, 4), every=camera_every, nan_allowed=True),
+        Part(codec, slice(4, 6)),
+    ]
+    return SampleJoin(parts, 6)
+
+
+def sample(stamp, value):
+    return bytes(Codec(VECTOR3, 2, "f").encode(stamp, np.array([value, -value])))
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_any_order_gives_the_same_vector(order):
+    join = make()
+    results = [join.put(i, sample(4 * MS, i + 1.0)) for i in order]
+    assert results[:2] == [None, None]
+    assert results[2].tolist() == [1, -1, 2, -2, 3, -3]
+    assert join.stamp == 4 * MS
+
+
+def test_a_part_that_is_not_due_is_nan_and_not_waited_for():
+    join = make()
+    join.put(0, sample(5 * MS, 1.0))
+    row = join.put(2, sample(5 * MS, 3.0))
+    assert np.isnan(row[2:4]).all()
+
+
+def test_a_due_part_is_waited_for():
+    join = make()
+    join.put(0, sample(4 * MS, 1.0))
+    assert join.put(2, sample(4 * MS, 3.0)) is None
+    assert join.waiting
+    assert join.put(1, sample(4 * MS, 2.0)) is not None
+    assert not join.waiting
+
+
+def test_a_dropped_frame_is_a_value_and_other_nan_is_refused():
+    join = make()
+    join.put(0, sample(4 * MS, 1.0))
+    join.put(1, sample(4 * MS, np.nan))
+    assert join.put(2, sample(4 * MS, np.nan)) is None
+    assert join.rejected["not_finite"] == 1
+    assert np.isnan(join.put(2, sample(4 * MS, 3.0))[2:4]).all()
+    join.put(1, sample(6 * MS, np.inf))
+    assert join.rejected["not_finite"] == 2
+
+
+def test_two_ticks_interleaved():
+    join = make()
+    join.put(0, sample(5 * MS, 1.0))
+    join.put(0, sample(7 * MS, 2.0))
+    assert join.put(2, sample(5 * MS, 3.0)).tolist()[0] == 1.0
+    assert join.put(2, sample(7 * MS, 4.0)).tolist()[0] == 2.0
+    assert join.gap == 1
+
+
+def test_a_lost_sample_costs_its_tick_only_and_is_counted():
+    join = make()
+    for stamp in (5, 9):
+        join.put(0, sample(stamp * MS, 1.0))
+        join.put(2, sample(stamp * MS, 1.0))
+    assert join.gap == join.gaps == 3
+    assert join.put(2, sample(7 * MS, 1.0)) is None
+    assert join.rejected["late"] == 1
+
+
+def test_duplicates_and_stamps_off_the_grid_are_refused():
+    join = make()
+    join.put(0, sample(5 * MS, 1.0))
+    join.put(2, sample(5 * MS, 1.0))
+    assert join.put(2, sample(5 * MS, 1.0)) is None
+    assert join.put(2, sample(7 * MS + 1, 1.0)) is None
+    assert join.put(2, b"\x00\x01") is None
+    assert dict(join.rejected) == {"late": 1, "off_grid": 1, "size": 1}
+
+
+def test_a_stamp_from_beyond_the_horizon_is_refused_and_does_no_harm():
+    join = make()
+    join.put(0, sample(5 * MS, 1.0))
+    join.put(2, sample(5 * MS, 1.0))
+    join.horizon = 60 * MS
+    assert join.put(0, sample(7001 * MS, 1.0)) is None
+    assert join.rejected["future"] == 1
+    join.put(0, sample(7 * MS, 1.0))
+    assert join.put(2, sample(7 * MS, 1.0)) is not None
+
+
+def test_holding_starts_anew_even_with_older_stamps():
+    join = make()
+    join.put(0, sample(5 * MS, 1.0))
+    join.put(2, sample(5 * MS, 1.0))
+    for i in range(3):
+        row = join.put(i, sample(HOLD_STAMP, 0.0))
+    assert row is not None and join.stamp == HOLD_STAMP
+    join.put(0, sample(3 * MS, 1.0))
+    assert join.put(2, sample(3 * MS, 1.0)) is not None
+    assert join.gap == 0
