@@ -153,19 +153,15 @@ def _refined(system: StateSpaceData, w: FloatArray) -> ComplexArray | None:
         A, B, C = A.T, C.T, B.T
     values, vectors = linalg.eig(A, check_finite=False)
     try:
-        inverse = linalg.inv(vectors, check_finite=False)
+        inverse = np.asarray(linalg.inv(vectors), dtype=complex)
     except linalg.LinAlgError:
         return None
     parts = []
     for chunk in np.array_split(w, max(1, w.size * B.size // 4_000_000)):
         s = 1j * chunk[:, None, None]
-        weight = 1.0 / (1j * chunk[:, None] - values)
-
-        def solve(right: ComplexArray, weight: ComplexArray = weight) -> ComplexArray:
-            return np.asarray(vectors @ (weight[:, :, None] * (inverse @ right)))
-
-        X = solve(B.astype(complex))
-        X = X + solve(B - (s * X - A @ X))
+        weight = 1.0 / (s - values[:, None])
+        X = vectors @ (weight * (inverse @ B))
+        X = X + vectors @ (weight * (inverse @ (B - (s * X - A @ X))))
         parts.append(C @ X)
     total = np.concatenate(parts)
     return np.asarray((total.swapaxes(1, 2) if transposed else total) + system.D)
@@ -197,7 +193,7 @@ def _agrees(system: StateSpaceData, w: FloatArray, response: ComplexArray, toler
 
 def _balanced(system: StateSpaceData) -> StateSpaceData:
     scaled, (scale, _) = linalg.matrix_balance(system.A, permute=False, separate=True)
-    return replace(system, A=scaled, B=system.B / scale[:, None], C=system.C * scale)
+    return replace(system, A=np.asarray(scaled, dtype=float), B=system.B / scale[:, None], C=system.C * scale)
 
 
 def _direct(system: StateSpaceData, w: FloatArray) -> ComplexArray:

@@ -1,0 +1,263 @@
+"""From a configuration to the telescope in time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joined, no_tones, sadm_tones
+from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS, ComplexArray, SampledPlant, Segment, SensorModel
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
+from uncertain_systems import Port, StateSpaceData, UncertainSystem, connect, state_space
+
+DT = 1e-3
+RAMP_STEP = 0.25
+DISTURBANCES = ("wheel_imbalance", "sadm_torque")
+SCENARIOS = ("design", "imbalance")
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """Physical settings of a run.
+
+    Parameters
+    ----------
+    isolated : bool
+        Payload on its isolator, or hard-mounted.
+    theta : float
+        Angle of both solar arrays [rad].
+    wheel_speed : tuple of 4 floats, optional
+        rad/s; default: the parameter file's.
+    omega_1, omega_2 : float, optional
+        Clamped frequencies of the arrays' first modes [rad/s]; default: nominal.
+    theta_rate : float
+        Rate of the arrays [rad/s] during `ramp_duration`.
+    wheel_acceleration : tuple of 4 floats
+        rad/s2 during `ramp_duration`.
+    ramp_duration : float
+        s; 0: everything is constant.
+    camera_rate : float
+        Frames per second; must divide 1000.
+    camera_dropout : float
+        Probability that a frame is lost.
+    scenario : {"design", "imbalance"}
+        Disturbance, see :mod:`titop_plant.disturbances`.
+    noise, disturbance : bool
+        Switches for the two parts of the error.
+    seed : int
+        Phases of the tones and all noise.
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
+
+    Raises
+    ------
+    ValueError
+        A value out of its range.
+    """
+
+    isolated: bool = True
+    theta: float = 0.0
+    wheel_speed: tuple[float, ...] | None = None
+    omega_1: float | None = None
+    omega_2: float | None = None
+    theta_rate: float = 0.0
+    wheel_acceleration: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    ramp_duration: float = 0.0
+    camera_rate: float = 50.0
+    camera_dropout: float = 0.0
+    scenario: str = "design"
+    noise: bool = True
+    disturbance: bool = True
+    seed: int = 0
+    parameters: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.scenario not in SCENARIOS:
+            raise ValueError(f"unknown scenario {self.scenario!r}, expected one of: {', '.join(SCENARIOS)}")
+        if not 0.0 <= self.camera_dropout <= 1.0:
+            raise ValueError(f"camera_dropout must be a probability in [0, 1], got {self.camera_dropout}")
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+        if not (math.isfinite(self.ramp_duration) and self.ramp_duration >= 0.0):
+            raise ValueError(f"ramp_duration must not be negative, got {self.ramp_duration} s")
+        for name in ("wheel_speed", "wheel_acceleration"):
+            values = getattr(self, name)
+            if values is not None and (len(values) != 4 or not all(map(math.isfinite, values))):
+                raise ValueError(f"{name} must be four finite numbers, got {values}")
+        frame_ticks(self.camera_rate)
+
+    @property
+    def ramps(self) -> bool:
+        """Whether anything varies within the run."""
+        return self.ramp_duration > 0.0 and (self.theta_rate != 0.0 or any(self.wheel_acceleration))
+
+
+def frame_ticks(camera_rate: float) -> int:
+    """Ticks between camera frames.
+
+    Raises
+    ------
+    ValueError
+        The rate does not divide 1 kHz.
+    """
+    ticks = 1.0 / (camera_rate * DT) if camera_rate > 0.0 else 0.0
+    if not (math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks):
+        raise ValueError(f"camera_rate must divide 1000 Hz, got {camera_rate:g} Hz")
+    return round(ticks)
+
+
+def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 0.0) -> dict[str, float]:
+    """Values of the telescope's uncertain parameters at a time [s] of the run."""
+    t = min(time, config.ramp_duration)
+    speed = config.wheel_speed or tuple(parameters["reaction_wheel"]["default_speed"])
+    values = {f"wheel_{i}.speed": s + a * t for i, (s, a) in enumerate(zip(speed, config.wheel_acceleration), start=1)}
+    for i, omega in ((1, config.omega_1), (2, config.omega_2)):
+        if omega is not None:
+            values[f"solar_array.omega_{i}"] = omega
+    values["solar_array.tau"] = math.tan((config.theta + config.theta_rate * t) / 4.0)
+    return values
+
+
+@lru_cache(maxsize=4)
+def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
+    """The assembled telescope of a parameter file (kept for the next call)."""
+    return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
+
+
+def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+    """Add the camera's low-pass F_LOS: output ``camera_los`` from ``los_controlled``; four states."""
+    c0, c1, c2 = parameters["sensors"]["camera_filter"]
+    A = np.kron(np.eye(2), [[0.0, 1.0], [-c2, -c1]])
+    B = np.kron(np.eye(2), [[0.0], [1.0]])
+    C = np.kron(np.eye(2), [[c0, 0.0]])
+    los, camera = system.output_port("los_controlled"), Port("camera_los", 2, "rad")
+    low_pass = state_space(A, B, C, np.zeros((2, 2)), [los], [camera])
+    return connect(
+        {"telescope": system, "camera": low_pass},
+        [
+            *((p.name, f"telescope.{p.name}") for p in system.inputs),
+            ("telescope.los_controlled", "camera.los_controlled"),
+        ],
+        inputs=system.inputs,
+        outputs={**{p.name: f"telescope.{p.name}" for p in system.outputs}, camera.name: "camera.camera_los"},
+    )
+
+
+MEASURED = ("accel_Ip", "accel_M1", "accel_M2", "camera_los", "fsm_angle")
+
+
+def build_plant(config: PlantConfig) -> SampledPlant:
+    """The telescope of a configuration, sampled at 1 kHz.
+
+    The run starts in the steady motion that the disturbance makes without fine control, so that modes
+    of hundreds of seconds need no settling.
+
+    Raises
+    ------
+    ValueError
+        A value out of its range; the message names the parameter.
+    """
+    parameters = load_parameters(config.parameters or REFERENCE)
+    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
+    plant = whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
+    times = [0.0]
+    if config.ramps:
+        times = [RAMP_STEP * i for i in range(math.ceil(config.ramp_duration / RAMP_STEP) + 1)]
+    values = [parameter_values(config, parameters, t) for t in times]
+    numbers = [plant.data_at(v) for v in values]
+    tones = _tones(config, parameters, values[0])
+    speeds = np.array([[v[f"wheel_{i}.speed"] for i in range(1, 5)] for v in values])
+    stretch = round(RAMP_STEP / DT)
+    segments = [sample(data, tones.at_speed(speed, speeds[0]), stretch) for data, speed in zip(numbers, speeds)]
+    return SampledPlant(
+        segments,
+        _steady_state(numbers[0], tones),
+        _sensors(config, parameters),
+        np.r_[np.full(2, parameters["fsm"]["authority"]), np.full(6, parameters["pma"]["authority"])],
+        dt=DT,
+        tones=np.unique(tones.frequency),
+        parameters_hash=_hash(config, parameters),
+    )
+
+
+def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
+    if not config.disturbance:
+        return no_tones()
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(99,)))
+    if config.scenario == "imbalance":
+        speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
+        return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
+    isolated = telescope(config.parameters, True).system["los_controlled", DISTURBANCES]
+    return design_tones(parameters, isolated.data_at(values), rng)
+
+
+def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
+    table = parameters["sensors"]
+    three = np.tile(table["accelerometer_noise"], 3)
+    sigma = np.r_[three, np.full(2, table["camera_noise"]), np.full(2, table["strain_gauge_noise"])]
+    bias = np.r_[np.tile(table["accelerometer_bias"], 3), np.zeros(4)]
+    on = 1.0 if config.noise else 0.0
+    return SensorModel(on * sigma, on * bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
+
+
+def sample(data: StateSpaceData, tones: Tones, ticks: int, dt: float = DT) -> Segment:
+    """Exact sampling: commands held, tones integrated.
+
+    Parameters
+    ----------
+    data : StateSpaceData
+        Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
+    tones : Tones
+    ticks : int
+        Length of the segment.
+    dt : float
+        Sampling period [s].
+    """
+    n, m = data.A.shape[0], COMMANDS
+    whole = np.zeros((n + m, n + m))
+    whole[:n, :n], whole[:n, n:] = data.A * dt, data.B[:, :m] * dt
+    flow = linalg.expm(whole)
+    Ad, Bd = flow[:n, :n], flow[:n, n:]
+    drive = data.B[:, m:] @ tones.amplitude
+    through = data.D[:, m:] @ tones.amplitude
+    turn = np.exp(1j * tones.frequency * dt)
+    G = np.zeros((n, turn.size), complex)
+    eye = np.eye(n)
+    for k, w in enumerate(tones.frequency):
+        G[:, k] = linalg.solve(1j * w * eye - data.A, turn[k] * drive[:, k] - Ad @ drive[:, k])
+    step = np.block([[Ad, Bd, _imaginary_part(G)], [data.C, data.D[:, :m], _imaginary_part(through)]])
+    return Segment(ticks, np.ascontiguousarray(step), turn)
+
+
+def _imaginary_part(factors: ComplexArray) -> FloatArray:
+    """Matrix that gives Im(factors @ p) from the real and imaginary parts of p in turn."""
+    rows, tones = factors.shape
+    result = np.empty((rows, 2 * tones))
+    result[:, 0::2], result[:, 1::2] = factors.imag, factors.real
+    return result
+
+
+def _steady_state(data: StateSpaceData, tones: Tones) -> FloatArray:
+    drive = data.B[:, COMMANDS:] @ tones.amplitude
+    eye = np.eye(data.A.shape[0])
+    state = np.zeros(data.A.shape[0])
+    for k, w in enumerate(tones.frequency):
+        state += linalg.solve(1j * w * eye - data.A, drive[:, k]).imag
+    return state
+
+
+def _hash(config: PlantConfig, parameters: Parameters) -> str:
+    text = json.dumps([parameters_hash(parameters), asdict(config)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+__all__ = ["DT", "MEASURED", "MEASUREMENTS", "PlantConfig", "build_plant", "frame_ticks", "parameter_values"]
