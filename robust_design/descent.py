@@ -53,11 +53,15 @@ class Sample:
     constraint : float
         Largest hard value minus 1; minus infinity without constraints.
     pieces : sequence of pieces
+    barriers : sequence of (margin, gradient)
+        Margins to the border of the domain (negative inside, 0 on it) with gradients (n,): they bound the step, so that
+        a step towards instability is seen before it is tried.
     """
 
     objective: float
     constraint: float
     pieces: tuple[Any, ...]
+    barriers: tuple[tuple[float, FloatArray], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,7 @@ Oracle = Callable[[FloatArray], Sample]
 Watcher = Callable[[int, Sample, float], None]
 
 BELOW = {"accept": 0.05, "good": 0.6}
+KEPT_MARGIN = 0.9  # a step may use this much of the linearised distance to the border of the domain
 FLOOR_PROXIMITY, CEILING_PROXIMITY = 1e-8, 1e14
 
 
@@ -189,7 +194,7 @@ class _State:
         if gained <= BELOW["accept"] * predicted:
             self._accept(trial, found, lam, d, gained / predicted)
             return "" if not self._slow(level) else self._enrich()
-        self._reject(found, trial, d)
+        self._reject(found, trial, lam, d)
         return ""
 
     def _worth_more(self, offsets: FloatArray, G: FloatArray, level: float) -> bool:
@@ -204,6 +209,10 @@ class _State:
         f, c = self.sample.objective, max(self.sample.constraint, 0.0)
         offsets = [(p.value - 1.0 - c) if p.hard else (p.value - f - c) for p in self.sample.pieces]
         gradients = [p.gradient * self._scale for p in self.sample.pieces]
+        level = max(abs(f), c) if np.isfinite(f) else 1.0
+        for margin, slope in self.sample.barriers:
+            offsets.append(-KEPT_MARGIN * level)
+            gradients.append(slope * self._scale * (level / max(-margin, 1e-300)))
         for value, slope, at, hard in self._planes:
             shift = (self.x - at) / self._scale
             here = value + slope @ shift - ((1.0 + c) if hard else (f + c))
@@ -241,11 +250,12 @@ class _State:
         elif ratio < 0.25:
             self._proximity *= 2.0
 
-    def _reject(self, found: Sample, trial: FloatArray, d: FloatArray) -> None:
+    def _reject(self, found: Sample, trial: FloatArray, lam: FloatArray, d: FloatArray) -> None:
         self._rejected += 1
         if not np.isfinite(found.objective):
             self._proximity = max(self._proximity, 1e-6) * 10.0
             return
+        self._learn(found, lam, d)
         for hard in (False, True):
             own = sorted((p for p in found.pieces if p.hard is hard), key=lambda p: -p.value)
             self._planes += [(p.value, p.gradient * self._scale, trial, hard) for p in own[:3]]

@@ -103,9 +103,10 @@ class LoopGains:
         if len(sizes) == 0:
             sizes = np.array([1.0])
         grid = refined_grid(every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade)
+        above = np.geomspace(grid[-1], 100.0 * grid[-1], per_decade)[1:]
         # at a pole in the origin the open loop has no value: the closed loop's limit is taken a little above
         at_origin = np.any(np.abs(every) <= 1e-9)
-        return np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], grid, [np.inf]])
+        return np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], grid, above, [np.inf]])
 
     def _arrays(self, omega: FloatArray) -> _Arrays:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -190,6 +191,9 @@ class LoopGains:
             top = float(gains.max())
             places = _local_maxima(gains, max(band * top, min(floor, top)))[:most]
             at, value = self._refined(omega, gains, places, gain_matrix, order, i)
+            if gradients:
+                also = _shoulders(gains, band * top, places)
+                at, value = np.concatenate([at, omega[also]]), np.concatenate([value, gains[also]])
             found.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
         return found
 
@@ -201,7 +205,10 @@ class LoopGains:
         gap = np.minimum(np.abs(grid[place] - light.imag), np.abs(light.imag - grid[place - 1]))
         missing = light[gap > 0.4 * np.abs(light.real)]
         steps = np.array([-1.0, -0.4, 0.0, 0.4, 1.0])
-        new = np.unique((missing.imag[:, None] + steps * np.abs(missing.real)[:, None]).ravel())
+        near = (missing.imag[:, None] + steps * np.abs(missing.real)[:, None]).ravel()
+        size = np.abs(poles)
+        far = size[(size > grid[-2]) | ((size < grid[1]) & (size > 0))]
+        new = np.unique(np.concatenate([near, (far[:, None] * np.array([0.3, 0.6, 1.0, 1.7, 3.0])).ravel()]))
         return np.setdiff1d(new[new > 0], grid)
 
     def _refined(
@@ -299,6 +306,18 @@ def _local_maxima(gains: FloatArray, level: float) -> NDArray[np.intp]:
     top = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (gains >= level)
     places = np.flatnonzero(top)
     return places[np.argsort(-gains[places], kind="stable")]
+
+
+def _shoulders(gains: FloatArray, level: float, peaks: NDArray[np.intp], most: int = 10) -> NDArray[np.intp]:
+    """Grid points above `level` beside the peaks (Apkarian and Noll's extended set of frequencies).
+
+    Each is a lower bound of the norm in its own right; with them a step sees a peak that would grow beside the present
+    one, most of all at zero frequency.
+    """
+    high = np.setdiff1d(np.flatnonzero(gains >= level), peaks)
+    if len(high) > most:
+        high = high[np.unique(np.linspace(0, len(high) - 1, most).astype(int))]
+    return high
 
 
 def _trial_points(x: FloatArray, y: FloatArray, step: int) -> FloatArray:

@@ -138,6 +138,19 @@ def pole_gradients(
     return np.array(found, dtype=complex), gradients
 
 
+def stability_barriers(loop: ClosedLoop, most: int = 6) -> list[tuple[float, FloatArray]]:
+    """Real parts of the stable poles that a small change of K brings to the axis soonest, with real gradients."""
+    values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
+    upper = np.flatnonzero(values.imag >= 0)
+    W, V = loop.left.T @ left[:, upper].conj(), loop.right @ right[:, upper]
+    scale = np.sum(left[:, upper].conj() * right[:, upper], axis=0)
+    scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
+    reach = sl.norm(W, axis=0) * sl.norm(V, axis=0) / np.abs(scale)
+    order = np.argsort(values[upper].real / np.maximum(reach, 1e-300))[::-1][:most]
+    margins = values[upper].real
+    return [(float(margins[i]), np.real(np.outer(W[:, i], V[:, i]) / scale[i])) for i in order if reach[i] > 0]
+
+
 def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:
     """H2 norm of a stable closed loop with D = 0, and its gradient with respect to the gain matrix.
 

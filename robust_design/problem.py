@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robust_design.gains import LoopGains
-from robust_design.loop import ExtendedPlant, extended_plant, h2_value, pole_gradients, poles
+from robust_design.loop import ExtendedPlant, extended_plant, h2_value, pole_gradients, poles, stability_barriers
 from robust_design.model import Model
 from robust_design.requirements import (
     ClosedLoopPoles,
@@ -64,12 +64,15 @@ class Evaluation:
         Frequencies [rad/s] of the values.
     pieces : tuple of Piece
         Everything active or nearly so.
+    barriers : tuple of (margin, gradient)
+        Real parts [rad/s] of the closed-loop poles that reach the axis soonest, with their gradients.
     """
 
     abscissa: float
     values: FloatArray
     places: FloatArray
     pieces: tuple[Piece, ...]
+    barriers: tuple[tuple[float, FloatArray], ...] = ()
 
 
 class Problem:
@@ -209,7 +212,13 @@ class Problem:
                 values[piece.requirement, piece.model] = piece.value
                 places[piece.requirement, piece.model] = piece.place
         kept = _active(pieces, band) if gradients else ()
-        return Evaluation(max(float(s.real.max()) for s in spectra), values, places, tuple(kept))
+        abscissa = max(float(s.real.max()) for s in spectra)
+        barriers = tuple(self._barriers(x, K)) if gradients else ()
+        return Evaluation(abscissa, values, places, tuple(kept), barriers)
+
+    def _barriers(self, x: FloatArray, K: FloatArray) -> list[tuple[float, FloatArray]]:
+        found = [pair for plant in self._bare for pair in stability_barriers(plant.closed(K))]
+        return [(margin, _pulled(self.structure, x, gradient)) for margin, gradient in found]
 
     def _gain_pieces(
         self, x: FloatArray, K: FloatArray, k: int, spectrum: ComplexArray, band: float, gradients: bool

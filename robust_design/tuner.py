@@ -77,7 +77,7 @@ class TuningOptions:
     iterations: int = 300
     tolerance: float = 1e-3
     target: float = -np.inf
-    band: float = 0.7
+    band: float = 0.3
     progress: bool = False
 
     def __post_init__(self) -> None:
@@ -275,7 +275,7 @@ def _sample(problem: Problem, evaluation: Evaluation) -> Sample:
     soft, hard = worst_values(problem, evaluation)
     if not np.isfinite(soft) and soft < 0:
         soft = 0.0  # only hard requirements: any feasible point is optimal
-    return Sample(soft, hard - 1.0, evaluation.pieces)
+    return Sample(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)
 
 
 def _status(found: Descent, hard: float) -> str:
