@@ -230,7 +230,7 @@ def test_summary_counts_what_was_lost(tmp_path) -> None:
 @pytest.mark.parametrize("n", [0, 1, 15])
 def test_runs_too_short_for_anything(tmp_path, n: int) -> None:
     run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((n, 2))}))
-    with pytest.raises(ValueError, match="expected at least two samples|only start-up transient"):
+    with pytest.raises(ValueError, match=r"expected at least two samples|only start-up transient"):
         summarise(run)
 
 

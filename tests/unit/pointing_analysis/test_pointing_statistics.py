@@ -32,7 +32,7 @@ def test_samples_needed_is_the_smallest_number(p: float, c: float, k: int) -> No
     assert statistics.exceedance_upper(k, n, c) <= 1 - p < statistics.exceedance_upper(k, n - 1, c)
 
 
-def test_order_statistic_bounds_against_the_binomial(seed: int = 0) -> None:
+def test_order_statistic_bounds_against_the_binomial() -> None:
     """The bound is the smallest order statistic that lies above the quantile with the stated probability."""
     x = np.arange(2000.0)
     q = statistics.quantile(x, 0.99, 0.95, effective=2000)

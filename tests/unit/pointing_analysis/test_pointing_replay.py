@@ -1,0 +1,172 @@
+"""The replay is the recording again, bit by bit, or says where it is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pointing_analysis import replay
+from pointing_analysis.read import Run
+from pointing_analysis.synthetic import write_bag
+
+N, FRAME = 2000, 20
+START, MS = 1_700_000_000 * 10**9, 10**6
+
+
+class Observer:
+    """First-order observer with memory that holds the last camera frame."""
+
+    def __init__(self, pole: float = 0.99) -> None:
+        self.pole = pole
+        self.reset()
+
+    def reset(self) -> None:
+        self.x, self.camera = np.zeros(2), np.zeros(2)
+
+    def step(self, measurement: np.ndarray, out: np.ndarray) -> None:
+        frame = measurement[18:20]
+        if np.isfinite(frame).all():
+            self.camera = frame - 0.1 * measurement[20:22]
+        drive = measurement[0:2] + 0.3 * measurement[6:8] - 0.7 * measurement[12:14]
+        self.x = self.pole * self.x + (1 - self.pole) * self.camera + 1e-3 * drive
+        out[:] = self.x
+
+
+class Law:
+    """Mirror law and a filtered force."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self.f = np.zeros(6)
+
+    def step(self, los_estimate: np.ndarray, accel_Ip: np.ndarray, out: np.ndarray) -> None:
+        self.f = 0.9 * self.f + accel_Ip / 3
+        out[:2] = -los_estimate / 0.1
+        out[2:] = self.f
+
+
+def record(path: Path, missed: tuple[int, ...] = (), drop: tuple[int, ...] = ()) -> Path:
+    """Record a loop of the two cores the way the nodes run it: ticks in `missed` are not seen by them at all."""
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal((N, 22))
+    frames = np.arange(N) % FRAME == 0
+    y[~frames, 18:20] = np.nan
+    for tick in drop:
+        y[tick, 18:20] = np.nan
+    observer, law = Observer(), Law()
+    estimate, command, held = np.zeros((N, 2)), np.zeros((N, 8)), np.zeros(22)
+    held[18:20] = np.nan
+    out, u = np.zeros(2), np.zeros(8)
+    gap, done = 0, np.array([i not in missed for i in range(N)])
+    last = np.zeros(8)
+    for i in range(N):
+        if not done[i]:
+            gap += 1
+            continue
+        for _ in range(gap if gap <= replay.GAP_LIMIT else 0):
+            observer.step(held, out)
+            law.step(last[:2], last[2:], u)
+        gap = 0
+        observer.step(y[i], out)
+        law.step(out, y[i, :6], u)
+        estimate[i], command[i] = out, u
+        held[:18], held[20:] = y[i, :18], y[i, 20:]
+        last[:2], last[2:] = out, y[i, :6]
+    stamps = START + MS * np.arange(N)
+    signals = {name: y[:, columns] for name, columns in replay.MEASUREMENT.items()}
+    signals["camera/los"] = y[frames, 18:20]
+    signals["los_estimate"] = estimate[done]
+    signals |= {name: command[done][:, columns] for name, columns in replay.COMMAND.items()}
+    signals["truth/los"] = 1e-6 * rng.standard_normal((N, 2))
+    given = dict.fromkeys(replay.MEASUREMENT, stamps)
+    given |= {"camera/los": stamps[frames], "truth/los": stamps}
+    given |= dict.fromkeys(("los_estimate", *replay.COMMAND), stamps[done])
+    return write_bag(path, signals, stamps=given, start=START)
+
+
+@pytest.mark.parametrize(
+    ("missed", "drop"),
+    [((), ()), ((), (40, 60)), ((500,), ()), (tuple(range(700, 703)), (40,)), (tuple(range(300, 380)), ())],
+    ids=["clean", "dropped frames", "a missed tick", "missed ticks", "a long stall"],
+)
+def test_replay_is_the_recording_bit_by_bit(tmp_path: Path, missed, drop) -> None:
+    run = Run.open(record(tmp_path / "bag", missed, drop))
+    replayed = replay.replay(run, Observer(), Law())
+    comparison = replay.compare(run, replayed)
+    assert comparison.identical, str(comparison)
+    assert {d.topic for d in comparison.differences} == {"los_estimate", "fsm/command", "pma/command"}
+    assert f"on {N - len(missed)} ticks" in str(comparison)
+
+
+def test_replay_starts_from_the_zero_state(tmp_path: Path) -> None:
+    run = Run.open(record(tmp_path / "bag"))
+    observer, law = Observer(), Law()
+    first = replay.replay(run, observer, law)
+    second = replay.replay(run, observer, law)
+    assert np.array_equal(first.estimate, second.estimate)
+    assert np.array_equal(first.command, second.command)
+
+
+def test_one_bit_is_noticed(tmp_path: Path) -> None:
+    run = Run.open(record(tmp_path / "bag"))
+    replayed = replay.replay(run, Observer(), Law())
+    changed = replayed.estimate.copy()
+    changed[1234, 1] = np.nextafter(changed[1234, 1], np.inf)
+    altered = replay.Replayed(replayed.stamp, changed, replayed.command_stamp, replayed.command)
+    comparison = replay.compare(run, altered)
+    assert not comparison.identical
+    wrong = next(d for d in comparison.differences if d.topic == "los_estimate")
+    assert (wrong.different, wrong.first) == (1, pytest.approx(1.234))
+    assert "1 of 2000 ticks differ" in str(comparison)
+
+
+def test_another_observer_differs_and_has_its_own_knowledge_error(tmp_path: Path) -> None:
+    run = Run.open(record(tmp_path / "bag"))
+    other = replay.replay(run, Observer(pole=0.5), Law())
+    comparison = replay.compare(run, other)
+    assert [d.topic for d in comparison.differences if d.identical] == ["pma/command"]
+    own = replay.knowledge(run, replay.replay(run, Observer(), Law()), transient=0.2)
+    assert replay.knowledge(run, other, transient=0.2).rms > 1.5 * own.rms
+
+
+def test_bag_that_lacks_a_sensor_sample_is_not_identical(tmp_path: Path) -> None:
+    bag = record(tmp_path / "whole")
+    whole = Run.open(bag)
+    signals = {name: np.array(whole[name].values) for name in whole.topics}
+    stamps = {name: np.array(whole[name].stamp) for name in whole.topics}
+    signals["m1/accel"], stamps["m1/accel"] = (
+        np.delete(x, 800, axis=0) for x in (signals["m1/accel"], stamps["m1/accel"])
+    )
+    run = Run.open(write_bag(tmp_path / "less", signals, stamps=stamps))
+    comparison = replay.compare(run, replay.replay(run, Observer(), Law()))
+    assert not comparison.identical
+    assert comparison.incomplete == 1
+
+
+def test_sensors_alone_are_enough_to_drive_the_cores(tmp_path: Path) -> None:
+    whole = Run.open(record(tmp_path / "whole"))
+    names = [*replay.MEASUREMENT]
+    signals = {name: whole[name].values for name in names}
+    stamps = {name: whole[name].stamp for name in names}
+    run = Run.open(write_bag(tmp_path / "sensors", signals, stamps=stamps))
+    replayed = replay.replay(run, Observer(), Law())
+    assert np.array_equal(replayed.estimate, whole["los_estimate"].values[:, :2])
+    assert "neither estimates nor commands" in str(replay.compare(run, replayed))
+
+
+def test_missing_sensor_topic(tmp_path: Path) -> None:
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}))
+    with pytest.raises(ValueError, match="a replay needs the topic isolator/accel"):
+        replay.replay(run, Observer(), Law())
+
+
+def test_progress_is_told(tmp_path: Path) -> None:
+    run = Run.open(record(tmp_path / "bag"))
+    seen: list[tuple[int, int]] = []
+    replay.replay(run, Observer(), Law(), progress=lambda done, total: seen.append((done, total)))
+    assert seen[0] == (0, 2 * N)
+    assert seen[-1] == (2 * N, 2 * N)

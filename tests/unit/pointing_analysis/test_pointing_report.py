@@ -1,0 +1,299 @@
+"""The report: same bag, same bytes; nothing from outside; readable on a telephone, on a desk, on paper, by keyboard."""
+
+from __future__ import annotations
+
+import base64
+import html.parser
+import re
+import shutil
+from pathlib import Path
+
+import headless_browser
+import numpy as np
+import pytest
+
+from pointing_analysis import requirements
+from pointing_analysis.read import Run
+from pointing_analysis.report import labels, latency_us, overall, render, write_report
+from pointing_analysis.summary import summarise
+from pointing_analysis.synthetic import write_bag
+
+MAS = np.pi / 648_000_000
+STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
+
+
+def make(path: Path, loop: str, scale: float, n: int = 6000, **parameters) -> Path:
+    rng = np.random.default_rng(len(loop))
+    t = 1e-3 * np.arange(n)
+    tones = [88.0, 210.0]
+    truth = sum(scale * MAS * np.column_stack([np.sin(w * t), np.cos(w * t)]) for w in tones)
+    truth += MAS * rng.standard_normal((n, 2))
+    command = -10 * truth
+    signals = {
+        "truth/los": truth,
+        "los_estimate": truth,
+        "fsm/strain_gauge": np.zeros((n, 2)),
+        "isolator/accel": rng.standard_normal((n, 6)),
+        "fsm/command": command,
+        "pma/command": rng.standard_normal((n, 6)),
+        "camera/los": truth[::20],
+    }
+    given = {"loop": loop, "mode": "inprocess", "scenario": "design", "seed": 1, "tones_rad_s": tones, **parameters}
+    return write_bag(path, signals, periods={"camera/los": 20}, parameters=given)
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("stages")
+    return [make(folder / loop, loop, scale) for loop, scale in STAGES.items()]
+
+
+@pytest.fixture(scope="module")
+def page(stages, tmp_path_factory) -> Path:
+    return write_report([Run.open(bag) for bag in stages], tmp_path_factory.mktemp("report") / "four.html")
+
+
+class Outline(html.parser.HTMLParser):
+    """Collects what a reader without eyes or network depends on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.sources: list[str] = []
+        self.alts: list[str | None] = []
+        self.headings: list[int] = []
+        self.open: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        if "id" in found:
+            self.ids.append(str(found["id"]))
+        for key in ("src", "href"):
+            if key in found:
+                (self.links if str(found[key]).startswith("#") else self.sources).append(str(found[key]))
+        if tag == "img":
+            self.alts.append(found.get("alt"))
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        if tag not in ("meta", "link", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def outline(path: Path) -> Outline:
+    found = Outline()
+    found.feed(path.read_text())
+    assert found.open == []
+    return found
+
+
+def test_same_bag_same_bytes(stages, page, tmp_path) -> None:
+    again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html")
+    assert again.read_bytes() == page.read_bytes()
+    moved = shutil.copytree(stages[3], tmp_path / stages[3].name)
+    assert render([Run.open(moved)]) == render([Run.open(stages[3])])
+
+
+def test_nothing_comes_from_outside(page) -> None:
+    found = outline(page)
+    assert all(source.startswith("data:") for source in found.sources)
+    assert "<script" not in page.read_text()
+    assert "http" not in re.sub(r'"data:[^"]*"', "", page.read_text())
+
+
+def test_pictures_have_texts_and_are_svg(page) -> None:
+    found = outline(page)
+    pictures = [s for s in found.sources if len(s) > 10]
+    assert len(pictures) == len(found.alts) == 7
+    assert all(alt and len(alt) > 20 for alt in found.alts)
+    for source in pictures:
+        svg = base64.b64decode(source.split(",", 1)[1])
+        assert svg.startswith(b"<?xml")
+        assert b"<date>" not in svg.lower()
+        assert b"dc:date" not in svg
+
+
+def test_headings_ids_and_links(page) -> None:
+    found = outline(page)
+    assert len(set(found.ids)) == len(found.ids)
+    assert all(link[1:] in found.ids for link in found.links)
+    assert found.headings[0] == 1
+    assert found.headings.count(1) == 1
+
+
+def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
+    text = page.read_text()
+    assert text.index('class="status') < text.index('id="requirements"')
+    cards = re.findall(r'<article class="card (\w+)">\s*<h3>([^<]*)</h3>', text)
+    assert [name for _, name in cards] == [*STAGES]
+    for bag, (css, _) in zip(stages, cards):
+        status = overall(summarise(Run.open(bag)).verdicts)
+        assert css == {"compliant": "ok", "not compliant": "bad"}.get(status, "open")
+    assert "not compliant" in text
+
+
+def test_disturbance_lines_and_provenance_are_in_the_page(page) -> None:
+    text = " ".join(outline(page).text)
+    assert "88.00" in text and "210.00" in text
+    assert "SHA-256 of the bag" in text and "inprocess" in text
+    assert "simulated times only" in text
+
+
+def test_text_from_a_bag_is_not_markup(tmp_path) -> None:
+    run = Run.open(make(tmp_path / "bag", "<img src=x onerror=alert(1)>", 5.0, note="<script>alert(2)</script>"))
+    page = render([run])
+    assert "<script" not in page
+    assert "<img src=x" not in page
+
+
+def test_timing_histograms_of_a_real_time_bag(tmp_path, monkeypatch) -> None:
+    """Messages that know when they were sent give tick intervals and the latency from sensor to command."""
+    from mcap.writer import Writer
+
+    rng = np.random.default_rng(0)
+    original = Writer.add_message
+
+    def sent(self, channel_id, log_time, data, publish_time, sequence=0):
+        late = 200_000 if channel_id == 2 else 0
+        original(self, channel_id, log_time, data, publish_time + late + int(rng.integers(0, 30_000)), sequence)
+
+    monkeypatch.setattr(Writer, "add_message", sent)
+    n = 3000
+    truth = MAS * rng.standard_normal((n, 2))
+    signals = {"isolator/accel": np.zeros((n, 6)), "fsm/command": np.zeros((n, 2)), "truth/los": truth}
+    run = Run.open(write_bag(tmp_path / "bag", signals, parameters={"loop": "fsm"}))
+    assert np.median(latency_us(run)) == pytest.approx(200, abs=5)
+    page = render([run])
+    assert "Tick intervals" in page
+    assert "Sensor to command" in page
+
+
+def test_labels_are_unique(stages) -> None:
+    runs = [Run.open(bag) for bag in stages]
+    assert labels(runs) == tuple(STAGES)
+    assert len(set(labels([runs[0], runs[0]]))) == 2
+
+
+def test_requirements_over_several_runs_are_judged_once(stages) -> None:
+    wanted = [requirements.parse("prob(|RPE(20 ms)| < 40 mas) >= 0.5 at 95 % confidence, mixed")]
+    page = render([Run.open(bag) for bag in stages], wanted=wanted)
+    assert page.count('data-label="Requirement"') == 1
+    assert "all runs" in page
+
+
+def test_bad_input(stages, tmp_path) -> None:
+    with pytest.raises(ValueError, match="at least one run"):
+        write_report([], tmp_path / "x.html")
+    with pytest.raises(ValueError, match="existing folder"):
+        write_report([Run.open(stages[0])], tmp_path / "no" / "x.html")
+    blind = Run.open(write_bag(tmp_path / "blind", {"los_estimate": np.zeros((100, 2))}))
+    with pytest.raises(ValueError, match="truth/los"):
+        write_report([blind], tmp_path / "x.html")
+    assert not list(tmp_path.glob("*.html"))
+
+
+def test_short_run_has_a_page_that_says_what_is_missing(tmp_path) -> None:
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.full((15, 2), MAS)}))
+    page = render([run], transient=0.0)
+    assert "not judged" in page
+    tiny = Run.open(write_bag(tmp_path / "tiny", {"truth/los": np.full((5, 2), MAS)}))
+    assert "No spectrum for tiny" in render([tiny], transient=0.0)
+
+
+# -- in a real browser -------------------------------------------------------------------------------------------
+
+needs_browser = pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with headless_browser.Page() as found:
+        yield found
+
+
+@needs_browser
+@pytest.mark.parametrize(("width", "phone"), [(390, True), (320, True), (1280, False), (1920, False)])
+def test_fits_the_window_without_errors(chromium, page, width: int, phone: bool) -> None:
+    chromium.open(page, width, phone=phone)
+    assert chromium.value("document.documentElement.scrollWidth") <= width
+    assert chromium.value("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    small = "[...document.querySelectorAll('p, td, dd, dt, li, summary, a')]"
+    assert chromium.value(f"Math.min(...{small}.map(e => parseFloat(getComputedStyle(e).fontSize)))") >= 12
+    assert chromium.errors == []
+    assert [u for u in chromium.requests if not u.startswith(("file:", "data:", "about:"))] == []
+
+
+@needs_browser
+def test_nothing_overlaps_or_leaves_its_box(chromium, page) -> None:
+    for width in (390, 1280):
+        chromium.open(page, width, phone=width < 500)
+        wide = "[...document.querySelectorAll('.card, figure, .card *')].filter(e => e.scrollWidth > e.clientWidth + 1"
+        assert (
+            chromium.value(f"{wide} && getComputedStyle(e).display != 'inline').map(e => e.outerHTML.slice(0, 80))")
+            == []
+        )
+
+
+@needs_browser
+def test_keyboard_reaches_links_tables_and_details(chromium, page) -> None:
+    chromium.open(page, 1280)
+    seen = []
+    for _ in range(25):
+        chromium.press("Tab", 9)
+        seen.append(chromium.value("document.activeElement.tagName + '.' + document.activeElement.className"))
+        if not seen[-1].startswith("BODY"):  # whoever has the focus shows it
+            assert chromium.value("getComputedStyle(document.activeElement).outlineStyle") in ("solid", "auto")
+    assert seen[0] == "A.skip"
+    assert any(s == "DIV.scroll" for s in seen)
+    assert sum(s.startswith("SUMMARY") for s in seen) >= 8
+    chromium.value("document.querySelector('summary').focus()")
+    before = chromium.value("document.querySelector('details').open")
+    chromium.press("Enter", 13)
+    chromium.call("Input.dispatchKeyEvent", type="char", text="\r", key="Enter")
+    assert chromium.value("document.querySelector('details').open") is not before
+
+
+@needs_browser
+def test_contrast_of_all_text_is_enough(chromium, page) -> None:
+    """WCAG AA: 4.5 to 1 for text, against the nearest painted background."""
+    chromium.open(page, 1280)
+    script = """(() => {
+      const lum = c => { const v = c.map(x => (x /= 255) <= 0.03928 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
+                         return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; };
+      const rgb = s => s.match(/[\\d.]+/g).map(Number);
+      let worst = 99;
+      for (const e of document.querySelectorAll('h1,h2,h3,p,td,th,dt,dd,li,a,span,summary,figcaption')) {
+        let b = e, back = [255, 255, 255];
+        for (; b; b = b.parentElement) {
+          const c = rgb(getComputedStyle(b).backgroundColor);
+          if (c.length < 4 || c[3] > 0) { back = c; break; }
+        }
+        const a = lum(rgb(getComputedStyle(e).color)), z = lum(back);
+        worst = Math.min(worst, (Math.max(a, z) + 0.05) / (Math.min(a, z) + 0.05));
+      }
+      return worst; })()"""
+    assert chromium.value(script) >= 4.5
+
+
+@needs_browser
+def test_prints_with_everything_unfolded(chromium, page) -> None:
+    chromium.open(page, 1280)
+    pdf = chromium.pdf()
+    assert pdf.startswith(b"%PDF")
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 14
+    chromium.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        hidden = (
+            "[...document.querySelectorAll('details table')].filter(t => t.getBoundingClientRect().height < 10).length"
+        )
+        assert chromium.value(hidden) == 0
+        assert chromium.value("getComputedStyle(document.querySelector('nav')).display") == "none"
+    finally:
+        chromium.call("Emulation.setEmulatedMedia", media="")
