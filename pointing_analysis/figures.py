@@ -162,7 +162,7 @@ def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
     tones = sorted({round(line.omega / (2 * np.pi), 6) for view in views for line in view.tones})
     for i, tone in enumerate(tones):
         axis.axvline(
-            tone, color="#999999", lw=0.6, ls=":", zorder=0, label="disturbance lines" if i == 0 else "_nolegend_"
+            tone, color="#777777", lw=0.7, ls=":", zorder=0, label="disturbance lines" if i == 0 else "_nolegend_"
         )
 
 

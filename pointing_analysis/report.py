@@ -64,7 +64,7 @@ def digits(value: float, places: int = 3) -> str:
         return "–"
     if math.isinf(value):
         return "no bound yet"
-    return f"{value:,.0f}".replace(",", "\u2009") if abs(value) >= 1000 else f"{value:.{places}g}"
+    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1000 else f"{value:.{places}g}"
 
 
 def _css(status: str) -> str:
@@ -242,13 +242,13 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
         "figures": [
             ("APE max", f"{digits(s.ape_max)} arcsec"),
             ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
-            ("RPE rms, 20 ms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 %, 20 ms", f"{digits(s.rpe_p997)} mas"),
+            ("RPE rms", f"{digits(s.rpe_rms)} mas"),
+            ("RPE 99.7 %", f"{digits(s.rpe_p997)} mas"),
         ],
         "knowledge": s.knowledge
         and [
             ("AKE 99.7 %", f"{digits(s.knowledge.ake_p997_arcsec)} arcsec"),
-            ("RKE rms, 20 ms", f"{digits(s.knowledge.rke_rms_mas)} mas"),
+            ("RKE rms", f"{digits(s.knowledge.rke_rms_mas)} mas"),
         ],
         "data": (
             f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "

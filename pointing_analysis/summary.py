@@ -148,7 +148,7 @@ def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
     _add_ends(lost, problems, stamps)
     dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
     if dropped:
-        problems.append(f"camera/los: {dropped} frames dropped (NaN)")
+        problems.append(f"camera/los: {dropped} {'frame' if dropped == 1 else 'frames'} dropped (NaN)")
     return {k: v for k, v in lost.items() if v}, problems, dropped
 
 
