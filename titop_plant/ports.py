@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from uncertain_systems import Port
 
-TWIST_UNIT = "m/s2,rad/s2"
-WRENCH_UNIT = "N,Nm"
+TWIST_UNIT = ",".join(["m/s2"] * 3 + ["rad/s2"] * 3)
+WRENCH_UNIT = ",".join(["N"] * 3 + ["Nm"] * 3)
+IMBALANCE_UNIT = ",".join(["N"] * 3 + ["Nm"] * 2)
 
 
 def accel(point: str) -> Port:
@@ -30,4 +31,4 @@ def angle(point: str) -> Port:
 
 def deflection(point: str) -> Port:
     """Elastic deflection (translation, rotation) of a point against the rigid body at its parent, 6 signals."""
-    return Port(f"deflection_{point}", 6, "m,rad")
+    return Port(f"deflection_{point}", 6, ",".join(["m"] * 3 + ["rad"] * 3))

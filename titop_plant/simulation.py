@@ -210,7 +210,7 @@ def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
 
 
 def sample(data: StateSpaceData, tones: Tones, ticks: int, dt: float = DT) -> Segment:
-    """Exact sampling: commands held, tones integrated.
+    """Exact sampling: commands held, tones integrated, all in one matrix exponential (Van Loan 1978).
 
     Parameters
     ----------
@@ -223,18 +223,16 @@ def sample(data: StateSpaceData, tones: Tones, ticks: int, dt: float = DT) -> Se
         Sampling period [s].
     """
     n, m = data.A.shape[0], COMMANDS
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = data.A * dt, data.B[:, :m] * dt
-    flow = linalg.expm(whole)
-    Ad, Bd = flow[:n, :n], flow[:n, n:]
-    drive = data.B[:, m:] @ tones.amplitude
-    through = data.D[:, m:] @ tones.amplitude
+    K = tones.frequency.size
+    size = n + m + 2 * K
+    whole = np.zeros((size, size))
+    whole[:n, :n], whole[:n, n : n + m] = data.A, data.B[:, :m]
+    whole[:n, n + m :] = _imaginary_part(data.B[:, m:] @ tones.amplitude)
+    real, imaginary = n + m + 2 * np.arange(K), n + m + 2 * np.arange(K) + 1
+    whole[real, imaginary], whole[imaginary, real] = -tones.frequency, tones.frequency
+    through = _imaginary_part(data.D[:, m:] @ tones.amplitude)
     turn = np.exp(1j * tones.frequency * dt)
-    G = np.zeros((n, turn.size), complex)
-    eye = np.eye(n)
-    for k, w in enumerate(tones.frequency):
-        G[:, k] = linalg.solve(1j * w * eye - data.A, turn[k] * drive[:, k] - Ad @ drive[:, k])
-    step = np.block([[Ad, Bd, _imaginary_part(G)], [data.C, data.D[:, :m], _imaginary_part(through)]])
+    step = np.vstack([linalg.expm(whole * dt)[:n], np.hstack([data.C, data.D[:, :m], through])])
     return Segment(ticks, np.ascontiguousarray(step), turn)
 
 

@@ -13,7 +13,6 @@ outputs) follows, and where even that does not pass, every frequency is solved d
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -75,13 +74,11 @@ def singular_values(response: ComplexArray) -> FloatArray:
         big = 0.5 * (a + d) + root
         det = np.maximum(a * d - b**2, 0.0)
         small = np.divide(det, big, out=np.zeros(k), where=big > 0)
-        return np.sqrt(np.column_stack([big, small]))
-    return np.asarray(np.linalg.svd(response, compute_uv=False))
+        return np.asarray(np.sqrt(np.column_stack([big, small])))
+    return np.asarray(np.linalg.svd(response, compute_uv=False), dtype=float)
 
 
-def frequency_grid(
-    poles: ArrayLike | Iterable[ArrayLike], low: float, high: float, *, points: int = 400, per_mode: int = 7
-) -> FloatArray:
+def frequency_grid(poles: ArrayLike, low: float, high: float, *, points: int = 400, per_mode: int = 7) -> FloatArray:
     """Logarithmic grid, refined around each lightly damped pole.
 
     Parameters
@@ -101,20 +98,20 @@ def frequency_grid(
     """
     if not 0.0 < low < high:
         raise ValueError(f"expected 0 < low < high, got {low} and {high}")
-    p = np.concatenate([np.ravel(np.asarray(part)) for part in np.atleast_1d(poles)]).astype(complex)
+    p = np.ravel(np.asarray(poles, dtype=complex))
     size = np.abs(p)
     light = (p.imag > 0) & (-p.real < 0.3 * size) & (size > low) & (size < high)
     spread = np.linspace(-3.0, 3.0, per_mode)
     near = p.imag[light, None] + np.abs(p.real[light, None]) * spread
     grid = np.concatenate([np.geomspace(low, high, points), near.ravel()])
-    return np.unique(np.clip(grid, low, high))
+    return np.asarray(np.unique(np.clip(grid, low, high)))
 
 
 def _modal_sum(system: StateSpaceData, w: FloatArray) -> ComplexArray | None:
     """Sum over modes, or None where A has no usable eigenvectors."""
     n, (p, m) = system.A.shape[0], system.D.shape
     balanced = _balanced(system)
-    values, vectors = linalg.eig(balanced.A, check_finite=False)
+    values, vectors = _eigen(balanced.A)
     try:
         right = linalg.solve(vectors, balanced.B, check_finite=False)
     except (linalg.LinAlgError, linalg.LinAlgWarning):
@@ -151,7 +148,7 @@ def _refined(system: StateSpaceData, w: FloatArray) -> ComplexArray | None:
     transposed = C.shape[0] < B.shape[1]
     if transposed:
         A, B, C = A.T, C.T, B.T
-    values, vectors = linalg.eig(A, check_finite=False)
+    values, vectors = _eigen(A)
     try:
         inverse = np.asarray(linalg.inv(vectors), dtype=complex)
     except linalg.LinAlgError:
@@ -189,6 +186,11 @@ def _agrees(system: StateSpaceData, w: FloatArray, response: ComplexArray, toler
             if np.any(error > tolerance * scale + 10.0 * floor):
                 return False
     return True
+
+
+def _eigen(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    values, vectors = linalg.eig(A, check_finite=False)
+    return np.asarray(values, dtype=complex), np.asarray(vectors, dtype=complex)
 
 
 def _balanced(system: StateSpaceData) -> StateSpaceData:

@@ -100,7 +100,7 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
         ports.accel(point),
         ports.rate(point),
         Port("wheel_torque", 1, "Nm"),
-        Port("imbalance", 5, "N,Nm"),
+        Port("imbalance", 5, ports.IMBALANCE_UNIT),
     ]
     outputs = [ports.wrench(point), Port("wheel_accel", 1, "rad/s2")]
     D = np.zeros((7, 15))
@@ -139,10 +139,10 @@ def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> Uncerta
         ``imbalance`` (5 a wheel, each in its wheel's frame) -> ``wrench_<point>``, ``wheel_accel``.
     """
     n = len(wheels)
-    torque, imbalance = Port("wheel_torque", n, "Nm"), Port("imbalance", 5 * n, "N,Nm")
+    torque, imbalance = Port("wheel_torque", n, "Nm"), Port("imbalance", 5 * n, ",".join([ports.IMBALANCE_UNIT] * n))
     spin = Port("wheel_accel", n, "rad/s2")
     torques = [Port(f"torque_{i}", 1, "Nm") for i in range(n)]
-    imbalances = [Port(f"imbalance_{i}", 5, "N,Nm") for i in range(n)]
+    imbalances = [Port(f"imbalance_{i}", 5, ports.IMBALANCE_UNIT) for i in range(n)]
     spins = [Port(f"spin_{i}", 1, "rad/s2") for i in range(n)]
     accel, rate, wrench = (port(point).name for port in (ports.accel, ports.rate, ports.wrench))
     systems = {

@@ -59,7 +59,7 @@ from uncertain_systems import Connection, Port, UncertainSystem, connect, invert
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
-WHEEL_IMBALANCE = Port("wheel_imbalance", 20, "N,Nm")
+WHEEL_IMBALANCE = Port("wheel_imbalance", 20, ",".join([ports.IMBALANCE_UNIT] * 4))
 SADM_TORQUE = Port("sadm_torque", 2, "Nm")
 EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
 WHEEL_TORQUE = Port("wheel_torque", 4, "Nm")

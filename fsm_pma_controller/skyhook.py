@@ -1,0 +1,76 @@
+"""A first proof-mass law: sky-hook damping of the platform.
+
+The platform's acceleration is integrated with a leak to a velocity, and the six actuators together
+oppose it with a wrench ``W = -G v``::
+
+    v = a / (s + leak),    u = -Gamma^-1 W,    Gamma: wrench on the platform by forces u on the masses
+
+One state an axis. The leak keeps clear of the actuators' own mode (sqrt(70/2.5) = 5.3 rad/s), below which
+they can give no force. Source: Preumont, Vibration Control of Active Structures, ch. 7 (sky-hook damper).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from fsm_pma_controller.runtime import DT, INPUTS, OUTPUTS
+from titop_plant.structures.kinematics import FloatArray, tau
+from titop_plant.telescope.parameters import Parameters, actuator_components
+from uncertain_systems import SampledSystem, UncertainSystem, state_space
+from uncertain_systems.sampling import high_pass, sampled, with_input_filter
+
+
+def actuator_wrenches(parameters: Parameters) -> FloatArray:
+    """Gamma: wrench on the platform at I_p by unit motor forces, shape (6, 6).
+
+    **A positive force pushes the mass along its axis and the platform against it.**
+
+    Examples
+    --------
+    The six actuators together reach all six directions:
+
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> bool(linalg.svdvals(actuator_wrenches(load_parameters()))[-1] > 0.1)
+    True
+    """
+    columns = []
+    for one in actuator_components(parameters):
+        axis = np.concatenate([one.dcm[2], np.zeros(3)])
+        columns.append(-tau(one.position, (0.0, 0.0, 0.0)).T @ axis)
+    return np.array(columns).T
+
+
+def skyhook(parameters: Parameters, damping: ArrayLike, leak: float) -> UncertainSystem:
+    """Continuous sky-hook law, order 6: platform acceleration to actuator forces.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the telescope (table ``pma``).
+    damping : array_like, shape (6,)
+        Diagonal of G [N s/m], [Nm s/rad], not negative.
+    leak : float
+        rad/s, positive.
+    """
+    G = np.asarray(damping, dtype=float)
+    if G.shape != (6,) or np.any(G < 0.0):
+        raise ValueError(f"sky-hook damping must be six numbers that are not negative, got {G.tolist()}")
+    if not leak > 0.0:
+        raise ValueError(f"sky-hook leak must be positive, got {leak} rad/s")
+    allocation = -linalg.solve(actuator_wrenches(parameters), np.diag(G))
+    return state_space(-leak * np.eye(6), np.eye(6), allocation, np.zeros((6, 6)), INPUTS, OUTPUTS)
+
+
+def flown_controller(
+    controller: UncertainSystem, washout: float, *, name: str, provenance: Mapping[str, Any] | None = None
+) -> SampledSystem:
+    """Sampled proof-mass law with the washout F_w on the accelerometer channels (6 more states)."""
+    (port,) = INPUTS
+    return sampled(
+        with_input_filter(controller, {port.name: high_pass(port, washout)}), DT, name=name, provenance=provenance
+    )
