@@ -192,12 +192,16 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     missing: NDArray[np.bool_] = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
     offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
-    filled = np.where(missing[:, None], 0.0, e - offset)
-    total = np.cumsum(np.vstack([np.zeros((1, 2)), filled]), axis=0)
-    mean = (total[n:] - total[:-n]) / n
-    holes = np.cumsum(np.append(0, missing))
-    result = filled[at : at + len(mean)] - mean
-    result[(holes[n:] - holes[:-n]) > 0] = np.nan
+    filled = e - offset
+    filled[missing] = 0.0
+    total = np.zeros((len(e) + 1, 2))
+    np.cumsum(filled, axis=0, out=total[1:])
+    mean = total[n:] - total[:-n]
+    mean /= n
+    result = np.subtract(filled[at : at + len(mean)], mean, out=mean)
+    if missing.any():
+        holes = np.cumsum(np.append(0, missing))
+        result[(holes[n:] - holes[:-n]) > 0] = np.nan
     return np.asarray(result)
 
 

@@ -26,7 +26,7 @@ from pointing_analysis.mcap_records import BODY, HEAD, BagError, Block, Channel,
 from pointing_analysis.topic import NANO, Topic, make_topic
 
 METADATA_NAME = "los_testbed"
-#: topics by their name without the namespace: (values that are kept or None for all, unit of the values or None)
+#: topics of the testbed by their name without the namespace, with the unit of their values
 KNOWN: Mapping[str, str] = MappingProxyType(
     {
         "isolator/accel": "m/s2, rad/s2",
@@ -83,34 +83,54 @@ def _value(text: str) -> Any:
 
 
 class _Column:
-    """Collects the decoded blocks of one topic."""
+    """Collects the decoded messages of one topic in arrays that grow by doubling.
+
+    The unused half of an array costs no memory (its pages are never touched), and there is no joining of pieces at the
+    end, which would take the memory twice.
+    """
 
     def __init__(self, name: str, schema: str) -> None:
         self.name, self.schema = name, schema
-        self.parts: list[tuple[NDArray[Any], ...]] = []
-        self.nbytes = 0
+        width = len(cdr.SUPPORTED[schema][0].split())
+        self.size = 0
+        self.arrays: list[NDArray[Any]] = _nothing(width)
 
-    def add(self, *arrays: NDArray[Any]) -> None:
-        self.parts.append(arrays)
-        self.nbytes += sum(a.nbytes for a in arrays)
+    def add(self, stamp: NDArray[np.int64], values: NDArray[np.float64], sent: NDArray[np.int64]) -> None:
+        """Append messages: stamps, values (m, k), times of publishing."""
+        if not self.size and values.shape[1] != self.arrays[1].shape[1]:
+            self.arrays = _nothing(values.shape[1])
+        if values.shape[1] != self.arrays[1].shape[1]:
+            raise BagError(
+                f"expected the same number of values in every message; got {self.arrays[1].shape[1]} "
+                f"and {values.shape[1]}"
+            )
+        end = self.size + len(stamp)
+        for i, new in enumerate((stamp, values, sent)):
+            if end > len(self.arrays[i]):
+                larger = np.empty((max(end, 2 * len(self.arrays[i])), *new.shape[1:]), self.arrays[i].dtype)
+                larger[: self.size] = self.arrays[i][: self.size]
+                self.arrays[i] = larger
+            self.arrays[i][self.size : end] = new
+        self.size = end
+
+    @property
+    def nbytes(self) -> int:
+        """Memory in use [byte]."""
+        return self.size * sum(a.itemsize * (a.shape[1] if a.ndim > 1 else 1) for a in self.arrays)
 
     def topic(self) -> Topic:
+        """The finished topic; the column is empty afterwards."""
         columns = cdr.SUPPORTED[self.schema][0].split()
-        width = self.parts[0][1].shape[1] if self.parts else len(columns)
-        if any(part[1].shape[1] != width for part in self.parts):
-            widths = sorted({part[1].shape[1] for part in self.parts})
-            raise BagError(f"{self.name}: expected the same number of values in every message; got {widths}")
-        if len(columns) != width:
-            columns = [f"{columns[0]}[{i}]" for i in range(width)]
-        joined = [np.concatenate([p[i] for p in self.parts]) for i in range(4)] if self.parts else _nothing(width)
-        self.parts = []
+        stamp, values, published = (a[: self.size] for a in self.arrays)
+        if len(columns) != values.shape[1]:
+            columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
+        self.arrays = []
         unit = KNOWN.get(self.name, cdr.SUPPORTED[self.schema][1])
-        return make_topic(self.name, self.schema, unit, tuple(columns), joined[0], joined[1], joined[2], joined[3])
+        return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
 
 
 def _nothing(width: int) -> list[NDArray[Any]]:
-    empty = np.empty(0, np.int64)
-    return [empty, np.empty((0, width)), empty, empty]
+    return [np.empty(0, np.int64), np.empty((0, width)), np.empty(0, np.int64)]
 
 
 def _decode_block(column: _Column, block: Block, chosen: NDArray[np.bool_], packed: bool) -> None:
@@ -118,7 +138,7 @@ def _decode_block(column: _Column, block: Block, chosen: NDArray[np.bool_], pack
     buffer = np.frombuffer(block.data, np.uint8)
     heads, offsets = block.heads[chosen], block.offsets[chosen]
     sizes = heads["length"].astype(np.int64) - BODY
-    times = [heads["log"].astype(np.int64), heads["publish"].astype(np.int64)]
+    sent = heads["publish"].astype(np.int64)
     if packed:
         unzip = zstandard.ZstdDecompressor()
         payloads = [
@@ -136,14 +156,13 @@ def _decode_block(column: _Column, block: Block, chosen: NDArray[np.bool_], pack
         rows = sliding_window_view(buffer, int(size))[begin]
         stamp, values, fits = cdr.decode(rows, plan)
         if fits.all():
-            column.add(stamp, values, times[0][same], times[1][same])
+            column.add(stamp, values, sent[same])
             continue
-        column.add(stamp[fits], values[fits], times[0][same][fits], times[1][same][fits])
+        column.add(stamp[fits], values[fits], sent[same][fits])
         odd = np.flatnonzero(~fits)
         stamp, single = cdr.decode_any(column.schema, [rows[i].tobytes() for i in odd])
         for i, row in enumerate(single):
-            where = same[odd[i : i + 1]]
-            column.add(stamp[i : i + 1], row[None, :], times[0][where], times[1][where])
+            column.add(stamp[i : i + 1], row[None, :], sent[same[odd[i : i + 1]]])
 
 
 class Run:

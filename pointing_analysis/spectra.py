@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, signal
+from scipy import linalg
 
 from pointing_analysis import weights
 from pointing_analysis.topic import read_only
@@ -76,7 +76,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     n = min(max(round(segment / dt), 8), len(e))
     if n < 8:
         raise ValueError(f"expected at least 8 samples for a spectrum; got {len(e)}")
-    window = signal.get_window("hann", n)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)  # Hann, periodic
     scale = 2 * dt / np.square(window).sum()
     density = np.zeros((n // 2 + 1, 2))
     used = skipped = 0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, special, stats
+from scipy import fft, special
 
 Floats = NDArray[np.float64]
 SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
@@ -28,7 +28,7 @@ def gaussian_factor(probability: float) -> float:
     >>> round(gaussian_factor(0.997), 5)
     2.96774
     """
-    return float(stats.norm.ppf((1 + _probability(probability)) / 2))
+    return float(special.ndtri((1 + _probability(probability)) / 2))
 
 
 def radial_factor(probability: float) -> float:
@@ -174,14 +174,20 @@ class Quantile:
     effective: float
 
 
+def _binomial_quantile(q: float, n: int, p: float) -> int:
+    """Smallest k with P(Binomial(n, p) <= k) >= q (scipy.stats has it too, at the cost of a slow, large import)."""
+    k = max(math.ceil(special.bdtrik(q, n, p)), 0)
+    return k - 1 if k > 0 and special.bdtr(k - 1, n, p) >= q else k
+
+
 def _upper_rank(n: int, p: float, confidence: float) -> int:
     """Smallest rank r with P(Binomial(n, p) < r) >= confidence; n + 1 if there is none."""
-    return min(int(stats.binom.ppf(confidence, n, p)) + 1, n + 1)
+    return min(_binomial_quantile(confidence, n, p) + 1, n + 1)
 
 
 def _lower_rank(n: int, p: float, confidence: float) -> int:
     """Largest rank r with P(Binomial(n, p) >= r) >= confidence; 0 if there is none."""
-    return int(stats.binom.ppf(1 - confidence, n, p))
+    return _binomial_quantile(1 - confidence, n, p)
 
 
 def quantile(

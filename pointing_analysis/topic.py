@@ -60,8 +60,8 @@ class Topic:
     columns : names of the values
     stamp : (n,) header stamps [ns], strictly increasing
     values : (n, k) in the order of `columns`
-    logged : (n,) time at which the recorder took the message [ns]
-    published : (n,) time at which the publisher sent it [ns], where the recorder knew it
+    published : (n,) time at which the publisher sent the message [ns]; that of recording where the recorder did not
+        know it
     period : sampling period [s]: the most frequent distance of two stamps; NaN with fewer than two messages
     integrity : gaps, duplicates and the like
     """
@@ -72,7 +72,6 @@ class Topic:
     columns: tuple[str, ...]
     stamp: NDArray[np.int64]
     values: Floats
-    logged: NDArray[np.int64]
     published: NDArray[np.int64]
     period: float
     integrity: Integrity
@@ -88,7 +87,7 @@ class Topic:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays [byte]."""
-        return self.stamp.nbytes + self.values.nbytes + self.logged.nbytes + self.published.nbytes
+        return self.stamp.nbytes + self.values.nbytes + self.published.nbytes
 
 
 def _period_ns(stamp: NDArray[np.int64]) -> int:
@@ -143,19 +142,18 @@ def make_topic(
     columns: tuple[str, ...],
     stamp: NDArray[np.int64],
     values: Floats,
-    logged: NDArray[np.int64],
     published: NDArray[np.int64],
 ) -> Topic:
     """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
     late = int((stamp < np.maximum.accumulate(stamp)).sum()) if stamp.size else 0
     if late:
         order = np.argsort(stamp, kind="stable")
-        stamp, values, logged, published = stamp[order], values[order], logged[order], published[order]
+        stamp, values, published = stamp[order], values[order], published[order]
     kept = np.append(np.ones(min(stamp.size, 1), bool), np.diff(stamp) > 0)
     period = _period_ns(stamp[kept])
     integrity = _inspect(stamp, values, kept, late, period)
     if not kept.all():
-        stamp, values, logged, published = stamp[kept], values[kept], logged[kept], published[kept]
+        stamp, values, published = stamp[kept], values[kept], published[kept]
     return Topic(
         name,
         schema,
@@ -163,7 +161,6 @@ def make_topic(
         columns,
         read_only(stamp),
         read_only(values),
-        read_only(logged),
         read_only(published),
         period / NANO if period else float("nan"),
         integrity,
