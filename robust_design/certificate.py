@@ -11,10 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from robust_design.model import Model, close_loop, pade_delay, series
 from robust_design.norms import h2_norm, hinf_norm, spectral_abscissa
+from robust_design.problem import delay_radius
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 
 FloatArray = NDArray[np.float64]
@@ -107,7 +109,9 @@ def _gain(model: Model, controller: Model, r: HinfGain | H2Gain, rtol: float) ->
 
 def _poles(r: ClosedLoopPoles | ControllerPoles, closed: FloatArray, own: FloatArray, loop_delay: float) -> float:
     matrix = closed if isinstance(r, ClosedLoopPoles) else own
-    spectrum = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+    spectrum = np.asarray(scipy.linalg.eigvals(matrix), dtype=complex)
+    if loop_delay and isinstance(r, ClosedLoopPoles):
+        spectrum = spectrum[np.abs(spectrum) < delay_radius(loop_delay, PADE_ORDER)]
     return float(r.pieces(spectrum)[0].max(initial=-np.inf))
 
 

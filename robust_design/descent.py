@@ -84,7 +84,7 @@ class DescentOptions:
     """
 
     iterations: int = 300
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
     radius: float = 1e-3
     target: float = -np.inf
     deadline: float = np.inf
@@ -123,7 +123,7 @@ def minimise(
     Returns
     -------
     Descent
-        ``reason`` is ``stationary``, ``target``, ``stalled``, ``iterations``, ``deadline`` or ``interrupted``.
+        ``reason`` is ``stationary``, ``nearly stationary`` (no progress, within ten times the tolerance), ``target``, ``stalled``, ``iterations``, ``deadline`` or ``interrupted``.
     """
     state = _State(oracle, np.array(x0, dtype=float), options, rng)
     reason = "iterations"
@@ -233,8 +233,14 @@ class _State:
         return float(np.sqrt(max(2.0 * value, 0.0)) / r)
 
     def _direction(self, offsets: FloatArray, G: FloatArray) -> tuple[FloatArray, FloatArray]:
-        Q = self._B + self._proximity * np.eye(len(self.x))
-        factor = sl.cho_factor(Q, lower=True)
+        identity = np.eye(len(self.x))
+        try:
+            factor = sl.cho_factor(self._B + self._proximity * identity, lower=True)
+        except sl.LinAlgError:
+            # rounding has eaten the definiteness of the learned curvature: start learning again
+            self._proximity = max(self._proximity, 1e-6 * float(np.abs(np.diag(self._B)).max()))
+            self._B, self._fresh = np.zeros_like(self._B), True
+            factor = sl.cho_factor(self._proximity * identity, lower=True)
         QG = sl.cho_solve(factor, G.T)
         lam, _ = simplex_minimum(G @ QG, offsets)
         return lam, -(QG @ lam)
@@ -246,7 +252,8 @@ class _State:
         self._planes, self._sampled, self._rejected = [], [], 0
         self._sampling = 1e-3
         if ratio > BELOW["good"]:
-            self._proximity = max(self._proximity * 0.3, FLOOR_PROXIMITY)
+            least = max(FLOOR_PROXIMITY, 1e-12 * float(np.abs(np.diag(self._B)).max()))
+            self._proximity = max(self._proximity * 0.3, least)
         elif ratio < 0.25:
             self._proximity *= 2.0
 
@@ -302,8 +309,9 @@ class _State:
     def _enrich(self) -> str:
         """Sample gradients around the point; give up when that has been done at every radius."""
         self._dry += 1
-        if self._dry > 6:
-            return "stalled"
+        nearly = self.stationarity <= 10.0 * self._options.tolerance * abs(self.sample.objective)
+        if self._dry > (2 if nearly else 6):
+            return "nearly stationary" if nearly else "stalled"
         n = len(self.x)
         f, c = self.sample.objective, max(self.sample.constraint, 0.0)
         for _ in range(min(2 * n, 20)):

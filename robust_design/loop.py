@@ -116,39 +116,53 @@ def extended_plant(
     )
 
 
-def poles(A: FloatArray) -> ComplexArray:
-    """Eigenvalues of a closed-loop matrix."""
-    return np.asarray(sl.eigvals(A, check_finite=False), dtype=complex)
+@dataclass(frozen=True)
+class Spectrum:
+    """Poles of a closed loop with the factors of their derivatives.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (n,), complex
+    rows, columns : ndarray, shapes (n_K + u, n) and (n_K + y, n), or None
+        ``ds_i = sum(outer(rows[:, i], columns[:, i]) * dK)``; None where derivatives were not asked for.
+    """
+
+    poles: ComplexArray
+    rows: ComplexArray | None = None
+    columns: ComplexArray | None = None
+
+    @property
+    def abscissa(self) -> float:
+        """Largest real part [rad/s]."""
+        return float(self.poles.real.max(initial=-np.inf))
+
+    def gradient(self, i: int) -> ComplexArray:
+        """Derivative of pole i with respect to the gain matrix."""
+        if self.rows is None or self.columns is None:
+            raise ValueError("this spectrum was computed without derivatives")
+        return np.asarray(np.outer(self.rows[:, i], self.columns[:, i]))
+
+    def barriers(self, most: int = 6) -> list[tuple[float, FloatArray]]:
+        """Real parts of the poles that a small change of K brings to the axis soonest, with real gradients."""
+        if self.rows is None or self.columns is None:
+            return []
+        reach = sl.norm(self.rows, axis=0) * sl.norm(self.columns, axis=0)
+        reach[self.poles.imag < 0] = 0.0
+        order = np.argsort(self.poles.real / np.maximum(reach, 1e-300))[::-1][:most]
+        return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
 
 
-def pole_gradients(
-    loop: ClosedLoop, wanted: ComplexArray
-) -> tuple[ComplexArray, list[ComplexArray]]:
-    """Derivatives of the poles nearest to `wanted` (k,): ``ds = sum(G * dK)`` with a complex G per pole."""
+def spectrum(loop: ClosedLoop, *, derivatives: bool) -> Spectrum:
+    """Poles of the closed loop, with derivatives if asked for."""
+    if not derivatives:
+        return Spectrum(np.asarray(sl.eigvals(loop.A, check_finite=False), dtype=complex))
     values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
-    found, gradients = [], []
-    for s in wanted:
-        i = int(np.argmin(np.abs(values - s)))
-        w, v = left[:, i], right[:, i]
-        scale = np.vdot(w, v)
-        if abs(scale) < 1e-14:  # defective: no derivative; the unscaled one still points downhill
-            scale = 1e-14
-        gradients.append(np.outer(loop.left.T @ w.conj(), loop.right @ v) / scale)
-        found.append(values[i])
-    return np.array(found, dtype=complex), gradients
-
-
-def stability_barriers(loop: ClosedLoop, most: int = 6) -> list[tuple[float, FloatArray]]:
-    """Real parts of the stable poles that a small change of K brings to the axis soonest, with real gradients."""
-    values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
-    upper = np.flatnonzero(values.imag >= 0)
-    W, V = loop.left.T @ left[:, upper].conj(), loop.right @ right[:, upper]
-    scale = np.sum(left[:, upper].conj() * right[:, upper], axis=0)
+    scale = np.sum(left.conj() * right, axis=0)
+    # a defective pole has no derivative; a large finite one still points downhill
     scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
-    reach = sl.norm(W, axis=0) * sl.norm(V, axis=0) / np.abs(scale)
-    order = np.argsort(values[upper].real / np.maximum(reach, 1e-300))[::-1][:most]
-    margins = values[upper].real
-    return [(float(margins[i]), np.real(np.outer(W[:, i], V[:, i]) / scale[i])) for i in order if reach[i] > 0]
+    return Spectrum(
+        np.asarray(values, dtype=complex), loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
+    )
 
 
 def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:

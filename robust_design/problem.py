@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from robust_design.gains import LoopGains
-from robust_design.loop import ExtendedPlant, extended_plant, h2_value, pole_gradients, poles, stability_barriers
-from robust_design.model import Model
+from robust_design.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
+from robust_design.model import Model, pade_delay
 from robust_design.requirements import (
     ClosedLoopPoles,
     ControllerPoles,
@@ -166,23 +167,19 @@ class Problem:
     def abscissa(self, x: FloatArray) -> float:
         """Largest real part of the closed-loop poles over all models [rad/s]."""
         K = self.structure.gain_matrix(x)
-        return max(float(poles(plant.closed(K).A).real.max()) for plant in self._bare)
+        return max(spectrum(plant.closed(K), derivatives=False).abscissa for plant in self._bare)
 
     def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
         """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
         K = self.structure.gain_matrix(x)
-        spectra = [poles(plant.closed(K).A) for plant in self._bare]
-        worst = max(float(s.real.max()) for s in spectra)
+        spectra = [spectrum(plant.closed(K), derivatives=True) for plant in self._bare]
+        worst = max(s.abscissa for s in spectra)
         pieces = []
-        for k, (plant, s) in enumerate(zip(self._bare, spectra)):
-            wanted = s[(s.real >= worst - band) & (s.imag >= 0)]
-            wanted = wanted[np.argsort(-wanted.real)][:8]
-            if len(wanted) == 0:
-                continue
-            found, gradients = pole_gradients(plant.closed(K), wanted)
-            for value, gradient in zip(found, gradients):
-                g = self.structure.pullback(x, np.real(gradient))
-                pieces.append(Piece(float(value.real), g, False, 0, k, float(abs(value))))
+        for k, s in enumerate(spectra):
+            near = np.flatnonzero((s.poles.real >= worst - band) & (s.poles.imag >= 0))
+            for i in near[np.argsort(-s.poles.real[near])][:8]:
+                g = self.structure.pullback(x, np.real(s.gradient(int(i))))
+                pieces.append(Piece(float(s.poles[i].real), g, False, 0, k, float(abs(s.poles[i]))))
         return worst, pieces
 
     def evaluate(
@@ -195,12 +192,11 @@ class Problem:
         K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
         values, places = np.full(shape, np.inf), np.zeros(shape)
-        spectra = []
+        spectra: list[Spectrum] = []
         for plant in self._bare:
-            s = poles(plant.closed(K).A)
-            if not (s.real.max() < -margin):
-                return Evaluation(float(s.real.max()), values, places, ())
-            spectra.append(s)
+            spectra.append(spectrum(plant.closed(K), derivatives=gradients))
+            if not spectra[-1].abscissa < -margin:
+                return Evaluation(spectra[-1].abscissa, values, places, ())
         pieces: list[Piece] = []
         values[:] = -np.inf
         for k in range(len(self.models)):
@@ -212,16 +208,12 @@ class Problem:
                 values[piece.requirement, piece.model] = piece.value
                 places[piece.requirement, piece.model] = piece.place
         kept = _active(pieces, band) if gradients else ()
-        abscissa = max(float(s.real.max()) for s in spectra)
-        barriers = tuple(self._barriers(x, K)) if gradients else ()
-        return Evaluation(abscissa, values, places, tuple(kept), barriers)
-
-    def _barriers(self, x: FloatArray, K: FloatArray) -> list[tuple[float, FloatArray]]:
-        found = [pair for plant in self._bare for pair in stability_barriers(plant.closed(K))]
-        return [(margin, _pulled(self.structure, x, gradient)) for margin, gradient in found]
+        pairs = [pair for s in spectra for pair in s.barriers()]
+        barriers = tuple((real, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
+        return Evaluation(max(s.abscissa for s in spectra), values, places, tuple(kept), barriers)
 
     def _gain_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, spectrum: ComplexArray, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
     ) -> list[Piece]:
         loop = self._gains[k]
         if loop is None:
@@ -229,7 +221,7 @@ class Problem:
         found = loop.peaks(
             K,
             self.structure.order,
-            closed_loop_poles=spectrum,
+            closed_loop_poles=own.poles,
             band=band if gradients else 0.95,
             gradients=gradients,
         )
@@ -249,29 +241,33 @@ class Problem:
         return pieces
 
     def _pole_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, spectrum: ComplexArray, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
     ) -> list[Piece]:
         pieces: list[Piece] = []
         n = self.structure.order
         for i, r in enumerate(self.requirements):
             if isinstance(r, ClosedLoopPoles):
-                own, plant = spectrum, self._bare[k]
+                there = own
             elif isinstance(r, ControllerPoles) and k == 0 and n:
-                own, plant = poles(K[:n, :n]), None
+                there = spectrum(_alone(K, n), derivatives=gradients)
             else:
                 continue
-            values, slopes, number = r.pieces(own)
-            chosen = np.flatnonzero((values >= min(band * values.max(), values.max())) & (own[number].imag >= 0))
-            chosen = chosen[np.argsort(-values[chosen])][: 8 if gradients else 1]
-            derivatives: list[ComplexArray] = []
-            if gradients:
-                loop = plant.closed(K) if plant else _alone(K, n)
-                derivatives = pole_gradients(loop, own[number[chosen]])[1]
-            for j, c in enumerate(chosen):
-                full = np.real(np.conj(slopes[c]) * derivatives[j]) if gradients else None
+            values, slopes, number = r.pieces(there.poles)
+            upper = (there.poles[number].imag >= 0) & self._counted(r, there.poles[number])
+            values = np.where(upper, values, -np.inf)
+            top = float(values.max(initial=-np.inf))
+            chosen = np.flatnonzero(upper & (values >= top - (1 - band) * abs(top)))
+            for c in chosen[np.argsort(-values[chosen])][: 8 if gradients else 1]:
+                full = np.real(np.conj(slopes[c]) * there.gradient(int(number[c]))) if gradients else None
                 g = _pulled(self.structure, x, full)
-                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(own[number[c]]))))
+                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(there.poles[number[c]]))))
         return pieces
+
+    def _counted(self, r: Requirement, poles: ComplexArray) -> NDArray[np.bool_]:
+        """Poles that a requirement speaks of: those of the delay's approximation are nobody's design."""
+        if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
+            return np.ones(len(poles), dtype=bool)
+        return np.asarray(np.abs(poles) < delay_radius(self.loop_delay, self.pade_order))
 
 
 def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:
@@ -281,10 +277,13 @@ def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float
     return soft_value, float(evaluation.values[hard].max(initial=-np.inf))
 
 
-def _alone(K: FloatArray, n: int):  # type: ignore[no-untyped-def]
-    """The controller itself as a closed loop: ``dA = dK[:n, :n]``."""
-    from robust_design.loop import ClosedLoop
+def delay_radius(delay: float, order: int) -> float:
+    """Circle [rad/s] outside which poles are taken for those of the Padé approximation."""
+    return 0.7 * float(np.abs(scipy.linalg.eigvals(pade_delay(delay, order).A)).min())
 
+
+def _alone(K: FloatArray, n: int) -> ClosedLoop:
+    """The controller itself as a closed loop: ``dA = dK[:n, :n]``."""
     left, right = np.eye(n, K.shape[0]), np.eye(K.shape[1], n)
     empty = np.zeros((0, 0))
     return ClosedLoop(K[:n, :n], empty, empty, empty, left, empty, right, empty)

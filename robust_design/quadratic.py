@@ -48,7 +48,7 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-12) -> t
         gap = float(lam @ s) / m
         if gap < tolerance and np.abs(residual).max() < 1e-11:
             break
-        factor = sl.cho_factor(H + np.diag(s / lam), lower=True, check_finite=False)
+        factor = sl.cho_factor(H + np.diag(s / lam + 1e-14), lower=True, check_finite=False)
         ones = sl.cho_solve(factor, np.ones(m), check_finite=False)
 
         rest = (residual, factor, ones, lam, s)

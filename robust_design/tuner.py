@@ -75,7 +75,7 @@ class TuningOptions:
     wall_limit: float = 600.0
     workers: int = 1
     iterations: int = 300
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
     target: float = -np.inf
     band: float = 0.3
     progress: bool = False
@@ -283,7 +283,7 @@ def _status(found: Descent, hard: float) -> str:
         return "interrupted" if found.reason == "interrupted" else "out_of_time"
     if hard > 1.0 + FEASIBLE:
         return "infeasible"
-    return {"stationary": "converged"}.get(found.reason, found.reason)
+    return {"stationary": "converged", "nearly stationary": "converged"}.get(found.reason, found.reason)
 
 
 def _starts(
