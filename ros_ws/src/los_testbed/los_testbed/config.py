@@ -73,6 +73,12 @@ class RunConfig:
     omega_2: float = _parameter(
         0.0, "second frequency of the solar arrays; 0 for the nominal one", "rad/s", 0.0, 1000.0
     )
+    theta_rate: float = _parameter(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0)
+    wheel_acceleration: tuple[float, ...] = _parameter(
+        (), "accelerations of the four wheels during the ramp; empty for none", "rad/s2", -100.0, 100.0
+    )
+    ramp_duration: float = _parameter(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
+    parameters: str = _parameter("", "parameter file of the telescope; empty for the reference")
     fsm_authority: float = _parameter(5.3e-3, "largest mirror angle per axis", "rad", 1e-9, 1.0)
     pma_authority: float = _parameter(31.6, "largest force of one actuator", "N", 1e-9, 1e6)
     k_fsm: str = _parameter("", "observer file; empty for the design that ships")
@@ -94,8 +100,9 @@ class RunConfig:
             raise ValueError(
                 f"camera_rate must divide {RATE} Hz, the loop's rate (50, 40, 25, ...), got {self.camera_rate:g} Hz"
             )
-        if len(self.wheel_speed) not in (0, 4):
-            raise ValueError(f"wheel_speed must hold four speeds, got {len(self.wheel_speed)}")
+        for name in ("wheel_speed", "wheel_acceleration"):
+            if len(getattr(self, name)) not in (0, 4):
+                raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
         if abs(self.ticks - self.duration * RATE) > 1e-6:
             raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
 
@@ -142,7 +149,7 @@ FIELDS: dict[str, Field[Any]] = {entry.name: entry for entry in fields(RunConfig
 
 PHYSICAL = (
     "scenario", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
-    "omega_1", "omega_2",
+    "omega_1", "omega_2", "theta_rate", "wheel_acceleration", "ramp_duration", "parameters",
 )  # fmt: skip
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
 

@@ -69,7 +69,7 @@ def build_plant(config: RunConfig) -> Plant:
 
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL}
     values["isolated"] = config.loop != "none"
-    for name in ("wheel_speed", "omega_1", "omega_2"):  # unset: the plant's own nominal value
+    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # the plant's own
         if not values[name]:
             del values[name]
     plant: Plant = simulation.build_plant(simulation.PlantConfig(**values))

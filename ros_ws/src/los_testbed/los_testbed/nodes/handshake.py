@@ -18,8 +18,8 @@ from los_testbed.nodes.raw_topics import RawSubscription
 from los_testbed.nodes.shell import Shell
 from los_testbed.topics import ISOLATOR_ACCEL, NAMESPACE
 
-LISTEN_S = 0.6
-"""A plant on the same domain is discovered well within this time."""
+LISTEN_S = 1.0
+"""A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
 
 HOLD_PERIOD_S = 0.02
 
@@ -41,7 +41,7 @@ def refuse_second_plant(shell: Shell) -> None:
             if listener.take() is not None:
                 raise ValueError(f"another plant runs on this domain (it sends {name}): expected a free ROS_DOMAIN_ID")
             # a plant that was killed stays in the graph for 20 s: only what is sent counts
-            patience = 3 * LISTEN_S if shell.node.count_publishers(name) else LISTEN_S
+            patience = 2 * LISTEN_S if shell.node.count_publishers(name) else LISTEN_S
             if time.monotonic() - began > patience:
                 return
             time.sleep(0.01)
