@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unused-ignore]
 
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
@@ -26,6 +28,12 @@ class Plant(Protocol):
 
     def reset(self) -> None:
         """Back to the initial state."""
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """Linear algebra on one thread: two threads add up in another order, and the last bits would differ."""
+    limit: AbstractContextManager[Any] = threadpool_limits(limits=1, user_api="blas")
+    return limit
 
 
 def controller_files(config: RunConfig) -> dict[str, Path]:
@@ -72,7 +80,8 @@ def build_plant(config: RunConfig) -> Plant:
     for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # the plant's own
         if not values[name]:
             del values[name]
-    plant: Plant = simulation.build_plant(simulation.PlantConfig(**values))
+    with one_thread():
+        plant: Plant = simulation.build_plant(simulation.PlantConfig(**values))
     return plant
 
 

@@ -18,7 +18,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.bag import BagWriter
 from los_testbed.codecs import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.cores import Plant, build_controller, build_estimator, build_plant, plant_notes
+from los_testbed.cores import Plant, build_controller, build_estimator, build_plant, one_thread, plant_notes
 from los_testbed.run_record import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.topics import TICK_NS, TOPICS
 
@@ -155,7 +155,8 @@ def run_in_process(
         progress(done)
 
     try:
-        simulate(plant, estimator, controller, config.ticks, write)
+        with one_thread():
+            simulate(plant, estimator, controller, config.ticks, write)
     finally:
         statistics["plant"]["ticks"] = str(done)
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from los_testbed.config import RunConfig
-from los_testbed.cores import Plant, build_plant, plant_notes
+from los_testbed.cores import Plant, build_plant, one_thread, plant_notes
 from los_testbed.inprocess import SIMULATED_START_NS, LoopDivergedError, aligned_start
 from los_testbed.nodes.handshake import refuse_second_plant, wait_for_followers
 from los_testbed.nodes.lockstep import LockstepPacer
@@ -34,7 +34,8 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
         refuse_second_plant(shell)
         shell.event("alone")
         core = build(shell.config)
-        return PlantLoop(shell, core).run()
+        with one_thread():
+            return PlantLoop(shell, core).run()
 
     return run_node("plant", arguments, body)
 
