@@ -1,0 +1,200 @@
+"""The LFT of the telescope against kinematic elimination, for every pair of ports.
+
+Agreement is 1e-9 relative (norm of the block of a pair of ports, at each frequency). Below 0.01 rad/s
+the double-precision matrices of the LFT hold fewer digits of paths that cancel: how many is measured there, by
+changing each entry by one unit in the last place, and ten times that is allowed on top, never more than 1e-8.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import accurate_response as exact
+from oracles import kinematic_elimination as oracle
+from scipy.linalg import eigvals, eigvalsh
+from scipy.optimize import linear_sum_assignment
+
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
+
+Values = dict[str, float]
+TOLERANCE, FEW_DIGITS, NEVER_MORE = 1e-9, 1e-2, 1e-8
+INTERNAL = ("sadm_torque", "fsm_command", "pma_force")
+
+
+@dataclass(frozen=True)
+class Case:
+    """The telescope and what the oracle needs to know of it."""
+
+    parameters: Any
+    telescope: Telescope
+    nominal: Values
+    inertia: np.ndarray
+
+    def second_order(self, values: Values, **options: bool) -> oracle.SecondOrder:
+        return oracle.assemble(self.parameters, *self.telescope.bodies, values, control_inertia=self.inertia, **options)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    parameters = load_parameters()
+    telescope = build_telescope(parameters)
+    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
+    inertia = oracle.total_inertia(oracle.assemble(parameters, *telescope.bodies, nominal).M)
+    return Case(parameters, telescope, nominal, inertia)
+
+
+def spread(rng: np.random.Generator, count: int, low: float = 1e-3, high: float = 1e4) -> np.ndarray:
+    """Frequencies at random places, one in each of `count` equal parts of the logarithmic axis, and both ends."""
+    edges = np.linspace(np.log(low), np.log(high), count - 1)
+    return np.exp(np.concatenate([edges[:1], rng.uniform(edges[:-1], edges[1:]), edges[-1:]]))
+
+
+def disagreement(system: Any, model: oracle.SecondOrder, omega: np.ndarray, internal: bool = True) -> dict[Any, Any]:
+    """Relative difference of each pair of ports at each frequency, less what rounding explains."""
+    inputs, outputs = (oracle.places({p.name: p.size for p in side}) for side in (system.inputs, system.outputs))
+    assert {p.name: p.size for p in system.inputs} == oracle.INPUTS
+    assert {p.name: p.size for p in system.outputs} == oracle.OUTPUTS
+    columns = np.concatenate([np.arange(40)[inputs[name]] for name in INTERNAL]) if internal else ()
+    matrices = (system.A, system.B, system.C, system.D)
+    found, truth = exact.accurate_response(*matrices, omega, columns), model.frequency_response(omega)
+    few = omega < FEW_DIGITS
+    rng = np.random.default_rng(5)
+    nudged = [m * (1.0 + np.finfo(float).eps * rng.uniform(-1, 1, m.shape)) for m in matrices]
+    moved = exact.accurate_response(*nudged, omega[few], columns)
+    result = {}
+    for (y, rows), (u, cols) in itertools.product(outputs.items(), inputs.items()):
+        expected = truth[:, oracle.places(oracle.OUTPUTS)[y], oracle.places(oracle.INPUTS)[u]]
+        scale = np.sqrt(np.sum(np.abs(expected) ** 2, axis=(1, 2)))
+        error = np.sqrt(np.sum(np.abs(found[:, rows, cols] - expected) ** 2, axis=(1, 2))) / scale
+        last_place = np.abs(moved[:, rows, cols] - found[few][:, rows, cols])
+        floor = np.sqrt(np.sum(last_place**2, axis=(1, 2))) / scale[few]
+        error[few] = np.maximum(error[few] - np.minimum(10.0 * floor, NEVER_MORE), 0.0)
+        result[y, u] = error
+    return result
+
+
+def worst(errors: dict[Any, Any]) -> tuple[float, Any]:
+    return max((float(error.max()), pair) for pair, error in errors.items())
+
+
+def test_oracle_shares_no_code_with_the_project() -> None:
+    for module in (oracle, exact):
+        tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+        imported = {
+            name.split(".")[0]
+            for node in ast.walk(tree)
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+            for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names])
+        }
+        assert imported <= {"__future__", "collections", "dataclasses", "math", "typing", "numpy", "scipy"}
+
+
+def test_nominal(case: Case) -> None:
+    """80 frequencies over 1e-3..1e4 rad/s and every tenth natural frequency, all 72 pairs of ports."""
+    model = case.second_order(case.nominal)
+    resonances = np.sort(np.abs(eigvals(model.state_matrix())))[5::20]
+    omega = np.sort(np.concatenate([spread(np.random.default_rng(0), 80), resonances]))
+    error, pair = worst(disagreement(case.telescope.system.data_at({}), model, omega))
+    assert error < TOLERANCE, pair
+
+
+def test_twenty_random_parameter_values(case: Case) -> None:
+    rng = np.random.default_rng(1)
+    for values in case.telescope.system.sample_values(rng, 20):
+        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 14))
+        error, pair = worst(errors)
+        assert error < TOLERANCE, (pair, values)
+
+
+def corners(case: Case) -> list[Values]:
+    limits = {name: (p.lower, p.upper) for name, p in uncertain_parameters(case.parameters).items()}
+    return [dict(zip(limits, choice)) for choice in itertools.product(*limits.values())]
+
+
+def test_sixteen_corners(case: Case) -> None:
+    """An eighth of the 128, chosen so that any three parameters take all eight combinations."""
+    rng = np.random.default_rng(2)
+    chosen = [c for i, c in enumerate(corners(case)) if balanced(i)]
+    assert len(chosen) == 16
+    for values in chosen:
+        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 8))
+        error, pair = worst(errors)
+        assert error < TOLERANCE, (pair, values)
+
+
+def balanced(index: int) -> bool:
+    """Fractional factorial 2^(7-3) by generators e = abc, f = bcd, g = acd."""
+    a, b, c, d, e, f, g = ((index >> k) & 1 for k in range(7))
+    return (e, f, g) == ((a + b + c) % 2, (b + c + d) % 2, (a + c + d) % 2)
+
+
+@pytest.mark.slow
+def test_all_corners(case: Case) -> None:
+    rng = np.random.default_rng(3)
+    for values in corners(case):
+        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 12))
+        error, pair = worst(errors)
+        assert error < TOLERANCE, (pair, values)
+
+
+def test_without_isolator(case: Case) -> None:
+    rng = np.random.default_rng(4)
+    system = build_telescope(case.parameters, isolated=False).system
+    inertia = oracle.total_inertia(case.second_order(case.nominal, isolated=False).M)
+    assert system.order == case.telescope.system.order - 12
+    values = system.sample_values(rng)[0]
+    model = oracle.assemble(case.parameters, *case.telescope.bodies, values, isolated=False, control_inertia=inertia)
+    error, pair = worst(disagreement(system.data_at(values), model, spread(rng, 30)))
+    assert error < TOLERANCE, pair
+
+
+def test_without_attitude_control(case: Case) -> None:
+    """Free attitude: internal forces from 30 rad/s on (they have no equilibrium to take out)."""
+    rng = np.random.default_rng(6)
+    system = build_telescope(case.parameters, attitude_controlled=False).system
+    values = system.sample_values(rng)[0]
+    model = case.second_order(values, controlled=False)
+    slow = disagreement(system.data_at(values), model, spread(rng, 20, high=30.0), internal=False)
+    fast = disagreement(system.data_at(values), model, spread(rng, 20, low=30.0), internal=False)
+    error, pair = worst({pair: e for pair, e in slow.items() if pair[1] not in INTERNAL})
+    assert error < TOLERANCE, pair
+    error, pair = worst(fast)
+    assert error < TOLERANCE, pair
+
+
+def test_natural_frequencies_and_order(case: Case) -> None:
+    for values in (case.nominal, case.telescope.system.sample_values(np.random.default_rng(7))[0]):
+        ours = eigvals(case.telescope.system.data_at(values).A)
+        theirs = eigvals(case.second_order(values).state_matrix())
+        assert ours.size == theirs.size == 204
+        distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(theirs)
+        pairs = linear_sum_assignment(distance)
+        assert distance[pairs].max() < 1e-8
+
+
+def test_total_inertia_and_mass(case: Case) -> None:
+    np.testing.assert_allclose(case.telescope.inertia, case.inertia, rtol=0, atol=1e-9 * case.inertia.max())
+    p, (body, payload, array) = case.parameters, case.telescope.bodies
+    mass = body.mass + payload.mass + 2 * array.mass + 4 * p["reaction_wheel"]["mass"] + p["isolator"]["mass"]
+    mass += 6 * (p["pma"]["casing_mass"] + p["pma"]["moving_mass"]) + p["fsm"]["mass"]
+    np.testing.assert_allclose(case.second_order(case.nominal).M[:3, :3], mass * np.eye(3), atol=1e-9 * mass)
+
+
+def test_energy_of_the_oracle(case: Case) -> None:
+    """Without attitude law: kinetic energy positive, springs and dampers passive, gyroscopic terms workless."""
+    values = {**case.nominal, "wheel_1.speed": 900.0, "wheel_3.speed": -500.0, "solar_array.tau": 0.3}
+    model = case.second_order(values, controlled=False)
+    scale = 1.0 / np.sqrt(np.diag(model.M))
+    for matrix in (model.M, model.K):
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
+    assert eigvalsh(scale[:, None] * model.M * scale)[0] > 1e-6
+    dissipation = eigvalsh(0.5 * (model.D + model.D.T))
+    assert dissipation[0] > -1e-12 * dissipation[-1]
+    assert np.abs(model.D - model.D.T).max() > 1.0
