@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -205,6 +205,32 @@ def cumulative(views: Sequence[RunView]) -> Picture:
 
     alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
     return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
+
+
+def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]) -> Picture | None:
+    """LOS rms at each disturbance line, run by run, with what the model says where it was given."""
+    shown = [v for v in views if v.tones]
+    if len(views) < 2 or not shown:
+        return None
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            found = sorted(view.tones, key=lambda line: line.omega)
+            hertz = [line.omega / (2 * np.pi) for line in found]
+            rms = [line.rms / RAD_PER_MAS for line in found]
+            axis.loglog(hertz, rms, "o", ms=4, color=COLOURS[i % 6], label=view.label)
+            if view.label in model:
+                omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
+                axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "-", lw=0.8, color=COLOURS[i % 6])
+        if model:
+            axis.plot([], [], "-", lw=0.8, color="#555555", label="model")
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("LOS rms at the line [mas]")
+        _legend(figure, axis)
+
+    alt = "Line-of-sight rms at each disturbance line, run by run: how much of each line every stage lets through"
+    return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
 
 
 def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:

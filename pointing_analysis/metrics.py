@@ -22,8 +22,11 @@ the norm and smears the picture all the same. Two estimators of the RPE exist an
     per axis :math:`v = \overline{e^2} - \bar e^2` of each disjoint window (division by N); rms is
     :math:`\sqrt{\bar v}`. This one corresponds to the spectral weight of `weights`.
 *instant* estimator
-    the samples of :math:`e(t) - \bar e` themselves, for quantiles; t stands at the centre of its window, at its end, or
-    runs through all of a disjoint window (then its mean square equals the window estimator).
+    the samples of :math:`e(t) - \bar e` themselves, for quantiles. By default t runs through every instant of disjoint
+    windows, so that the mean square equals that of the window estimator. A t fixed in its (sliding) window is another
+    quantity: at the end slow motion counts :math:`\sqrt 3` times, **at the centre it nearly vanishes** (the weight of a
+    tone is :math:`1 - \mathrm{sinc}`; at 14 Hz and 20 ms a quarter of the rms weight), so a quantile formed there may
+    lie below the rms.
 
 Missing samples are NaN in the input. A window that holds one is left out and counted; nothing is interpolated.
 """
@@ -157,15 +160,15 @@ def mpe(error: ArrayLike, dt: float, window: float) -> Floats:
     return windows(error, dt, window).mean
 
 
-def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position = "centred") -> Floats:
+def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position = "all") -> Floats:
     """Samples of the RPE by the instant estimator.
 
     Parameters
     ----------
     error : (n, 2), NaN where a sample is missing
     dt, window : sampling period and window length [s]
-    position : where t stands in its window of N samples: ``centred`` (sample N // 2), ``end`` (the last sample; slow
-        motion then counts about twice), or ``all`` (every sample of disjoint windows)
+    position : where t stands in its window of N samples: ``all`` (every sample of disjoint windows), or in a sliding
+        window ``centred`` (sample N // 2) or ``end`` (the last sample); see the notes of this module
 
     Returns
     -------

@@ -10,7 +10,7 @@ import hashlib
 import math
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ AUTHORITY = {
 }  # [rad], [N]; the bag's own ``fsm_authority``, ``pma_authority`` go before
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
+#: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
+Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 WORDS = {
     "compliant": "compliant",
     "not compliant": "not compliant",
@@ -168,7 +170,7 @@ def latency_us(run: Run) -> NDArray[np.float64]:
     return delay if delay.size and np.any(delay != 0) else np.empty(0)
 
 
-def pictures(views: Sequence[RunView], wanted: Sequence[Requirement]) -> list[Picture]:
+def pictures(views: Sequence[RunView], wanted: Sequence[Requirement], model: Model | None = None) -> list[Picture]:
     """All pictures of the page, in reading order."""
     limits = {k: sorted({r.limit for r in wanted if r.index == k and not r.axis}) for k in ("APE", "RPE")}
     ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
@@ -178,6 +180,7 @@ def pictures(views: Sequence[RunView], wanted: Sequence[Requirement]) -> list[Pi
         figures.trajectory(views, ape),
         figures.density(views) if any(v.spectrum for v in views) else None,
         figures.cumulative(views) if any(v.spectrum for v in views) else None,
+        figures.by_line(views, model or {}),
         figures.exceedance(views, "APE", limits["APE"]),
         figures.exceedance(views, "RPE", limits["RPE"]) if all(v.series.duration > WINDOW for v in views) else None,
         figures.commands(views, _authority(runs)),
@@ -266,6 +269,7 @@ def render(
     *,
     transient: float | None = None,
     wanted: Sequence[Requirement] | None = None,
+    model: Model | None = None,
 ) -> str:
     """The report as HTML text.
 
@@ -274,6 +278,7 @@ def render(
     runs : one or several opened bags, for instance the four loop stages
     transient : seconds to drop at the start of each
     wanted : requirements; by default those of the reference telescope
+    model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
 
     Raises
     ------
@@ -288,7 +293,7 @@ def render(
     names = labels(runs)
     summaries = [summarise(run, transient=transient, wanted=chosen) for run in runs]
     views = [view(run, name, transient) for run, name in zip(runs, names)]
-    drawn = pictures(views, chosen)
+    drawn = pictures(views, chosen, model)
     rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
     # Requirements over several runs are judged once, on all of them.
     if len(runs) > 1:
@@ -324,12 +329,13 @@ def write_report(
     *,
     transient: float | None = None,
     wanted: Sequence[Requirement] | None = None,
+    model: Model | None = None,
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, wanted : see `render`
+    runs, transient, wanted, model : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -337,7 +343,7 @@ def write_report(
     The path of the file.
     """
     target = Path(path)
-    page = render(runs, transient=transient, wanted=wanted)
+    page = render(runs, transient=transient, wanted=wanted, model=model)
     if not target.parent.is_dir():
         raise ValueError(f"expected an existing folder for the report; got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:

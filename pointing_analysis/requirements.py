@@ -223,8 +223,8 @@ class Verdict:
 def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
     """Samples of the judged index [rad] and the largest number of them that may count as independent.
 
-    RPE samples come from the instant estimator with t at the centre of the window; samples within one window share
-    its mean, so no more than one per disjoint window counts.
+    RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
+    its mean, so no more than one per window counts.
     """
     e, dt, times = series.values, series.dt, requirement.times
     cap = math.inf
@@ -233,7 +233,7 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
     elif requirement.index in ("MPE", "MKE"):
         samples = metrics.mpe(e, dt, times[0])
     elif requirement.index in ("RPE", "RKE"):
-        samples = metrics.rpe_instant(e, dt, times[0], "centred")
+        samples = metrics.rpe_instant(e, dt, times[0])
         cap = len(metrics.windows(e, dt, times[0]).mean)
     else:
         samples = metrics.pde(e, dt, times[0], times[1])

@@ -41,7 +41,7 @@ class Summary:
     transient : seconds dropped at the start
     ape_max, ape_p997 : largest and 99.7 % radial APE [arcsec]
     rpe_rms : radial RPE rms of disjoint 20 ms windows, window estimator [mas]
-    rpe_p997 : 99.7 % quantile of the radial RPE, instant estimator, t centred [mas]
+    rpe_p997 : 99.7 % quantile of the radial RPE, over every instant of disjoint 20 ms windows [mas]
     rpe_axis : RPE rms per axis [mas]
     windows, windows_skipped : complete 20 ms windows, and those left out because a sample is missing
     samples_lost : samples missing in the bag, all topics

@@ -73,7 +73,7 @@ def test_instant_estimator_positions() -> None:
         got = metrics.rpe_instant(e, DT, WINDOW, position)
         expected = np.array([e[k + at] - e[k : k + 20].mean(axis=0) for k in range(981)])
         assert np.allclose(got, expected, atol=1e-12)
-    every = metrics.rpe_instant(e, DT, WINDOW, "all")
+    every = metrics.rpe_instant(e, DT, WINDOW)
     assert metrics.rms(every) == pytest.approx(metrics.rpe_rms(e, DT, WINDOW), rel=1e-12)
 
 
@@ -87,6 +87,19 @@ def test_end_of_window_sees_slow_motion_larger_by_root_three() -> None:
     assert exact == pytest.approx(np.sqrt(3), rel=0.06)
 
 
+def test_centre_of_the_window_hides_slow_motion(tmp_path) -> None:
+    """A slow circle: fixed to the centre of the window the largest error would lie below the rms; ours does not."""
+    t = DT * np.arange(20_000)
+    circle = MAS * 150 * np.column_stack([np.sin(88 * t), np.cos(88 * t)])
+    rms = np.hypot(*metrics.rpe_rms(circle, DT, WINDOW))
+    centred = metrics.radial(metrics.rpe_instant(circle, DT, WINDOW, "centred")).max()
+    assert centred < 0.3 * rms
+    figures = summarise(Run.open(write_bag(tmp_path / "bag", {"truth/los": circle})))
+    assert figures.rpe_rms == pytest.approx(150 * weights.rpe_discrete(88.0, 20, DT), rel=5e-3)
+    # At the ends of the exposure the circle is farthest from its mean: about sqrt(3) of the rms for slow motion.
+    assert 1.4 < figures.rpe_p997 / figures.rpe_rms < np.sqrt(3)
+
+
 def test_windows_with_missing_samples_are_skipped_and_counted() -> None:
     e = np.random.default_rng(1).standard_normal((1000, 2))
     holed = e.copy()
@@ -96,7 +109,7 @@ def test_windows_with_missing_samples_are_skipped_and_counted() -> None:
     keep = [i for i in range(50) if i not in (5, 6)]
     assert np.array_equal(w.mean, full.mean[keep])
     assert np.array_equal(w.start, 20 * np.array(keep))
-    instant, complete = (metrics.rpe_instant(x, DT, WINDOW) for x in (holed, e))
+    instant, complete = (metrics.rpe_instant(x, DT, WINDOW, "centred") for x in (holed, e))
     touched = np.zeros(len(instant), bool)
     for hole in (105, 106, 130):
         touched[hole - 19 : hole + 1] = True
@@ -108,8 +121,9 @@ def test_offset_does_not_cost_the_jitter_its_digits() -> None:
     jitter = 1e-9 * np.random.default_rng(0).standard_normal((2000, 2))
     shifted = metrics.rpe_rms(jitter + 1.0, DT, WINDOW)
     assert shifted == pytest.approx(metrics.rpe_rms(jitter, DT, WINDOW), rel=1e-5)
-    instant = metrics.rpe_instant(jitter + 1.0, DT, WINDOW)
-    assert np.allclose(instant, metrics.rpe_instant(jitter, DT, WINDOW), atol=1e-14)
+    for position in ("all", "centred"):
+        instant = metrics.rpe_instant(jitter + 1.0, DT, WINDOW, position)
+        assert np.allclose(instant, metrics.rpe_instant(jitter, DT, WINDOW, position), atol=1e-14)
 
 
 def test_drift_of_a_steady_motion_is_rate_times_separation() -> None:

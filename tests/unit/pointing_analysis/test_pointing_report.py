@@ -111,7 +111,7 @@ def test_nothing_comes_from_outside(page) -> None:
 def test_pictures_have_texts_and_are_svg(page) -> None:
     found = outline(page)
     pictures = [s for s in found.sources if len(s) > 10]
-    assert len(pictures) == len(found.alts) == 7
+    assert len(pictures) == len(found.alts) == 8
     assert all(alt and len(alt) > 20 for alt in found.alts)
     for source in pictures:
         svg = base64.b64decode(source.split(",", 1)[1])
@@ -186,6 +186,13 @@ def test_requirements_over_several_runs_are_judged_once(stages) -> None:
     page = render([Run.open(bag) for bag in stages], wanted=wanted)
     assert page.count('data-label="Requirement"') == 1
     assert "all runs" in page
+
+
+def test_model_is_drawn_beside_the_measured_lines(stages) -> None:
+    runs = [Run.open(bag) for bag in stages]
+    model = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
+    assert render(runs, model=model) != render(runs)
+    assert "Disturbance lines, run by run" not in render(runs[:1], model=model)
 
 
 def test_bad_input(stages, tmp_path) -> None:
