@@ -1,12 +1,13 @@
 """A first proof-mass law: sky-hook damping of the platform.
 
-The platform's acceleration is integrated with a leak to a velocity, and the six actuators together
+Above a corner the platform's acceleration is integrated to a velocity, and the six actuators together
 oppose it with a wrench ``W = -G v``::
 
-    v = a / (s + leak),    u = -Gamma^-1 W,    Gamma: wrench on the platform by forces u on the masses
+    v = s a / (s^2 + 1.4 corner s + corner^2),    u = Gamma^-1 W,    Gamma: wrench on the platform by forces u
 
-One state an axis. The leak keeps clear of the actuators' own mode (sqrt(70/2.5) = 5.3 rad/s), below which
-they can give no force. Source: Preumont, Vibration Control of Active Structures, ch. 7 (sky-hook damper).
+Two states an axis. Plain integration would not do: below their own mode (sqrt(70/2.5) = 5.3 rad/s) the
+actuators' force on the platform turns round, and the solar arrays, damped by a thousandth, would swing up. Source:
+Preumont, Vibration Control of Active Structures, ch. 7 (sky-hook damper).
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ def actuator_wrenches(parameters: Parameters) -> FloatArray:
     return np.array(columns).T
 
 
-def skyhook(parameters: Parameters, damping: ArrayLike, leak: float) -> UncertainSystem:
-    """Continuous sky-hook law, order 6: platform acceleration to actuator forces.
+def skyhook(parameters: Parameters, damping: ArrayLike, corner: float) -> UncertainSystem:
+    """Continuous sky-hook law, order 12: platform acceleration to actuator forces.
 
     Parameters
     ----------
@@ -54,16 +55,18 @@ def skyhook(parameters: Parameters, damping: ArrayLike, leak: float) -> Uncertai
         Of the telescope (table ``pma``).
     damping : array_like, shape (6,)
         Diagonal of G [N s/m], [Nm s/rad], not negative.
-    leak : float
+    corner : float
         rad/s, positive.
     """
     G = np.asarray(damping, dtype=float)
     if G.shape != (6,) or np.any(G < 0.0):
         raise ValueError(f"sky-hook damping must be six numbers that are not negative, got {G.tolist()}")
-    if not leak > 0.0:
-        raise ValueError(f"sky-hook leak must be positive, got {leak} rad/s")
+    if not corner > 0.0:
+        raise ValueError(f"sky-hook corner must be positive, got {corner} rad/s")
     allocation = -linalg.solve(actuator_wrenches(parameters), np.diag(G))
-    return state_space(-leak * np.eye(6), np.eye(6), allocation, np.zeros((6, 6)), INPUTS, OUTPUTS)
+    A = np.kron(np.eye(6), [[0.0, 1.0], [-(corner**2), -1.4 * corner]])
+    B, C = np.kron(np.eye(6), [[0.0], [1.0]]), np.kron(allocation, [[0.0, 1.0]])
+    return state_space(A, B, C, np.zeros((6, 6)), INPUTS, OUTPUTS)
 
 
 def flown_controller(

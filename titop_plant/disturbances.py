@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
@@ -171,32 +172,32 @@ def design_tones(parameters: Parameters, plant: StateSpaceData, rng: np.random.G
     plant : StateSpaceData
         From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
     rng : numpy.random.Generator
-        Phases.
+        Phase of each tone as a whole.
 
     Notes
     -----
-    "Worst" is the largest singular value seen through the weight of the relative performance error. All
-    wheels have the full amplitude at each of the frequencies; both drives have theirs at the one
-    that is worst for them.
+    "Worst" is the largest singular value seen through the weight of the relative performance error. At each
+    of these frequencies all channels of all wheels have the full amplitude of their weight, in the
+    phases that add up at the line of sight; so have both drives where they are worst. The tone of unit
+    norm that an H-infinity norm bounds is smaller, by up to the square root of the number of channels.
     """
     low, high = parameters["design_scenario"]["band"]
-    omega = frequency_grid(np.linalg.eigvals(plant.A), low, high)
+    omega = frequency_grid(linalg.eigvals(plant.A), low, high)
     size = weight_amplitudes(parameters, omega)
     response = frequency_response(plant, omega) * size[:, None, :]
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
-    wheels = seen * singular_values(response[:, :, :20])[:, 0]
-    drives = seen * singular_values(response[:, :, 20:])[:, 0]
+    wheels, drives = slice(0, 20), slice(20, 22)
+    peaks = _highest_peaks(
+        seen * singular_values(response[:, :, wheels])[:, 0], parameters["design_scenario"]["tones"]
+    )
+    worst = int(np.argmax(seen * singular_values(response[:, :, drives])[:, 0]))
     rows: list[tuple[float, ComplexArray, float, int]] = []
-    for k in _highest_peaks(wheels, parameters["design_scenario"]["tones"]):
+    for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:
+        left = linalg.svd(response[k][:, channels])[0][:, 0]
+        towards = left.conj() @ response[k][:, channels]
         amplitude = np.zeros(CHANNELS, complex)
-        for i in range(4):
-            force, _, axial, torque, _ = size[k, 5 * i : 5 * i + 5]
-            amplitude[5 * i : 5 * i + 5] = _wheel_vector(force, axial, torque, 1.0, rng)
-        rows.append((float(omega[k]), amplitude, 0.0, -1))
-    k = int(drives.argmax())
-    amplitude = np.zeros(CHANNELS, complex)
-    amplitude[20:] = size[k, 20:] * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 2))
-    rows.append((float(omega[k]), amplitude, 0.0, -1))
+        amplitude[channels] = size[k, channels] * np.exp(-1j * np.angle(towards))
+        rows.append((float(omega[k]), amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi)), 0.0, -1))
     return _tones(rows)
 
 
