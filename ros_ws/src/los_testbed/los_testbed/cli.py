@@ -16,7 +16,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from los_testbed.bag import check_new_bag
 from los_testbed.config import RunConfig, parse_value, read_yaml
+from los_testbed.cores import build_controller, build_estimator
 from los_testbed.inprocess import LoopDivergedError
 
 app = typer.Typer(
@@ -52,20 +54,22 @@ ANALYSE_EXAMPLES = """Judge recorded runs and write an HTML report.
 
 @app.command(help=RUN_EXAMPLES)
 def run(
-    duration: Annotated[float | None, typer.Option(help="Length of the run [s].")] = None,
+    duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
     mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
     loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
     scenario: Annotated[str | None, typer.Option(help="design or imbalance.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of noise and disturbance phases.")] = None,
+    seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
     noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
     disturbance: Annotated[
         bool | None, typer.Option("--disturbance/--no-disturbance", help="Wheels and array drive.")
     ] = None,
-    camera_rate: Annotated[float | None, typer.Option(help="Frames per second; divides 1000 [Hz].")] = None,
+    camera_rate: Annotated[
+        str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
+    ] = None,
     k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the one that ships.")] = None,
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file.")] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
-    domain: Annotated[int | None, typer.Option(help="ROS domain.")] = None,
+    domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
@@ -127,7 +131,9 @@ def configure(file: Path | None, settings: list[str], given: dict[str, Any]) -> 
         if not sign:
             raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
         values[name] = parse_value(name, text)
-    values.update({name: value for name, value in given.items() if value is not None})
+    for name, value in given.items():
+        if value is not None:
+            values[name] = parse_value(name, value) if isinstance(value, str) else value
     chosen = RunConfig.from_mapping(values)
     if not chosen.output:
         chosen = replace(chosen, output=str(new_bag(chosen)))
@@ -142,13 +148,31 @@ def new_bag(config: RunConfig) -> Path:
     return next(name for name in names if not name.exists())
 
 
+def check(config: RunConfig) -> None:
+    """Refuse what can be refused before anything is started or written.
+
+    Raises
+    ------
+    ValueError
+        A bag that exists, a file that is no controller, ROS missing.
+    """
+    check_new_bag(Path(config.output))
+    build_estimator(config)
+    build_controller(config)
+    if config.mode != "inprocess":
+        from los_testbed.runner import check_ros
+
+        check_ros()
+
+
 def execute(config: RunConfig, console: Console) -> tuple[Path, bool, list[str]]:
     """Run, with a progress bar; the bag, whether it was interrupted, and warnings."""
+    check(config)
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} ms"),
         TimeElapsedColumn(), TimeRemainingColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(f"{config.loop}, {config.mode}", total=config.ticks)
 
         def progress(ticks: int) -> None:

@@ -1,0 +1,188 @@
+"""The command line: a mistake is one line and exit code 2, and leaves nothing behind."""
+
+import json
+import os
+import subprocess
+import sys
+
+import los_testbed.inprocess
+import numpy as np
+import pytest
+from los_testbed import cli
+from simple_telescope import SimpleTelescope, write_controllers
+
+from uncertain_systems.runtime import Port, SampledSystem
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder with the small telescope; exit code, output, error output."""
+    monkeypatch.setattr(
+        los_testbed.inprocess,
+        "build_plant",
+        lambda c: SimpleTelescope(c.frame_ticks, c.seed, c.noise, c.camera_dropout),
+    )
+    (tmp_path / "files").mkdir()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    own = write_controllers(tmp_path / "files")
+
+    def call(*arguments):
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as stop:
+            code = stop.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    call.controllers = [f"--{name.replace('_', '-')}={path}" for name, path in own.items()]
+    call.files = tmp_path / "files"
+    call.here = tmp_path / "here"
+    return call
+
+
+def test_a_run_ends_with_one_json_line(run):
+    code, out, _ = run("run", "--mode=inprocess", "--duration=3", "--json", *run.controllers)
+    assert code == 0
+    figures = json.loads(out.splitlines()[-1])
+    assert {
+        "bag",
+        "mode",
+        "loop",
+        "ticks",
+        "missed_ticks",
+        "latency_us",
+        "ape_arcsec",
+        "rpe_mas",
+        "samples_lost",
+    } <= set(figures)
+    assert set(figures["latency_us"]) == {"median", "p99", "p999"}
+    assert set(figures["ape_arcsec"]) == {"max", "p997"}
+    assert set(figures["rpe_mas"]) == {"rms", "p997"}
+    assert (figures["mode"], figures["loop"], figures["ticks"]) == ("inprocess", "fsm+pma", 3000)
+    assert figures["missed_ticks"] == figures["samples_lost"] == 0
+    assert 0 < figures["ape_arcsec"]["p997"] <= figures["ape_arcsec"]["max"] < 10
+    assert (run.here / figures["bag"] / "report.html").stat().st_size > 10_000
+
+
+def test_the_table_names_figures_limits_and_paths(run):
+    code, out, _ = run("run", "--mode=inprocess", "--duration=3", "--output=b", *run.controllers)
+    assert code == 0
+    for word in ("APE max", "APE 99.7 %", "RPE rms", "RPE 99.7 %", "10 arcsec", "b/report.html"):
+        assert word in out
+
+
+def test_analyse_gives_the_figures_again(run):
+    _, out, _ = run("run", "--mode=inprocess", "--duration=3", "--output=b", "--json", *run.controllers)
+    first = json.loads(out.splitlines()[-1])
+    code, out, _ = run("analyse", "b", "--json")
+    assert code == 0
+    assert json.loads(out.splitlines()[-1]) == first
+    code, out, _ = run("analyse", "b", "b", "--json", "--report=two.html")
+    assert code == 0
+    assert len(json.loads(out.splitlines()[-1])["runs"]) == 2
+    assert (run.here / "two.html").exists()
+
+
+def test_options_beat_settings_which_beat_the_file(run):
+    (run.files / "run.yaml").write_text("duration: 4.0\nseed: 5\nloop: fsm\n")
+    config = cli.configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
+    assert (config.duration, config.seed, config.loop, config.theta) == (4.0, 6, "isolator", 0.5)
+
+
+def _system(path, D, inputs, outputs):
+    SampledSystem([], [], [], D, inputs, outputs, 1e-3).to_file(path)
+    return path
+
+
+def _bad_controllers(folder):
+    good = (folder / "k_fsm.json").read_text()
+    content = json.loads(good)
+    content["D"][0][0] = float("nan")
+    (folder / "nan.json").write_text(json.dumps(content))
+    content["D"][0][0] = 0.0
+    content["A"] = [[0.5]]
+    (folder / "shape.json").write_text(json.dumps(content))
+    (folder / "text.json").write_text("not a controller")
+    (folder / "other.json").write_text('{"format": "something"}')
+    _system(folder / "ports.json", np.zeros((1, 2)), (Port("u", 2),), (Port("y", 1),))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--duration=-1"], ["duration", "between", "-1"]),
+        (["--duration=nan"], ["duration", "nan"]),
+        (["--duration=ten"], ["ten"]),
+        (["--camera-rate=30"], ["camera_rate", "divide", "30"]),
+        (["--loop=everything"], ["loop", "isolator", "everything"]),
+        (["--mode=fast"], ["mode", "inprocess", "fast"]),
+        (["--scenario=storm"], ["scenario", "imbalance", "storm"]),
+        (["--set=durtion=1"], ["unknown parameter 'durtion'", "duration"]),
+        (["--set=seed"], ["NAME=VALUE", "'seed'"]),
+        (["--set=wheel_speed=[1, 2]"], ["wheel_speed", "four", "2"]),
+        (["--config=none.yaml"], ["none.yaml", "No such file"]),
+        (["--no-such-option"], ["--no-such-option"]),
+        (["--k-fsm=none.json"], ["none.json", "No such file"]),
+        (["--k-fsm={files}/text.json"], ["text.json", "not a controller file"]),
+        (["--k-fsm={files}/other.json"], ["other.json", "not a controller file"]),
+        (["--k-fsm={files}/nan.json"], ["nan.json", "finite", "nan"]),
+        (["--k-fsm={files}/shape.json"], ["shape.json", "matrix B", "1 x 22", "2 x 22"]),
+        (["--k-fsm={files}/ports.json"], ["expected inputs accel_Ip[6]", "u[2]"]),
+        (["--k-pma={files}/k_fsm.json"], ["expected inputs accel_Ip[6]", "accel_M1[6]"]),
+        (["--output={files}"], ["exists already", "never overwritten"]),
+        (["--output={files}/k_fsm.json/bag"], ["not a folder"]),
+    ],
+)
+@pytest.mark.parametrize("mode", ["inprocess", "realtime"])
+def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, words, mode):
+    if mode == "realtime":
+        pytest.importorskip("rclpy")
+    _bad_controllers(run.files)
+    before = sorted(run.files.rglob("*"))
+    given = [a.format(files=run.files) for a in arguments]
+    named = {a.split("=")[0] for a in given}
+    rest = [c for c in run.controllers if c.split("=")[0] not in named]
+    rest += [] if "--mode" in named else [f"--mode={mode}"]
+    code, out, err = run("run", *rest, *given)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("los-testbed: ")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert not list(run.here.iterdir())
+    assert sorted(run.files.rglob("*")) == before
+
+
+def test_ros_missing_is_said_before_anything_happens(run, monkeypatch):
+    import importlib.util
+
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
+    code, _, err = run("run", *run.controllers)
+    assert code == 2
+    assert "ROS 2 is not installed" in err and "--mode inprocess" in err
+    assert err.count("\n") == 1
+    assert not list(run.here.iterdir())
+
+
+def test_a_bag_that_is_none(run):
+    for target in ("nothing", str(run.files)):
+        code, _, err = run("analyse", target)
+        assert code == 2
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["run", "analyse"])
+def test_help_has_examples(command):
+    done = subprocess.run(
+        [sys.executable, "-m", "los_testbed.cli", command, "--help"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "COLUMNS": "100"},
+    )
+    assert done.returncode == 0
+    assert "Examples" in done.stdout
+    assert f"los-testbed {command}" in done.stdout
