@@ -102,6 +102,11 @@ def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
         figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=1.6, columnspacing=1.2)
 
 
+def _stroke(i: int, runs: int) -> dict[str, Any]:
+    """Colour and width of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
+    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i)}
+
+
 def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
     rows = -(-n // columns)
     grid = figure.subplots(rows, columns, squeeze=False, **options)
@@ -148,7 +153,7 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
                     limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g} arcsec"
                 )
             axis.set_aspect("equal", adjustable="datalim")
-            axis.set_title(f"{view.label}: largest {largest:.3g} arcsec")
+            axis.set_title(f"{view.label}\nlargest {largest:.3g} arcsec")
             axis.set_xlabel("LOS x [arcsec]")
             axis.set_ylabel("LOS y [arcsec]")
         _legend(figure, max(axes, key=lambda a: len(a.get_lines())))
@@ -174,7 +179,8 @@ def density(views: Sequence[RunView]) -> Picture:
         for i, view in enumerate(views):
             if view.spectrum is not None:
                 total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
-                axis.loglog(view.spectrum.frequency[1:], total, color=COLOURS[i % 6], label=view.label, linewidth=0.9)
+                axis.loglog(view.spectrum.frequency[1:], total, label=view.label, **_stroke(i, len(views)))
+        axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS density [mas²/Hz]")
@@ -193,10 +199,12 @@ def cumulative(views: Sequence[RunView]) -> Picture:
             s = view.spectrum
             if s is None:
                 continue
+            stroke = _stroke(i, len(views))
             weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
-            axis.loglog(s.frequency[1:], s.cumulative_rms()[1:] / RAD_PER_MAS, color=COLOURS[i % 6], label=view.label)
+            axis.loglog(s.frequency[1:], s.cumulative_rms()[1:] / RAD_PER_MAS, label=view.label, **stroke)
             rpe = s.cumulative_rms(weight)[1:] / RAD_PER_MAS
-            axis.loglog(s.frequency[1:], rpe, color=COLOURS[i % 6], ls="--")
+            axis.loglog(s.frequency[1:], rpe, ls="--", **stroke)
+        axis.set_ylim(bottom=max(axis.get_ylim()[0], axis.get_ylim()[1] * 1e-5))
         axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
@@ -219,7 +227,7 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
             found = sorted(view.tones, key=lambda line: line.omega)
             hertz = [line.omega / (2 * np.pi) for line in found]
             rms = [line.rms / RAD_PER_MAS for line in found]
-            axis.loglog(hertz, rms, "o", ms=4, color=COLOURS[i % 6], label=view.label)
+            axis.loglog(hertz, rms, "os^Dvx"[i % 6], ms=7 - i % 4, mfc="none", color=COLOURS[i % 6], label=view.label)
             if view.label in model:
                 omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
                 axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "-", lw=0.8, color=COLOURS[i % 6])
@@ -248,7 +256,7 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
             share = 1 - np.arange(r.size) / max(r.size, 1)
             # Even steps in the logarithm of the share: the tail keeps all of its points.
             pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
-            axis.loglog(r[pick], share[pick], color=COLOURS[i % 6], label=view.label)
+            axis.loglog(r[pick], share[pick], label=view.label, **_stroke(i, len(views)))
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")

@@ -204,16 +204,21 @@ def _digest(run: Run) -> str:
     return total.hexdigest()
 
 
+def _flat(key: str, value: Any) -> list[tuple[str, str]]:
+    """A parameter as table rows; a dictionary becomes one row per group of plain values."""
+    if isinstance(value, dict):
+        plain = {k: v for k, v in value.items() if not isinstance(v, dict)}
+        rows = [(key, ", ".join(f"{k} {v}" for k, v in plain.items()))] if plain else []
+        return rows + [row for k, v in value.items() if isinstance(v, dict) for row in _flat(f"{key}: {k}", v)]
+    if isinstance(value, list):
+        return [(key, ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value) or "none given")]
+    return [(key, str(value) if value != "" else "none given")]
+
+
 def _provenance(run: Run) -> list[tuple[str, str]]:
     rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
     for key in sorted(run.parameters):
-        value = run.parameters[key]
-        text = (
-            ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value)
-            if isinstance(value, list)
-            else value
-        )
-        rows.append((key, str(text)))
+        rows += _flat(key, run.parameters[key])
     for name, data in sorted(run.attachments.items()):
         rows.append((f"attachment {name}", f"{len(data)} bytes, SHA-256 {hashlib.sha256(data).hexdigest()[:16]}…"))
     return rows
