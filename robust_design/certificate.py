@@ -74,7 +74,7 @@ def certify(
     shape = (len(requirements), len(models))
     values, upper, places = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     abscissae = np.zeros(len(models))
-    delayed = _delayed(controller, loop_delay)
+    delayed = delayed_controller(controller, loop_delay)
     for k, model in enumerate(models):
         bare = close_loop(model, delayed, (), ())
         abscissae[k] = spectral_abscissa(bare.A)
@@ -115,7 +115,8 @@ def _poles(r: ClosedLoopPoles | ControllerPoles, closed: FloatArray, own: FloatA
     return float(r.pieces(spectrum)[0].max(initial=-np.inf))
 
 
-def _delayed(controller: Model, loop_delay: float) -> Model:
+def delayed_controller(controller: Model, loop_delay: float) -> Model:
+    """Controller followed by the Padé approximation of the delay on its commands [s]."""
     if loop_delay == 0.0:
         return controller
     whole = series(controller, pade_delay(loop_delay, PADE_ORDER, controller.D.shape[0]))

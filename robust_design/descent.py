@@ -123,7 +123,8 @@ def minimise(
     Returns
     -------
     Descent
-        ``reason`` is ``stationary``, ``nearly stationary`` (no progress, within ten times the tolerance), ``target``, ``stalled``, ``iterations``, ``deadline`` or ``interrupted``.
+        ``reason`` is ``stationary``, ``nearly stationary`` (no progress, within ten times the tolerance),
+        ``target``, ``stalled``, ``iterations``, ``deadline`` or ``interrupted``.
     """
     state = _State(oracle, np.array(x0, dtype=float), options, rng)
     reason = "iterations"
@@ -157,7 +158,7 @@ class _State:
             raise ValueError("the starting point is outside the domain: stabilise it first")
         self._first = max(abs(self.sample.objective), 1e-12)
         self._scale = _scales(self.sample, x)
-        self._B = np.zeros((len(x), len(x)))
+        self._B: FloatArray = np.zeros((len(x), len(x)))
         self._proximity = self._first_proximity()
         self._planes: list[tuple[float, FloatArray, FloatArray, bool]] = []
         self._sampled: list[tuple[float, FloatArray]] = []
@@ -210,13 +211,13 @@ class _State:
         offsets = [(p.value - 1.0 - c) if p.hard else (p.value - f - c) for p in self.sample.pieces]
         gradients = [p.gradient * self._scale for p in self.sample.pieces]
         level = max(abs(f), c) if np.isfinite(f) else 1.0
-        for margin, slope in self.sample.barriers:
+        for margin, towards in self.sample.barriers:
             offsets.append(-KEPT_MARGIN * level)
-            gradients.append(slope * self._scale * (level / max(-margin, 1e-300)))
+            gradients.append(towards * self._scale * (level / max(-margin, 1e-300)))
         for value, slope, at, hard in self._planes:
             shift = (self.x - at) / self._scale
             here = value + slope @ shift - ((1.0 + c) if hard else (f + c))
-            offsets.append(min(here, 0.0) - 1e-3 * abs(f if np.isfinite(f) else 1.0) * float(shift @ shift))
+            offsets.append(min(float(here), 0.0) - 1e-3 * abs(f if np.isfinite(f) else 1.0) * float(shift @ shift))
             gradients.append(slope)
         for value, slope in self._sampled:
             offsets.append(value)
@@ -271,7 +272,8 @@ class _State:
 
     def _learn(self, found: Sample, lam: FloatArray, d: FloatArray) -> None:
         """Damped BFGS update with the change of the Lagrangian's gradient, pieces matched between the points."""
-        y, mass = np.zeros(len(d)), 0.0
+        mass = 0.0
+        y: FloatArray = np.zeros(len(d))
         for weight, piece in zip(lam, self.sample.pieces):
             if weight < 1e-8:
                 continue
@@ -363,4 +365,4 @@ def _scales(sample: Sample, x: FloatArray) -> FloatArray:
     if len(positive) == 0:
         return np.ones(len(x))
     middle = float(np.exp(np.mean(np.log(positive))))
-    return 1.0 / np.clip(size, 1e-2 * middle, 1e3 * middle) / np.sqrt(len(x))
+    return np.asarray(1.0 / np.clip(size, 1e-2 * middle, 1e3 * middle) / np.sqrt(len(x)))

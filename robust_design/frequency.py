@@ -8,11 +8,13 @@ the modal form is used only if it reproduces direct solutions at test frequencie
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -143,8 +145,6 @@ def refined_grid(
     count = max(2, int(np.ceil(np.log10(highest / lowest) * per_decade)))
     points = [np.geomspace(lowest, highest, count)]
     light = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.3 * np.abs(poles))]
-    for s in spread:
-        for side in (-1.0, 1.0) if s else (1.0,):
-            points.append(light.imag + side * s * np.abs(light.real))
+    points += [light.imag + s * np.abs(light.real) for s in (*spread, *(-s for s in spread))]
     merged = np.unique(np.concatenate(points))
     return np.asarray(merged[(merged >= lowest) & (merged <= highest)])

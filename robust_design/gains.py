@@ -90,9 +90,7 @@ class LoopGains:
         self._split = (len(rz), len(cw))
         self._columns = [_places(cw, model.input_indices(r.inputs)) for r in requirements]
         self._rows = [_places(rz, model.output_indices(r.outputs)) for r in requirements]
-        self._weights = [
-            (_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements
-        ]
+        self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
         self._grid = self._arrays(self._frequencies(per_decade))
 
     def _frequencies(self, per_decade: int) -> FloatArray:
@@ -115,7 +113,9 @@ class LoopGains:
         if self._delay:
             finite = np.where(np.isfinite(omega), omega, 0.0)
             P[:, :, nw:] *= np.exp(-1j * finite * self._delay)[:, None, None]
-        P11, P12, P21 = [], [], []
+        P11: list[ComplexArray] = []
+        P12: list[ComplexArray] = []
+        P21: list[ComplexArray] = []
         for i, (w_in, w_out, scale) in enumerate(self._weights):
             rows, columns = self._rows[i], self._columns[i]
             first = P[:, rows][:, :, columns] * scale
@@ -272,9 +272,7 @@ def controller_response(K: FloatArray, order: int, omega: FloatArray) -> Complex
     return out
 
 
-def controller_factors(
-    K: FloatArray, order: int, omega: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def controller_factors(K: FloatArray, order: int, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Response (N, u, y) and the factors of ``dK(jw) = left dK right``: (N, u, order + u), (N, order + y, y)."""
     n, N = order, len(omega)
     nu, ny = K.shape[0] - n, K.shape[1] - n

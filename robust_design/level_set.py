@@ -12,14 +12,16 @@ Neither looks at a grid only: a peak between two points cannot escape.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
+import scipy.linalg
 from numpy.typing import NDArray
 
 from robust_design.frequency import FrequencyResponse
 from robust_design.stacks import largest_gains
 
+sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -67,9 +69,7 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) 
     if not response.modal:
         raise ValueError("the interval test needs a modal response; got a Schur form")
     poles = response.poles
-    residue = np.sqrt(
-        np.sum(np.abs(response.left) ** 2, axis=0) * np.sum(np.abs(response.right) ** 2, axis=1)
-    )
+    residue = np.sqrt(np.sum(np.abs(response.left) ** 2, axis=0) * np.sum(np.abs(response.right) ** 2, axis=1))
     top = 2.0 * float(np.abs(poles).max(initial=1.0))
     inner = np.concatenate([[0.0, top], seeds[(seeds > 0) & (seeds < top)]])
     cuts = np.unique(inner)
@@ -106,9 +106,7 @@ def _cover(
         for start in range(0, len(intervals), CHUNK):
             part = intervals[start : start + CHUNK]
             centre = part.mean(axis=1)
-            value, bound = _taylor_bound(
-                response, products, residue, centre, 0.5 * (part[:, 1] - part[:, 0]), inverse
-            )
+            value, bound = _taylor_bound(response, products, residue, centre, 0.5 * (part[:, 1] - part[:, 0]), inverse)
             above = value > level
             if above.any():
                 found = centre[above]

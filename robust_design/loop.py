@@ -94,7 +94,12 @@ def extended_plant(
     """
     cw, cu = model.input_indices(inputs), model.input_indices(commands)
     rz, ry = model.output_indices(outputs), model.output_indices(measurements)
-    A, B, C, D = model.A, model.B[:, np.r_[cw, cu]], model.C[np.r_[rz, ry]], model.D[np.ix_(np.r_[rz, ry], np.r_[cw, cu])]
+    A, B, C, D = (
+        model.A,
+        model.B[:, np.r_[cw, cu]],
+        model.C[np.r_[rz, ry]],
+        model.D[np.ix_(np.r_[rz, ry], np.r_[cw, cu])],
+    )
     nw, nu, nz, ny = len(cw), len(cu), len(rz), len(ry)
     before = [_or_unit(weight_in, nw), pade_delay(loop_delay, pade_order, nu)]
     after = [_or_unit(weight_out, nz), _or_unit(None, ny)]

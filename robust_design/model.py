@@ -173,9 +173,7 @@ def series(first: Model, second: Model, name: str = "") -> Model:
         raise ValueError(
             f"series: {first.name} has {first.D.shape[0]} outputs, {second.name} takes {second.D.shape[1]} inputs"
         )
-    A = np.block(
-        [[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]]
-    )
+    A = np.block([[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]])
     B = np.vstack([first.B, second.B @ first.D])
     C = np.hstack([second.D @ first.C, second.C])
     return Model(A, B, C, second.D @ first.D, first.inputs, second.outputs, name or first.name)
@@ -216,10 +214,10 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
     B = np.zeros((n, 1))
     B[n - 1 :] = 1.0
     C = (b[1:] - a[1:] * b[0])[::-1][None]
-    eye = np.eye(size)
+    eye: FloatArray = np.eye(size)
     return Model(
-        np.kron(eye, A),
-        np.kron(eye, B),
+        np.asarray(np.kron(eye, A), dtype=float),
+        np.asarray(np.kron(eye, B), dtype=float),
         np.kron(eye, C),
         eye * b[0],
         (Port("in", size),),
@@ -250,12 +248,12 @@ def pade_delay(delay: float, order: int, size: int = 1) -> Model:
     A, T = sl.matrix_balance(unit.A, permute=False)
     B, C = sl.solve(T, unit.B), unit.C @ T
     level = np.sqrt(sl.norm(C) / sl.norm(B))
-    eye = np.eye(size)
+    eye: FloatArray = np.eye(size)
     return Model(
         np.kron(eye, A) / delay,
         np.kron(eye, B * level) / delay,
         np.kron(eye, C / level),
-        np.kron(eye, unit.D),
+        np.asarray(np.kron(eye, unit.D), dtype=float),
         (Port("in", size),),
         (Port("out", size),),
         f"delay {delay} s",
@@ -306,7 +304,7 @@ def close_loop(plant: Model, controller: Model, inputs: Sequence[str], outputs: 
 
 def _indices(ports: tuple[Port, ...], names: Iterable[str], what: str) -> NDArray[np.intp]:
     slices = port_slices(ports)
-    chosen = []
+    chosen: list[int] = []
     for name in names:
         if name not in slices:
             raise ValueError(f"{what} port {name!r} does not exist; there are {', '.join(slices) or 'none'}")

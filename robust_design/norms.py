@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from robust_design.frequency import FrequencyResponse, direct_response, resonances
 from robust_design.level_set import LevelTest, hamiltonian_test, interval_test
 from robust_design.stacks import largest_gains
 
+sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -168,14 +170,10 @@ def checked(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Matrices:
             matrix = np.zeros(shape)
         matrix = np.atleast_2d(matrix)
         if matrix.shape != shape:
-            raise ValueError(
-                f"matrix {name} must be {shape[0]} x {shape[1]}, got {' x '.join(map(str, matrix.shape))}"
-            )
+            raise ValueError(f"matrix {name} must be {shape[0]} x {shape[1]}, got {' x '.join(map(str, matrix.shape))}")
         if not np.all(np.isfinite(matrix)):
             place = np.argwhere(~np.isfinite(matrix))[0]
-            raise ValueError(
-                f"matrix {name} must be finite, entry {place.tolist()} is {matrix[tuple(place)]}"
-            )
+            raise ValueError(f"matrix {name} must be finite, entry {place.tolist()} is {matrix[tuple(place)]}")
         found[name] = matrix
     return found["A"], found["B"], found["C"], found["D"]
 
@@ -210,9 +208,7 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     raise ArithmeticError(f"the H-infinity norm did not settle in {MOST_ROUNDS} rounds (order {len(A)})")
 
 
-def _level_test(
-    test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray
-) -> LevelTest:
+def _level_test(test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray) -> LevelTest:
     if test == "interval":
         return interval_test(response, level, seeds[np.isfinite(seeds)])
     return hamiltonian_test(*system, level)
@@ -226,7 +222,7 @@ def _directly(system: Matrices, value: float, omega: float) -> tuple[float, floa
 def _seeds(response: FrequencyResponse) -> FloatArray:
     light = resonances(response.poles)
     sizes = np.abs(response.poles)
-    return np.unique(np.concatenate([[0.0, np.inf], light, sizes]))
+    return np.asarray(np.unique(np.concatenate([[0.0, np.inf], light, sizes])))
 
 
 def _best_peak(response: FrequencyResponse, seeds: FloatArray, rtol: float) -> tuple[float, float]:

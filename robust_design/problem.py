@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -126,9 +127,9 @@ class Problem:
     def add_model(self, model: Model) -> None:
         """Make one more model active."""
         _check_sizes(model, self.structure)
-        common = dict(loop_delay=self.loop_delay, pade_order=self.pade_order)
+        common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
         order = self.structure.order
-        bare = extended_plant(model, self._measurements, self._commands, order, **common)  # type: ignore[arg-type]
+        bare = extended_plant(model, self._measurements, self._commands, order, **common)
         variances = {}
         for i in self._h2:
             r = self.requirements[i]
@@ -143,7 +144,7 @@ class Problem:
                 weight_in=r.weight_in,
                 weight_out=r.weight_out,
                 scale=1.0 / r.bound,
-                **common,  # type: ignore[arg-type]
+                **common,
             )
             self._refuse_feedthrough(variances[i], r.name)
         gains = [self.requirements[i] for i in self._hinf]
@@ -182,10 +183,9 @@ class Problem:
                 pieces.append(Piece(float(s.poles[i].real), g, False, 0, k, float(abs(s.poles[i]))))
         return worst, pieces
 
-    def evaluate(
-        self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, margin: float = 0.0
-    ) -> Evaluation:
-        """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest of their kind.
+    def evaluate(self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, margin: float = 0.0) -> Evaluation:
+        """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
+        of their kind.
 
         Models are looked at in order; with an unstable loop (abscissa above ``-margin``) every value is infinite.
         """
@@ -314,5 +314,6 @@ def _check_sizes(model: Model, structure: Structure) -> None:
                 raise ValueError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
             if sizes[port.name] != port.size:
                 raise ValueError(
-                    f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, the controller has {port.size}"
+                    f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, "
+                    f"the controller has {port.size}"
                 )

@@ -7,23 +7,24 @@ have ``x' = A x + B1 w + B u, z = C1 x + D11 w + D12 u, y = C x + D21 w``; ports
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robust_design.model import Model
+from uncertain_systems.runtime import Port
 
 
 def _plant(
     name: str,
-    A: ArrayLike,
-    B: ArrayLike,
-    C: ArrayLike,
-    B1: ArrayLike | None = None,
-    C1: ArrayLike | None = None,
-    D12: ArrayLike | None = None,
-    D11: ArrayLike | None = None,
-    D21: ArrayLike | None = None,
+    A: Any,
+    B: Any,
+    C: Any,
+    B1: Any = None,
+    C1: Any = None,
+    D12: Any = None,
+    D11: Any = None,
+    D21: Any = None,
 ) -> Model:
     a, b, c = (np.atleast_2d(np.asarray(x, dtype=float)) for x in (A, B, C))
     n, nu, ny = len(a), b.shape[1], len(c)
@@ -36,11 +37,11 @@ def _plant(
     d11 = np.zeros((nz, nw)) if D11 is None else np.asarray(D11, dtype=float)
     d21 = np.zeros((ny, nw)) if D21 is None else np.asarray(D21, dtype=float)
     D = np.block([[d11, d12], [d21, np.zeros((ny, nu))]])
-    inputs, outputs = [("w", nw), ("u", nu)], [("z", nz), ("y", ny)]
-    return Model(a, np.hstack([b1, b]), np.vstack([c1, c]), D, inputs, outputs, name)  # type: ignore[arg-type]
+    inputs, outputs = (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny))
+    return Model(a, np.hstack([b1, b]), np.vstack([c1, c]), D, inputs, outputs, name)
 
 
-def _aircraft_1() -> tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]:
+def _aircraft_1() -> tuple[Any, Any, Any, Any]:
     """Y. S. Hung and A. G. J. MacFarlane, Multivariable Feedback: A Quasi-Classical Approach, Springer 1982."""
     A = [
         [0, 0, 1.132, 0, -1],
@@ -120,7 +121,7 @@ def ac6() -> Model:
     return _plant("AC6", A, B, C)
 
 
-def _transport() -> tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]:
+def _transport() -> tuple[Any, Any, Any, Any]:
     A = [
         [-0.037, 0.0123, 0.00055, -1],
         [0, 0, 1, 0],

@@ -14,7 +14,7 @@ sl: Any = scipy.linalg
 MOST_ITERATIONS = 60
 
 
-def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-12) -> tuple[FloatArray, float]:
+def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> tuple[FloatArray, float]:
     """Maximise ``a' lam - lam' H lam / 2`` over ``lam >= 0, sum(lam) = 1``; answers lam and minus the maximum.
 
     This is the dual of ``min_d max_i (a_i + g_i' d) + d' Q d / 2`` with ``H = G Q^-1 G'``; the value answered is the
@@ -41,12 +41,13 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-12) -> t
     size = max(float(np.abs(np.diag(H)).max()), float(np.ptp(a)), 1e-300)
     top = float(a.max())
     H, a = H / size, (a - top) / size
-    lam, s = np.full(m, 1.0 / m), np.ones(m)
+    lam: FloatArray = np.full(m, 1.0 / m)
+    s: FloatArray = np.ones(m)
     nu = float((a + s - H @ lam).mean())
     for _ in range(MOST_ITERATIONS):
         residual = H @ lam - a - s + nu
         gap = float(lam @ s) / m
-        if gap < tolerance and np.abs(residual).max() < 1e-11:
+        if gap < tolerance and np.abs(residual).max() < 1e-12:
             break
         factor = sl.cho_factor(H + np.diag(s / lam + 1e-14), lower=True, check_finite=False)
         ones = sl.cho_solve(factor, np.ones(m), check_finite=False)

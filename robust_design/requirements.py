@@ -142,7 +142,8 @@ class ClosedLoopPoles(_Poles):
 
     Notes
     -----
-    Poles that the controller cannot move count too: a min_damping above the damping of an unreachable mode is infeasible,
+    Poles that the controller cannot move count too: a min_damping above the damping of an unreachable mode
+    is infeasible,
     and the tuner says so.
     """
 

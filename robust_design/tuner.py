@@ -149,7 +149,7 @@ class TuningResult:
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
     """Outcome of one start."""
 
     status: str
@@ -197,7 +197,8 @@ def tune(
 
     Examples
     --------
-    A disturbance on 1 / (s + 1) with u = k y: the loop's gain is 1 / (1 - k), the command's -k / (1 - k) is held at 0.8.
+    A disturbance on 1 / (s + 1) with u = k y: the loop's gain is 1 / (1 - k), the command's -k / (1 - k) is
+    held at 0.8.
 
     >>> plant = Model([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
     ...               [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
@@ -212,8 +213,8 @@ def tune(
     begun = time.monotonic()
     deadline = begun + options.wall_limit
     problem = Problem(models, requirements, structure, loop_delay=loop_delay)
-    given = [_start_checked(x, structure.size) for x in initial]
-    jobs = [(x, seed) for x, seed in _starts(given, structure, options)]
+    given = [start_checked(x, structure.size) for x in initial]
+    jobs = [(x, seed) for x, seed in starts_of(given, structure, options)]
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     with Progress(options.progress, "tuning") as progress:
@@ -221,17 +222,16 @@ def tune(
             runs = _serial(problem, jobs, options, deadline, progress)
         else:
             runs = _parallel(problem, jobs, options, deadline, progress)
-    best = min(runs, key=_rank)
-    return _result(problem, best, runs, time.monotonic() - begun)
+    return result_of(problem, runs, time.monotonic() - begun)
 
 
-def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOptions, deadline: float) -> _Run:
+def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOptions, deadline: float) -> Run:
     """One start: stabilise, then descend (used by :func:`tune` and by the robust outer loop)."""
     rng = np.random.default_rng(seed)
     stable, first = _stabilise(problem, x0, rng, options, deadline)
     if stable.sample.objective >= 0.0:
         status = {"deadline": "out_of_time", "interrupted": "interrupted"}.get(stable.reason, "not_stabilised")
-        return _Run(
+        return Run(
             status, stable.x, np.inf, np.inf, stable.sample.objective, stable.stationarity, stable.evaluations, first
         )
     found = minimise(
@@ -241,7 +241,7 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOption
         rng,
     )
     soft, hard = found.sample.objective, found.sample.constraint + 1.0
-    return _Run(
+    return Run(
         _status(found, hard),
         found.x,
         soft,
@@ -286,9 +286,8 @@ def _status(found: Descent, hard: float) -> str:
     return {"stationary": "converged", "nearly stationary": "converged"}.get(found.reason, found.reason)
 
 
-def _starts(
-    given: list[FloatArray], structure: Structure, options: TuningOptions
-) -> list[tuple[FloatArray, int]]:
+def starts_of(given: list[FloatArray], structure: Structure, options: TuningOptions) -> list[tuple[FloatArray, int]]:
+    """Starting points with the seed of each: the given ones, then random ones."""
     sequence = np.random.SeedSequence(options.seed)
     seeds = [int(s.generate_state(1)[0]) for s in sequence.spawn(len(given) + options.starts)]
     jobs = list(zip(given, seeds))
@@ -302,8 +301,8 @@ def _starts(
 
 def _serial(
     problem: Problem, jobs: list[tuple[FloatArray, int]], options: TuningOptions, deadline: float, progress: Progress
-) -> list[_Run]:
-    runs: list[_Run] = []
+) -> list[Run]:
+    runs: list[Run] = []
     for x, seed in jobs:
         runs.append(tune_from(problem, x, seed, options, deadline))
         progress.report(len(runs), len(jobs), min(runs, key=_rank).soft)
@@ -314,8 +313,8 @@ def _serial(
 
 def _parallel(
     problem: Problem, jobs: list[tuple[FloatArray, int]], options: TuningOptions, deadline: float, progress: Progress
-) -> list[_Run]:
-    runs: dict[int, _Run] = {}
+) -> list[Run]:
+    runs: dict[int, Run] = {}
     left = deadline - time.monotonic()
     pool = ProcessPoolExecutor(min(options.workers, len(jobs)), mp_context=get_context("spawn"))
     with pool:
@@ -326,24 +325,26 @@ def _parallel(
                 progress.report(len(runs), len(jobs), min(runs.values(), key=_rank).soft)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
-            x, seed = jobs[0]
-            none = _Run("interrupted", x, np.inf, np.inf, problem.abscissa(x), np.inf, 0, 0)
+            x = jobs[0][0]
+            none = Run("interrupted", x, np.inf, np.inf, problem.abscissa(x), np.inf, 0, 0)
             best = min(runs.values(), key=_rank, default=none)
             return [replace(best, status="interrupted")]
     return [runs[i] for i in sorted(runs)]
 
 
-def _remote(problem: Problem, x: FloatArray, seed: int, options: TuningOptions, left: float) -> _Run:
+def _remote(problem: Problem, x: FloatArray, seed: int, options: TuningOptions, left: float) -> Run:
     return tune_from(problem, x, seed, options, time.monotonic() + left)
 
 
-def _rank(run: _Run) -> tuple[int, float]:
+def _rank(run: Run) -> tuple[int, float]:
     if not np.isfinite(run.soft):
         return 2, run.abscissa
     return (1, run.hard) if run.hard > 1.0 + FEASIBLE else (0, run.soft)
 
 
-def _result(problem: Problem, best: _Run, runs: list[_Run], seconds: float) -> TuningResult:
+def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningResult:
+    """Best of several starts, certified."""
+    best = min(runs, key=_rank)
     found = problem.evaluate(best.x, gradients=False)
     soft, hard = worst_values(problem, found)
     K = controller(problem.structure, best.x)
@@ -370,7 +371,8 @@ def _result(problem: Problem, best: _Run, runs: list[_Run], seconds: float) -> T
     )
 
 
-def _start_checked(x: ArrayLike, size: int) -> FloatArray:
+def start_checked(x: ArrayLike, size: int) -> FloatArray:
+    """A given start as an array, or ValueError."""
     start: Any = np.asarray(x, dtype=float)
     if start.shape != (size,) or not np.all(np.isfinite(start)):
         raise ValueError(f"a start must be {size} finite parameters, got an array of shape {start.shape}")
