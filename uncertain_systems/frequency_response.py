@@ -13,6 +13,7 @@ outputs) follows, and where even that does not pass, every frequency is solved d
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -112,10 +113,10 @@ def _modal_sum(system: StateSpaceData, w: FloatArray) -> ComplexArray | None:
     n, (p, m) = system.A.shape[0], system.D.shape
     balanced = _balanced(system)
     values, vectors = _eigen(balanced.A)
-    try:
-        right = linalg.solve(vectors, balanced.B, check_finite=False)
-    except (linalg.LinAlgError, linalg.LinAlgWarning):
+    inverse = _inverse(vectors)
+    if inverse is None:
         return None
+    right = inverse @ balanced.B
     left = balanced.C @ vectors
     real = np.abs(values.imag) <= 1e-13 * np.abs(values)
     upper = (values.imag > 0) & ~real
@@ -149,9 +150,8 @@ def _refined(system: StateSpaceData, w: FloatArray) -> ComplexArray | None:
     if transposed:
         A, B, C = A.T, C.T, B.T
     values, vectors = _eigen(A)
-    try:
-        inverse = np.asarray(linalg.inv(vectors), dtype=complex)
-    except linalg.LinAlgError:
+    inverse = _inverse(vectors)
+    if inverse is None:
         return None
     parts = []
     for chunk in np.array_split(w, max(1, w.size * B.size // 4_000_000)):
@@ -191,6 +191,16 @@ def _agrees(system: StateSpaceData, w: FloatArray, response: ComplexArray, toler
 def _eigen(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     values, vectors = linalg.eig(A, check_finite=False)
     return np.asarray(values, dtype=complex), np.asarray(vectors, dtype=complex)
+
+
+def _inverse(vectors: ComplexArray) -> ComplexArray | None:
+    """Inverse of the eigenvectors, or None where they are no basis."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", linalg.LinAlgWarning)
+        try:
+            return np.asarray(linalg.inv(vectors), dtype=complex)
+        except (linalg.LinAlgError, linalg.LinAlgWarning):
+            return None
 
 
 def _balanced(system: StateSpaceData) -> StateSpaceData:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -331,7 +332,8 @@ def _solve(matrix: FloatArray, right: FloatArray, problem: str) -> FloatArray:
     """Solve, or say in one line that the loop is not well posed."""
     if matrix.size == 0:
         return np.zeros_like(right)
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # judged here, by the pivots
         lu, pivots = linalg.lu_factor(matrix, check_finite=False)
         smallest = np.min(np.abs(np.diag(lu)))
     if not smallest > 1e-14 * np.max(np.abs(matrix)):
