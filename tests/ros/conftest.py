@@ -4,3 +4,6 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+import os
+
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # message fields are type-checked in tests

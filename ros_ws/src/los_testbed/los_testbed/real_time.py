@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import signal
 import time
 
 PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
@@ -18,12 +19,17 @@ SPIN_NS = 60_000
 """The last stretch before a deadline is spent polling the clock: a sleeping thread wakes up this late."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
-_PR_SET_TIMERSLACK = 29
+_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 
 
 def sharpen_timers() -> None:
     """Let sleeps of this process end within 1 ns instead of 50 us; to be called before threads start."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def end_with_parent() -> None:
+    """Let the kernel send SIGTERM to this process when the one that started it is gone."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def become_real_time(priority: int, place: int | None = None) -> list[str]:

@@ -18,7 +18,8 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from los_testbed.nodes.parameters import declare_config
-from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, sharpen_timers
+from los_testbed.nodes.security import refuse_missing_security
+from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, sharpen_timers
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
 
 OK, WARN, ERROR, STALE = (bytes([level]) for level in range(4))
@@ -52,6 +53,9 @@ class Shell:
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
         self.name = name
         self.stop = False
+        self._events = bool(os.environ.get(EVENTS_VARIABLE))
+        if self._events:
+            end_with_parent()
         sharpen_timers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
@@ -59,12 +63,12 @@ class Shell:
             os.environ.update(dict.fromkeys(PROFILE_VARIABLES, str(PROFILE)))
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORT)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
+        refuse_missing_security()
         self.node = rclpy.create_node(name, namespace=NAMESPACE)
         self.config = declare_config(self.node)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10))
-        self._events = bool(os.environ.get(EVENTS_VARIABLE))
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True

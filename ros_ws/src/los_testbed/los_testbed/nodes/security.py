@@ -1,0 +1,32 @@
+"""Refuse to run unprotected when ROS security was asked for.
+
+The middleware of the Python wheels is built without it, and with the permissive strategy it would run
+open to everybody after one line of warning.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_MISSING = b"doesn't have the security libraries"
+
+
+def refuse_missing_security() -> None:
+    """Check the middleware that is loaded; to be called between ``rclpy.init`` and the first node.
+
+    Raises
+    ------
+    ValueError
+        ``ROS_SECURITY_ENABLE`` is true and the middleware cannot do it.
+    """
+    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return
+    libraries = {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if ".so" in line}
+    for library in sorted(libraries):
+        name = Path(library).name
+        if name.startswith("librmw_fastrtps_shared_cpp") and _MISSING in Path(library).read_bytes():
+            raise ValueError(
+                "ROS_SECURITY_ENABLE is true, but this middleware was built without security: expected a ROS "
+                "installation with SROS 2, or the variable unset"
+            )

@@ -1,0 +1,184 @@
+"""What a ROS user meets: parameters that describe themselves, topics, diagnostics, security."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray
+from los_testbed.config import FIELDS
+from los_testbed.nodes.shell import PROFILE
+from los_testbed.runner import Runner, environment, node_command
+from los_testbed.topics import TOPICS
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from ros_runs import PLANT, config_for
+
+pytestmark = pytest.mark.ros
+
+
+class Observer:
+    """A user's node beside a run, in this process with a context of its own."""
+
+    def __init__(self, domain):
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(PROFILE)
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        self.context = Context()
+        self.context.init(domain_id=domain)
+        self.node = Node("user", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnostics = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
+
+    def _keep(self, message):
+        self.diagnostics += message.status
+
+    def call(self, kind, service, request):
+        client = self.node.create_client(kind, service)
+        assert client.wait_for_service(5.0)
+        future = client.call_async(request)
+        self.executor.spin_until_future_complete(future, 5.0)
+        return future.result()
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """One run during which a user looks at everything."""
+    folder = tmp_path_factory.mktemp("interfaces")
+    config = config_for(folder, duration=60.0)
+    found = {}
+
+    def look(ticks):
+        if ticks < 300 or found:
+            return
+        user = Observer(config.domain)
+        try:
+            names = list(FIELDS)
+            found["described"] = user.call(
+                DescribeParameters, "/telescope/plant/describe_parameters", DescribeParameters.Request(names=names)
+            ).descriptors
+            found["values"] = user.call(
+                GetParameters, "/telescope/estimator/get_parameters", GetParameters.Request(names=["loop", "duration"])
+            ).values
+            change = [Parameter("seed", value=9).to_parameter_msg()]
+            found["set"] = user.call(
+                SetParameters, "/telescope/controller/set_parameters", SetParameters.Request(parameters=change)
+            ).results
+            found["topics"] = dict(user.node.get_topic_names_and_types())
+            found["nodes"] = set(user.node.get_node_names_and_namespaces())
+            user.spin(2.5)
+            found["diagnostics"] = list(user.diagnostics)
+        finally:
+            user.close()
+        raise KeyboardInterrupt
+
+    results = Runner(config, look, {"plant": PLANT}).run()
+    return found, results
+
+
+def test_every_parameter_is_described_with_unit_and_range(seen):
+    descriptors = {d.name: d for d in seen[0]["described"]}
+    assert set(descriptors) == set(FIELDS)
+    for name, entry in FIELDS.items():
+        assert entry.metadata["description"] in descriptors[name].description
+        if entry.metadata["unit"]:
+            assert f"[{entry.metadata['unit']}]" in descriptors[name].description
+        assert descriptors[name].read_only
+    assert descriptors["duration"].floating_point_range[0].from_value == 1e-3
+    assert descriptors["seed"].integer_range[0].from_value == 0
+    assert "fsm+pma" in descriptors["loop"].additional_constraints
+
+
+def test_parameters_are_answered_during_the_run_and_cannot_be_changed(seen):
+    assert seen[0]["values"][0].string_value == "fsm+pma"
+    assert seen[0]["values"][1].double_value == 60.0
+    assert not seen[0]["set"][0].successful
+
+
+def test_topics_and_nodes_are_those_of_the_table(seen):
+    for topic in TOPICS:
+        assert seen[0]["topics"][topic.path] == [topic.type_name]
+    for name in ("plant", "estimator", "controller", "recorder"):
+        assert (name, "/telescope") in seen[0]["nodes"]
+
+
+def test_diagnostics_come_once_a_second_from_each_node(seen):
+    by_name = {}
+    for status in seen[0]["diagnostics"]:
+        by_name.setdefault(status.name, []).append(status)
+    assert set(by_name) == {f"telescope: {n}" for n in ("plant", "estimator", "controller", "recorder")}
+    for statuses in by_name.values():
+        assert 1 <= len(statuses) <= 4
+    values = {entry.key: entry.value for entry in by_name["telescope: plant"][-1].values}
+    assert int(values["ticks"]) > 300
+    assert float(values["latency_median_us"]) > 0
+
+
+def test_looking_does_not_disturb_the_loop(seen):
+    statistics = seen[1].statistics["plant"]
+    assert int(statistics["missed_ticks"]) < 0.05 * int(statistics["ticks"])
+    assert seen[1].statistics["recorder"]["samples_lost"] == "0"
+
+
+def test_security_that_the_middleware_cannot_give_is_refused(tmp_path):
+    config = config_for(tmp_path)
+    keystore = tmp_path / "keys"
+    (keystore / "enclaves").mkdir(parents=True)
+    variables = {
+        **environment(config, tmp_path),
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Permissive",
+        "ROS_SECURITY_KEYSTORE": str(keystore),
+    }
+    done = subprocess.run(
+        node_command("estimator"), env=variables, capture_output=True, text=True, timeout=30, cwd=tmp_path
+    )
+    if done.returncode == 0:
+        pytest.skip("this middleware has security")
+    assert done.returncode == 2
+    assert "built without security" in done.stderr.splitlines()[-1]
+
+
+def test_nodes_end_when_their_runner_is_killed(tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
+        "from ros_runs import *; from los_testbed.runner import Runner;"
+        "Runner(config_for(Path(sys.argv[2]), duration=60.0), lambda t: print(t, flush=True), {'plant': PLANT}).run()"
+    )
+    support = os.path.dirname(PLANT[1])
+    runner = subprocess.Popen(
+        [sys.executable, "-c", code, support, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    try:
+        assert runner.stdout.readline()
+        children = _children(runner.pid)
+        assert len(children) == 4
+    finally:
+        runner.kill()
+        runner.communicate()
+    end = time.monotonic() + 10
+    while any(os.path.exists(f"/proc/{pid}") for pid in children) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not [pid for pid in children if os.path.exists(f"/proc/{pid}")]
+
+
+def _children(pid):
+    with open(f"/proc/{pid}/task/{pid}/children") as stream:
+        return [int(word) for word in stream.read().split()]
