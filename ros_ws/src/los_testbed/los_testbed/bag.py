@@ -130,6 +130,11 @@ class BagWriter:
         """Compress and write out what came since the last call; called once per second of data."""
         self._mcap.flush_chunk()
 
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names of the topics that have a channel."""
+        return frozenset(self._channels)
+
     def counts(self) -> dict[str, int]:
         """Messages so far per topic."""
         return {name: self._mcap.counts[channel] for name, channel in self._channels.items()}

@@ -20,6 +20,10 @@ from los_testbed.bag import check_new_bag
 from los_testbed.config import RunConfig, parse_value, read_yaml
 from los_testbed.cores import build_controller, build_estimator
 from los_testbed.inprocess import LoopDivergedError
+from los_testbed.runner import Results
+
+RESTARTED = 3
+"""Exit code of a run that was finished although a node died and had to be started again."""
 
 app = typer.Typer(
     name="los-testbed",
@@ -40,6 +44,13 @@ RUN_EXAMPLES = """Run the loop, record it, judge it.
     los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it goes
 
     los-testbed run --k-fsm my_observer.json --set wheel_speed='[200, 210, 220, 230]'
+"""
+
+REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
+
+**Example**
+
+    los-testbed bag repair bags/run-20260101-120000
 """
 
 ANALYSE_EXAMPLES = """Judge recorded runs and write an HTML report.
@@ -87,15 +98,16 @@ def run(
 
     chosen = configure(config, settings or [], given)
     console = Console(stderr=json_)
-    bag, interrupted, warnings = execute(chosen, console)
-    for warning in warnings:
+    bag, results = execute(chosen, console)
+    warnings, failures, interrupted = results.warnings, results.failures, results.interrupted
+    for warning in [*warnings, *failures]:
         console.print(f"[yellow]warning:[/yellow] {warning}")
     judgement = judge([bag], bag / "report.html" if report else None)
     show(console, judgement)
     if json_:
         print_json(judgement.runs[0])
-    if interrupted:
-        raise typer.Exit(130)
+    if interrupted or failures:
+        raise typer.Exit(130 if interrupted else RESTARTED)
 
 
 @app.command(help=ANALYSE_EXAMPLES)
@@ -115,6 +127,34 @@ def analyse(
     show(Console(stderr=json_), judgement)
     if json_:
         print_json(judgement.runs[0] if len(bags) == 1 else {"runs": list(judgement.runs)})
+
+
+bag_app = typer.Typer(help="Look after recorded runs.", no_args_is_help=True, rich_markup_mode="markdown")
+app.add_typer(bag_app, name="bag")
+
+
+@bag_app.callback()
+def bag_group() -> None:
+    """Look after recorded runs."""
+
+
+@bag_app.command(help=REPAIR_EXAMPLES)
+def repair(
+    source: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
+    output: Annotated[Path | None, typer.Option(help="New bag; default: the old name with -repaired.")] = None,
+) -> None:
+    """See REPAIR_EXAMPLES."""
+    from los_testbed.bag_repair import repair_bag
+
+    target = output or source.with_name(f"{source.stem if source.is_file() else source.name}-repaired")
+    found = repair_bag(source, target)
+    console = Console()
+    console.print(f"{found.messages} messages in {found.chunks} chunks", soft_wrap=True)
+    for offset, reason in found.damaged:
+        console.print(f"chunk at byte {offset}: {reason}; its messages are lost", soft_wrap=True)
+    if found.cut_at is not None:
+        console.print(f"the file is cut at byte {found.cut_at}: up to a second of data is missing", soft_wrap=True)
+    console.print(f"bag     {target}", soft_wrap=True)
 
 
 def configure(file: Path | None, settings: list[str], given: dict[str, Any]) -> RunConfig:
@@ -165,8 +205,8 @@ def check(config: RunConfig) -> None:
         check_ros()
 
 
-def execute(config: RunConfig, console: Console) -> tuple[Path, bool, list[str]]:
-    """Run, with a progress bar; the bag, whether it was interrupted, and warnings."""
+def execute(config: RunConfig, console: Console) -> tuple[Path, Results]:
+    """Run, with a progress bar; the bag and what happened."""
     check(config)
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} ms"),
@@ -183,13 +223,13 @@ def execute(config: RunConfig, console: Console) -> tuple[Path, bool, list[str]]
 
             path = Path(config.output)
             run_in_process(config, path, progress=progress)
-            return path, False, []
+            return path, Results(bag=path)
         from los_testbed.runner import Runner
 
         results = Runner(replace(config, wait_for_recorder=True), progress).run()
     if results.bag is None:
         raise KeyboardInterrupt
-    return results.bag, results.interrupted, results.warnings
+    return results.bag, results
 
 
 def print_json(content: dict[str, Any]) -> None:

@@ -24,6 +24,9 @@ from los_testbed.bag import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.cores import build_controller, build_estimator
 
+RESTARTS = 3
+"""A node that dies during the run is started again this often."""
+
 NODES = ("plant", "estimator", "controller", "recorder")
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
@@ -44,6 +47,7 @@ class Results:
     statistics: dict[str, dict[str, str]] = field(default_factory=dict)
     bag: Path | None = None
     warnings: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
     interrupted: bool = False
 
 
@@ -183,7 +187,15 @@ class Runner:
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
         self._errors: list[tuple[str, str]] = []
+        self._restarts = 0
+        self._parameters = Path()
+        self._variables: Mapping[str, str] = {}
         self.results = Results()
+
+    @property
+    def processes(self) -> dict[str, int]:
+        """Process numbers of the nodes that run."""
+        return {name: node.process.pid for name, node in self._nodes.items()}
 
     def run(self) -> Results:
         """Start, watch and end the nodes.
@@ -201,21 +213,21 @@ class Runner:
         build_controller(self._config)
         domain = self._config.domain if self._config.domain >= 0 else os.environ.get("ROS_DOMAIN_ID", "0")
         with domain_lock(str(domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
-            parameters = Path(folder) / "run.yaml"
-            parameter_file(self._config, parameters)
-            variables = environment(self._config, Path(folder) / "log")
+            self._parameters = Path(folder) / "run.yaml"
+            parameter_file(self._config, self._parameters)
+            self._variables = environment(self._config, Path(folder) / "log")
             try:
-                self._perform(parameters, variables)
+                self._perform()
             finally:
                 self._end_all()
         return self.results
 
-    def _perform(self, parameters: Path, variables: Mapping[str, str]) -> None:
+    def _perform(self) -> None:
         try:
-            self._start("plant", parameters, variables)
+            self._start("plant")
             self._until("plant", "alone", 30.0)
             for name in NODES[1:]:
-                self._start(name, parameters, variables)
+                self._start(name)
             self._until("plant", "running", self._config.start_timeout + 120.0)
             self._until("plant", "done", None)
         except KeyboardInterrupt:
@@ -239,9 +251,11 @@ class Runner:
         bag = self._seen[("recorder", "done")].get("bag")
         self.results.bag = Path(bag) if bag else None
 
-    def _start(self, name: str, parameters: Path, variables: Mapping[str, str]) -> None:
-        command = [*self._commands[name], "--ros-args", "--params-file", str(parameters)]
-        node = self._nodes[name] = NodeProcess(name, command, variables)
+    def _start(self, name: str) -> None:
+        command = [*self._commands[name], "--ros-args", "--params-file", str(self._parameters)]
+        if name == "recorder" and self._restarts:  # what the first one wrote is left alone
+            command += ["-p", f"output:={self._config.output}-{self._restarts + 1}"]
+        node = self._nodes[name] = NodeProcess(name, command, self._variables)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)
@@ -281,7 +295,7 @@ class Runner:
 
     def _check(self) -> None:
         """Raise if a node ended that was not asked to."""
-        for node in self._nodes.values():
+        for node in list(self._nodes.values()):
             code = node.process.poll()
             if code is None or node.asked_to_stop or (code == 0 and (node.name, "done") in self._seen):
                 continue
@@ -291,7 +305,22 @@ class Runner:
                 raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 else 1)
             last = node.errors.strip().splitlines()[-1:] or [""]
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            raise RunError(f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
+            self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
+            return
+
+    def _replace(self, node: NodeProcess, what: str) -> None:
+        """The plant goes on: start the node again, or give up if it was the plant or happens too often."""
+        running = ("plant", "running") in self._seen
+        if node.name == "plant" or not running or self._restarts >= RESTARTS:
+            raise RunError(what)
+        self._restarts += 1
+        self.results.failures.append(f"{what}; it was started again")
+        for stream in node.streams:
+            with contextlib.suppress(KeyError):
+                self._selector.unregister(stream)
+            stream.close()
+        self._seen.pop((node.name, "done"), None)
+        self._start(node.name)
 
     def _await_exit(self, names: Sequence[str]) -> None:
         end = time.monotonic() + STOP_S
