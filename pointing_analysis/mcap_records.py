@@ -61,6 +61,8 @@ class FileInfo:
     attachments: dict[str, bytes] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     finished: bool = False
+    # Which chunks to unpack, by the times of their first and last message; the others are passed over unread.
+    wanted: Callable[[int, int], bool] = lambda first, last: True
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,14 @@ _SIDE_RECORDS: dict[int, Callable[[FileInfo, bytes], None]] = {
 }
 
 
+def _side(info: FileInfo, op: int, body: bytes) -> None:
+    """Read a record that is no message; a damaged one is noted and left out."""
+    try:
+        _SIDE_RECORDS[op](info, body)
+    except (struct.error, UnicodeDecodeError):
+        info.problems.append(f"a damaged record (type {op}) is left out")
+
+
 def _scan(info: FileInfo, data: bytes, start: int, stop: int) -> list[int]:
     """Offsets of the messages between two positions, reading the other records on the way."""
     offsets, at, head = [], start, RECORD.unpack_from
@@ -126,10 +136,10 @@ def _scan(info: FileInfo, data: bytes, start: int, stop: int) -> list[int]:
         end = at + RECORD.size + length
         if end > stop:
             break
-        if op == OP_MESSAGE:
+        if op == OP_MESSAGE and length >= BODY:
             offsets.append(at)
         elif op in _SIDE_RECORDS:
-            _SIDE_RECORDS[op](info, data[at + RECORD.size : end])
+            _side(info, op, data[at + RECORD.size : end])
         at = end
     return offsets
 
@@ -172,9 +182,13 @@ def _zstd(data: bytes, size: int) -> bytes:
 
 def _unpack(info: FileInfo, body: bytes, where: str, cut: bool) -> bytes:
     """Decompress a chunk record; of a damaged or cut one, as much as can be had or nothing, with a problem noted."""
-    _, _, size, crc = struct.unpack_from("<QQQI", body)
-    kind, at = _string(body, 28)
-    packed = body[at + 8 :] if cut else body[at + 8 : at + 8 + struct.unpack_from("<Q", body, at)[0]]
+    try:
+        _, _, size, crc = struct.unpack_from("<QQQI", body)
+        kind, at = _string(body, 28)
+        packed = body[at + 8 :] if cut else body[at + 8 : at + 8 + struct.unpack_from("<Q", body, at)[0]]
+    except (struct.error, UnicodeDecodeError):
+        info.problems.append(f"{where}: the head of a chunk is damaged; it is left out")
+        return b""
     if kind not in ("", "zstd", "lz4"):
         raise BagError(f"{where}: chunk compression is zstd, lz4 or none; got {kind!r}")
     try:
@@ -191,8 +205,8 @@ def _unpack(info: FileInfo, body: bytes, where: str, cut: bool) -> bytes:
 class _Walk:
     """State of one pass over one file."""
 
-    def __init__(self, stream: BinaryIO, info: FileInfo, where: str) -> None:
-        self.stream, self.info, self.where = stream, info, where
+    def __init__(self, stream: BinaryIO, info: FileInfo, where: str, largest: int) -> None:
+        self.stream, self.info, self.where, self.largest = stream, info, where, largest
         self.plain = bytearray()
 
     def _cut(self, what: str) -> None:
@@ -206,22 +220,38 @@ class _Walk:
             self._cut("the data section")
             return None
         op, length = RECORD.unpack(head)
+        if op == OP_CHUNK and 16 < length < LARGEST_RECORD:
+            times = self.stream.read(16)
+            if len(times) == 16 and not self.info.wanted(*struct.unpack("<QQ", times)):
+                return self._pass_over(op, length - 16)
+            body = times + self.stream.read(min(length - 16, self.largest))
+            if len(body) < length:
+                self._cut("a chunk")
+            return op, body, len(body) == length
         if op == 0 or length > LARGEST_RECORD:
             self.info.problems.append(f"{self.where}: damaged record; the rest of the file is left out")
             return None
-        body = self.stream.read(length)
+        body = self.stream.read(min(length, self.largest))
         if len(body) < length:
-            self._cut("a chunk" if op == OP_CHUNK else "a record")
+            self._cut("a record")
         return op, body, len(body) == length
+
+    def _pass_over(self, op: int, length: int) -> tuple[int, bytes, bool]:
+        """Leave out a chunk; read what may be its end so that a cut file is still noticed."""
+        self.stream.seek(length - 1, os.SEEK_CUR)
+        whole = len(self.stream.read(1)) == 1
+        if not whole:
+            self._cut("a chunk")
+        return op, b"", whole
 
     def _summary(self) -> None:
         """Channels without a message stand only in the summary after the data."""
         while len(head := self.stream.read(RECORD.size)) == RECORD.size:
             op, length = RECORD.unpack(head)
-            if op in (0, OP_FOOTER) or length > LARGEST_RECORD or len(body := self.stream.read(length)) < length:
+            if op in (0, OP_FOOTER) or length > self.largest or len(body := self.stream.read(length)) < length:
                 return
             if op in (OP_SCHEMA, OP_CHANNEL):
-                _SIDE_RECORDS[op](self.info, body)
+                _side(self.info, op, body)
 
     def flush(self) -> Iterator[Block]:
         if self.plain:
@@ -236,7 +266,8 @@ class _Walk:
         while (got := self.record()) is not None:
             op, body, whole = got
             if op == OP_INDEX and whole:
-                indexed.append(body[6:])
+                if len(body) % 16 == 6:  # channel and length, then pairs of time and offset
+                    indexed.append(body[6:])
                 continue
             if chunk is not None:
                 block, chunk, indexed = _block(self.info, chunk, indexed), None, []
@@ -253,7 +284,7 @@ class _Walk:
                 if len(self.plain) > PLAIN_BLOCK:
                     yield from self.flush()
             elif op in _SIDE_RECORDS and whole:
-                _SIDE_RECORDS[op](self.info, body)
+                _side(self.info, op, body)
             if not whole:
                 break
         if chunk:
@@ -284,4 +315,6 @@ def walk(path: str | os.PathLike[str], info: FileInfo) -> Iterator[Block]:
         magic = stream.read(len(MAGIC))
         if magic != MAGIC:
             raise BagError(f"{where}: not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}")
-        yield from _Walk(stream, info, where).blocks()
+        # A damaged length must not make us ask for more memory than the file can fill.
+        largest = LARGEST_RECORD if stream is not raw else os.fstat(raw.fileno()).st_size
+        yield from _Walk(stream, info, where, largest).blocks()

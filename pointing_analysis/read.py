@@ -7,6 +7,7 @@ zstd, lz4 or none, file-wise and message-wise zstd, split recordings, and record
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections import defaultdict
@@ -173,7 +174,6 @@ class Run:
     path : the bag
     namespace : what stands before the topic names, e.g. ``/telescope``
     parameters : what the recorder wrote about the run (mode, loop, scenario, seed, ...), values decoded from JSON
-    problems : what was wrong with the files, in plain words; empty for a clean recording
 
     Examples
     --------
@@ -185,7 +185,8 @@ class Run:
 
     def __init__(self, path: Path, namespace: str | None, start: float, stop: float, memory_limit: int) -> None:
         self.path = path
-        self._files, self._yaml, self._file_problems = _files(path)
+        self._files, self._yaml, problems = _files(path)
+        self._noted = dict.fromkeys(problems)  # an ordered set: some are only met when a topic is read
         self._window = (start, stop)
         self._limit = memory_limit
         self._topics: dict[str, Topic] = {}
@@ -239,31 +240,47 @@ class Run:
         for info in self._infos:
             merged.update(info.metadata.get(METADATA_NAME, {}))
         self.parameters: Mapping[str, Any] = MappingProxyType({k: _value(v) for k, v in merged.items()})
-        self.problems = tuple(self._file_problems + [p for info in self._infos for p in info.problems])
         if fits:
             for topic, column in columns.items():
                 if topic.startswith(self.namespace + "/"):
                     column.name = self.short(topic)
                     self._topics[column.name] = column.topic()
 
-    def _pass(self, wanted: Callable[[str], bool]) -> tuple[dict[str, _Column], bool]:
-        """One pass over the files; returns the columns and whether they stayed inside the memory limit."""
+    def _pass(self, wanted: Callable[[str], bool] | None) -> tuple[dict[str, _Column], bool]:
+        """One pass over the files; returns the columns and whether they stayed inside the memory limit.
+
+        Without `wanted` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
+        """
         self._infos = []
         columns: dict[str, _Column] = {}
         origin: int | None = None
         packed = str(self._yaml.get("compression_mode", "")).upper() == "MESSAGE"
-        fits = True
         for file in self._files:
             info = FileInfo()
             self._infos.append(info)
+            if origin is not None:
+                info.wanted = self._in_window(origin)
             for block in walk(file, info):
-                origin = int(block.heads["log"].min()) if origin is None else origin
-                if not fits:
+                if origin is None:
+                    origin = int(block.heads["log"].min())
+                    info.wanted = self._in_window(origin)
+                if wanted is None:
+                    info.wanted = lambda first, last: False
                     continue
                 self._take(block, info, columns, wanted, origin, packed)
                 if sum(c.nbytes for c in columns.values()) > self._limit:
-                    columns, fits = {}, False
-        return columns, fits
+                    return self._pass(None)[0], False
+            self._noted.update(dict.fromkeys(info.problems))
+        return columns, True
+
+    def _in_window(self, origin: int) -> Callable[[int, int], bool]:
+        """Whether a chunk between two recording times [ns] can hold something of the part that was asked for."""
+        start, stop = self._window
+        if start == 0 and not np.isfinite(stop):
+            return lambda first, last: True
+        low = origin + start * NANO
+        high = origin + stop * NANO if np.isfinite(stop) else math.inf
+        return lambda first, last: last >= low and first < high
 
     def _take(
         self,
@@ -318,6 +335,11 @@ class Run:
     def short(self, topic: str) -> str:
         """Name of a topic without the namespace."""
         return topic[len(self.namespace) + 1 :]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What was wrong with the files, in plain words; empty for a clean recording."""
+        return tuple(self._noted)
 
     @property
     def topics(self) -> tuple[str, ...]:

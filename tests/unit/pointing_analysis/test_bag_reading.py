@@ -196,8 +196,14 @@ def test_big_endian_payload() -> None:
 
 def test_part_of_a_run(tmp_path: Path, signals) -> None:
     bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
-    part = Run.open(bag, start=1.0, stop=1.5)["truth/los"]
-    assert np.array_equal(part.values[:, :2], signals["truth/los"][1000:1500])
+    small = write_bag(tmp_path / "small", signals, periods={"camera/los": 20}, chunk_size=20_000)
+    packed = tmp_path / "packed.mcap.zstd"
+    packed.write_bytes(zstandard.compress((small / "small_0.mcap").read_bytes()))
+    for path in (bag, small, packed):
+        run = Run.open(path, start=1.0, stop=1.5)
+        assert np.array_equal(run["truth/los"].values[:, :2], signals["truth/los"][1000:1500])
+        assert set(run.topics) == set(signals)
+        assert run.problems == ()
 
 
 def test_parameters_and_attachments(tmp_path: Path) -> None:
@@ -217,6 +223,17 @@ def test_memory_limit(tmp_path: Path, signals) -> None:
         small["truth/los"]
     part = Run.open(bag, memory_limit=need // 4, stop=0.1)
     assert len(part["truth/los"]) == 100
+
+
+def test_defects_of_a_large_bag_are_noted_when_its_topics_are_read(tmp_path: Path, signals) -> None:
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, chunk_size=50_000, compression="none")
+    file = bag / "bag_0.mcap"
+    raw = bytearray(file.read_bytes())
+    raw[len(raw) // 2] ^= 0xFF
+    file.write_bytes(raw)
+    run = Run.open(bag, memory_limit=150_000)
+    assert run["truth/los"].integrity.missing > 0
+    assert any("damaged" in problem for problem in run.problems)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------
