@@ -97,10 +97,10 @@ def test_oracle_shares_no_code_with_the_project() -> None:
 
 
 def test_nominal(case: Case) -> None:
-    """80 frequencies over 1e-3..1e4 rad/s and every tenth natural frequency, all 72 pairs of ports."""
+    """60 frequencies over 1e-3..1e4 rad/s and every tenth natural frequency, all 72 pairs of ports."""
     model = case.second_order(case.nominal)
     resonances = np.sort(np.abs(eigvals(model.state_matrix())))[5::20]
-    omega = np.sort(np.concatenate([spread(np.random.default_rng(0), 80), resonances]))
+    omega = np.sort(np.concatenate([spread(np.random.default_rng(0), 60), resonances]))
     error, pair = worst(disagreement(case.telescope.system.data_at({}), model, omega))
     assert error < TOLERANCE, pair
 
@@ -108,7 +108,7 @@ def test_nominal(case: Case) -> None:
 def test_twenty_random_parameter_values(case: Case) -> None:
     rng = np.random.default_rng(1)
     for values in case.telescope.system.sample_values(rng, 20):
-        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 14))
+        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 12))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
@@ -136,6 +136,7 @@ def balanced(index: int) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_all_corners(case: Case) -> None:
     rng = np.random.default_rng(3)
     for values in corners(case):
@@ -156,13 +157,13 @@ def test_without_isolator(case: Case) -> None:
 
 
 def test_without_attitude_control(case: Case) -> None:
-    """Free attitude: internal forces from 30 rad/s on (they have no equilibrium to take out)."""
+    """Free attitude: internal forces from 100 rad/s on (they have no equilibrium to take out)."""
     rng = np.random.default_rng(6)
     system = build_telescope(case.parameters, attitude_controlled=False).system
     values = system.sample_values(rng)[0]
     model = case.second_order(values, controlled=False)
-    slow = disagreement(system.data_at(values), model, spread(rng, 20, high=30.0), internal=False)
-    fast = disagreement(system.data_at(values), model, spread(rng, 20, low=30.0), internal=False)
+    slow = disagreement(system.data_at(values), model, spread(rng, 20, high=100.0), internal=False)
+    fast = disagreement(system.data_at(values), model, spread(rng, 20, low=100.0), internal=False)
     error, pair = worst({pair: e for pair, e in slow.items() if pair[1] not in INTERNAL})
     assert error < TOLERANCE, pair
     error, pair = worst(fast)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from titop_plant.structures import (
     check_residual_mass,
     port_visibility,
     smallest_residual_fraction,
+    write_modal_data,
 )
 
 if sys.version_info >= (3, 11):
@@ -91,3 +94,31 @@ def test_unknown_section_is_refused(parameters: dict[str, Any], key: str, value:
     sections["vane"] = {**sections["vane"], key: value}
     with pytest.raises(ValueError, match=f"{word}.*{value}"):
         build_payload({**parameters, "payload": {**parameters["payload"], "sections": sections}})
+
+
+def test_a_users_own_body_takes_the_place_of_the_frame(
+    parameters: dict[str, Any], payload: ModalData, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    mine = dataclasses.replace(payload.truncate(4), name="my payload")
+    write_modal_data(mine, path)
+    changed = {**parameters, "payload": {**parameters["payload"], "modal_data": str(path)}}
+    found = build_payload(changed)
+    assert (found.name, found.n_modes) == ("my payload", 4)
+    np.testing.assert_array_equal(found.participation, mine.participation)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda data: dataclasses.replace(data, parent="X"), "expected parent 'I_p', got 'X'"),
+        (lambda data: dataclasses.replace(data, children=data.children[:2]), "child port 'DET' is missing"),
+    ],
+)
+def test_a_users_body_that_does_not_fit_is_named(
+    parameters: dict[str, Any], payload: ModalData, tmp_path: Path, change: Any, word: str
+) -> None:
+    path = tmp_path / "mine.toml"
+    write_modal_data(change(payload), path)
+    with pytest.raises(ValueError, match=f"mine.toml: payload: {word}"):
+        build_payload({**parameters, "payload": {**parameters["payload"], "modal_data": str(path)}})

@@ -1,0 +1,208 @@
+"""The telescope in time against independent simulation, statistics and conservation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg, signal
+
+from titop_plant.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
+from titop_plant.simulation import (
+    DISTURBANCES,
+    DT,
+    MEASURED,
+    PlantConfig,
+    build_plant,
+    parameter_values,
+    sample,
+    telescope,
+    with_camera,
+)
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters
+
+QUIET = PlantConfig(noise=False, disturbance=False)
+
+
+def run(config: PlantConfig, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    plant = build_plant(config)
+    measured, truth = np.zeros((len(commands), 22)), np.zeros((len(commands), 2))
+    for k, command in enumerate(commands):
+        plant.step(command, measured[k], truth[k])
+    return measured, truth
+
+
+def plant_data(config: PlantConfig):
+    parameters = load_parameters()
+    whole = with_camera(telescope().system, parameters)
+    part = whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
+    return part.data_at(parameter_values(config, parameters))
+
+
+def test_commands_are_held_step_equals_dlsim() -> None:
+    rng = np.random.default_rng(0)
+    commands = np.hstack([1e-3 * rng.standard_normal((300, 2)), rng.standard_normal((300, 6))])
+    measured, truth = run(replace(QUIET, camera_rate=1000.0), commands)
+    data = plant_data(QUIET)
+    Ad, Bd, C, D, _ = signal.cont2discrete((data.A, data.B[:, :8], data.C, data.D[:, :8]), DT)
+    _, expected, _ = signal.dlsim((Ad, Bd, C, D, DT), commands)
+    size = np.abs(expected).max(axis=0)
+    assert np.max(np.abs(np.hstack([measured, truth]) - expected) / size) < 1e-8
+
+
+def test_tones_are_integrated_exactly() -> None:
+    """From rest in steady state the line of sight is the frequency response times the tone, above Nyquist too."""
+    config = replace(QUIET, disturbance=True, scenario="imbalance", seed=3)
+    _, truth = run(config, np.zeros((400, 8)))
+    data, parameters = plant_data(config), load_parameters()
+    plant = build_plant(config)
+    assert plant.tones.max() > np.pi / DT  # beyond half the sampling rate
+    speeds = np.array(parameters["reaction_wheel"]["default_speed"])
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(99,)))
+    t = DT * np.arange(400)
+    expected = np.zeros((400, 2))
+    for tones in (imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)):
+        for k, w in enumerate(tones.frequency):
+            H = data.C[22:] @ np.linalg.solve(1j * w * np.eye(len(data.A)) - data.A, data.B[:, 8:])
+            expected += np.imag(np.outer(np.exp(1j * w * t), H @ tones.amplitude[:, k]))
+    assert np.max(np.abs(truth - expected)) < 1e-6 * np.abs(expected).max()
+
+
+def test_same_seed_same_bits_and_other_seed_other_bits() -> None:
+    config = PlantConfig(seed=5, camera_dropout=0.2)
+    first, again = (run(config, np.zeros((300, 8)))[0] for _ in range(2))
+    other = run(replace(config, seed=6), np.zeros((300, 8)))[0]
+    assert first.tobytes() == again.tobytes()
+    assert not np.array_equal(first[:, :18], other[:, :18])
+    plant = build_plant(config)
+    runs = []
+    for _ in range(2):
+        plant.reset()
+        out, truth = np.zeros((300, 22)), np.zeros(2)
+        for k in range(300):
+            plant.step(np.zeros(8), out[k], truth)
+        runs.append(out.tobytes())
+    assert runs[0] == runs[1] == first.tobytes()
+
+
+def test_noise_has_the_standard_deviation_of_the_table() -> None:
+    measured, _ = run(PlantConfig(disturbance=False, camera_rate=1000.0), np.zeros((20000, 8)))
+    table = load_parameters()["sensors"]
+    sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [1e-8] * 4]
+    np.testing.assert_allclose(measured.std(axis=0), sigma, rtol=0.03)
+    bias = np.tile(table["accelerometer_bias"], 3)
+    np.testing.assert_allclose(measured.mean(axis=0)[:18], bias, atol=5 * sigma[:18].max() / np.sqrt(20000))
+
+
+def test_camera_frames_come_at_their_rate_and_get_lost_at_theirs() -> None:
+    measured, _ = run(PlantConfig(camera_rate=100.0, camera_dropout=0.25), np.zeros((20000, 8)))
+    seen = np.isfinite(measured[:, 18])
+    assert not np.any(seen[np.arange(20000) % 10 != 0])
+    assert 0.70 < seen[::10].mean() < 0.80
+    assert np.all(np.isfinite(measured[:, :18]))
+
+
+def test_commands_are_clipped_at_the_authority() -> None:
+    far = np.tile(np.r_[[1.0, -1.0], np.full(6, 1e3)], (50, 1))
+    limit = np.tile(np.r_[[5.3e-3, -5.3e-3], np.full(6, 31.6)], (50, 1))
+    np.testing.assert_array_equal(run(QUIET, far)[0], run(QUIET, limit)[0])
+
+
+def test_imbalance_grows_with_the_square_of_the_speed() -> None:
+    parameters = load_parameters()
+    slow, fast = (imbalance_tones(parameters, np.array([s, 0, 0, 0]), np.random.default_rng(1)) for s in (100.0, 300.0))
+    np.testing.assert_allclose(fast.amplitude, 9.0 * slow.amplitude, rtol=1e-12)
+    np.testing.assert_allclose(fast.frequency, 3.0 * slow.frequency)
+    top = imbalance_tones(parameters, np.full(4, 1047.2), np.random.default_rng(1))
+    one = top.amplitude[:5, np.flatnonzero((top.wheel == 0) & (top.harmonic == 1.0))]
+    np.testing.assert_allclose(np.abs(one).sum(axis=1), [0.4, 0.4, 0.35, 0.3, 0.3], rtol=5e-3)
+
+
+def test_drive_torque_stays_within_its_bound() -> None:
+    parameters = load_parameters()
+    tones = sadm_tones(parameters, np.random.default_rng(0))
+    assert np.all(np.abs(tones.amplitude[20:]).sum(axis=1) <= parameters["sadm"]["torque_bound"] * (1 + 1e-12))
+    assert np.all(tones.amplitude[:20] == 0)
+
+
+def test_design_tones_have_the_weights_amplitudes_within_the_band() -> None:
+    parameters = load_parameters()
+    from titop_plant.simulation import _tones
+
+    config = PlantConfig()
+    tones = _tones(config, parameters, parameter_values(config, parameters))
+    low, high = parameters["design_scenario"]["band"]
+    assert np.all((tones.frequency >= low) & (tones.frequency <= high))
+    for k, w in enumerate(tones.frequency):
+        size = weight_amplitudes(parameters, w)[0]
+        given = np.abs(tones.amplitude[:, k])
+        used = given > 0
+        np.testing.assert_allclose(given[used], size[used], rtol=1e-12)
+        assert used.sum() in (20, 2)
+
+
+def test_a_ramp_moves_the_tones_and_ends_at_the_new_speed() -> None:
+    base = PlantConfig(noise=False, scenario="imbalance", wheel_speed=(150.0, 160.0, 170.0, 180.0))
+    ramp = replace(base, wheel_acceleration=(40.0, 0.0, 0.0, 0.0), ramp_duration=0.5)
+    _, moved = run(ramp, np.zeros((800, 8)))
+    _, still = run(base, np.zeros((800, 8)))
+    np.testing.assert_array_equal(moved[:50], still[:50])  # the first quarter second is the same segment
+    assert np.abs(moved[600:] - still[600:]).max() > 1e-3 * np.abs(still).max()
+    assert parameter_values(ramp, load_parameters(), 9.0)["wheel_1.speed"] == pytest.approx(170.0)
+
+
+def test_energy_of_the_undamped_telescope_is_conserved() -> None:
+    """Without damping and attitude law the sampled motion keeps the energy of the second-order model."""
+    parameters = {k: dict(v) if isinstance(v, dict) else v for k, v in load_parameters().items()}
+    for name, key in (("body", "damping"), ("payload", "damping"), ("solar_array", "damping"),
+                      ("sadm", "gearbox_damping"), ("fsm", "damping"), ("pma", "damping")):  # fmt: skip
+        parameters[name][key] = 0.0
+    parameters["isolator"]["damping"] = [0.0] * 6
+    parameters["solar_array"]["further_modes"] = list(parameters["solar_array"]["further_modes"])
+    free = build_telescope(parameters, attitude_controlled=False).system
+    data = free.select(inputs=("fsm_command", "pma_force", *DISTURBANCES)).data_at({})
+    poles = linalg.eigvals(data.A)
+    moving = np.abs(poles) > 0.1
+    assert np.max(np.abs(poles[moving].real) / np.abs(poles[moving])) < 1e-9
+    n = len(data.A)
+    flow = linalg.expm(data.A * DT)
+    start = np.random.default_rng(0).standard_normal(n)
+    # An energy is a quadratic form that the motion conserves: amplitude of every mode stays what it was.
+    values, vectors = linalg.eig(data.A)
+    amplitude = np.linalg.solve(vectors, start)[np.abs(values) > 0.1]
+    state = np.linalg.matrix_power(flow, 10000) @ start
+    later = np.linalg.solve(vectors, state)[np.abs(values) > 0.1]
+    assert np.max(np.abs(np.abs(later) - np.abs(amplitude)) / np.abs(amplitude).max()) < 1e-6
+
+
+def test_sampling_without_tones_is_the_matrix_exponential() -> None:
+    data = plant_data(QUIET)
+    step = sample(data, no_tones(), 1).step
+    n = len(data.A)
+    np.testing.assert_allclose(step[:n, :n], linalg.expm(data.A * DT), atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"camera_rate": 300.0}, "camera_rate must divide 1000 Hz, got 300 Hz"),
+        ({"camera_rate": 0.0}, "camera_rate must divide"),
+        ({"scenario": "quiet"}, "unknown scenario 'quiet', expected one of: design, imbalance"),
+        ({"camera_dropout": 1.5}, "camera_dropout must be a probability"),
+        ({"wheel_speed": (1.0, 2.0)}, "wheel_speed must be four finite numbers"),
+        ({"seed": -1}, "seed must not be negative"),
+        ({"ramp_duration": -1.0}, "ramp_duration must not be negative"),
+    ],
+)
+def test_bad_configurations(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PlantConfig(**change)
+
+
+def test_a_parameter_beyond_its_range_is_named() -> None:
+    with pytest.raises(ValueError, match="parameter 'wheel_2.speed': expected a value in"):
+        build_plant(PlantConfig(wheel_speed=(0.0, 5000.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match=r"'solar_array.omega_1'"):
+        build_plant(PlantConfig(omega_1=2.0))
