@@ -124,6 +124,10 @@ class Problem:
         for model in models:
             self.add_model(model)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by what it was made of: small, and a copy in another process computes the same bits."""
+        return _rebuilt, (self.models, self.requirements, self.structure, self.loop_delay, self.pade_order)
+
     def add_model(self, model: Model) -> None:
         """Make one more model active."""
         _check_sizes(model, self.structure)
@@ -268,6 +272,16 @@ class Problem:
         if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
             return np.ones(len(poles), dtype=bool)
         return np.asarray(np.abs(poles) < delay_radius(self.loop_delay, self.pade_order))
+
+
+def _rebuilt(
+    models: tuple[Model, ...],
+    requirements: tuple[Requirement, ...],
+    structure: Structure,
+    loop_delay: float,
+    pade_order: int,
+) -> Problem:
+    return Problem(models, requirements, structure, loop_delay=loop_delay, pade_order=pade_order)
 
 
 def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from robust_design.model import Model
 from robust_design.problem import Problem
@@ -137,7 +138,7 @@ class _Rounds:
         tuning: TuningResult | None = None
         worst: tuple[WorstCase, ...] = ()
         status = "iterations"
-        with Progress(self.options.progress, "robust design") as progress:
+        with threadpool_limits(1), Progress(self.options.progress, "robust design") as progress:
             for number in range(most_rounds):
                 left = self.begun + self.options.wall_limit - time.monotonic()
                 if left <= 0.0 and tuning is not None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import Descent, DescentOptions, Sample, minimise
@@ -217,7 +218,8 @@ def tune(
     jobs = [(x, seed) for x, seed in starts_of(given, structure, options)]
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
-    with Progress(options.progress, "tuning") as progress:
+    # one thread: the matrices are small, and the result must not depend on how many cores there are
+    with threadpool_limits(1), Progress(options.progress, "tuning") as progress:
         if options.workers == 1 or len(jobs) == 1:
             runs = _serial(problem, jobs, options, deadline, progress)
         else:
@@ -333,7 +335,8 @@ def _parallel(
 
 
 def _remote(problem: Problem, x: FloatArray, seed: int, options: TuningOptions, left: float) -> Run:
-    return tune_from(problem, x, seed, options, time.monotonic() + left)
+    with threadpool_limits(1):
+        return tune_from(problem, x, seed, options, time.monotonic() + left)
 
 
 def _rank(run: Run) -> tuple[int, float]:

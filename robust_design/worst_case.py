@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from robust_design.gains import controller_response
 from robust_design.loop_scan import LoopScan, gain_at
@@ -138,7 +139,8 @@ def worst_case(
     """
     options = options or WorstCaseOptions()
     search = _Search(build, box, controller, tuple(requirements), loop_delay, options)
-    return search.run()
+    with threadpool_limits(1):
+        return search.run()
 
 
 class _Search:

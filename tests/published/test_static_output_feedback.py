@@ -1,0 +1,90 @@
+"""Static output feedback on published plants: our values beside the best known to us, each certified.
+
+Plants: COMPleib (F. Leibfritz 2004). Best known to us: table of H-infinity static output feedback in Q. Tran Dinh, S. Gumussoy,
+W. Michiels and M. Diehl, IEEE Trans. Autom. Control 57(6), 2012 (the best of HIFOO, PENBMI and their own method).
+`allowed` is what this tuner reaches with the starts given, rounded up: the test fails when a change makes it worse.
+"""
+
+from __future__ import annotations
+
+import pytest
+from oracles.full_order_bound import full_order_bound
+
+from robust_design.model import Model
+from robust_design.published_plants import PLANTS
+from robust_design.requirements import HinfGain
+from robust_design.structures import gain, state_space
+from robust_design.tuner import TuningOptions, TuningResult, tune
+
+# plant: (best known value, allowed, starts)
+KNOWN = {
+    "AC2": (0.1115, 0.11150, 1),
+    "AC3": (3.5053, 3.66, 4),
+    "AC4": (0.9355, 0.93548, 1),
+    "AC6": (4.1140, 4.1141, 1),
+    "AC15": (15.1995, 15.18, 1),
+    "AC16": (14.9881, 14.88, 1),
+    "AC17": (6.6124, 6.6125, 1),
+    "HE1": (0.1540, 0.1539, 1),
+    "HE2": (4.4931, 4.2495, 1),
+    "REA1": (0.8815, 0.8700, 4),
+    "REA2": (1.1881, 1.1495, 1),
+    "DIS2": (1.0548, 1.0548, 1),
+    "DIS3": (1.0816, 1.0800, 4),
+}
+WORSE_THAN_BEST_KNOWN = {"AC3"}
+
+
+def tuned(plant: Model, order: int, starts: int) -> TuningResult:
+    ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
+    structure = state_space([ports["y"]], [ports["u"]], order) if order else gain([ports["y"]], [ports["u"]])
+    return tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(starts=starts, wall_limit=200))
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_static_output_feedback(name: str) -> None:
+    best_known, allowed, starts = KNOWN[name]
+    result = tuned(PLANTS[name](), 0, starts)
+    assert result.certificate is not None and result.certificate.stable
+    assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-5)
+    assert result.certificate.upper.max() <= allowed
+    assert (allowed <= best_known * 1.0005) == (name not in WORSE_THAN_BEST_KNOWN)
+
+
+def test_decoupling_is_found_for_ac1() -> None:
+    """AC1: the disturbance can be rejected completely; the infimum is 0 (2e-7 by PENBMI)."""
+    result = tuned(PLANTS["AC1"](), 0, 3)
+    assert result.soft < 1e-2
+    assert result.certificate is not None and result.certificate.upper.max() < 1e-2
+
+
+def scherer() -> Model:
+    """Scherer, Gahinet and Chilali 1997, example 7, H-infinity channel."""
+    return Model(
+        [[0, 10, 2], [-1, 1, 0], [0, 2, -5]],
+        [[1, 0], [0, 1], [1, 0]],
+        [[1, 0, 0], [0, 0, 0], [0, 1, 0]],
+        [[0, 0], [0, 1], [2, 0]],
+        [("w", 1), ("u", 1)],
+        [("z", 2), ("y", 1)],
+        "Scherer 7",
+    )
+
+
+def test_riccati_bound_reproduces_hinfsyn() -> None:
+    """python-control 0.10 hinfsyn (SLICOT SB10AD) gives 9.508085 and 0.557291 for these plants."""
+    assert full_order_bound(scherer()) == pytest.approx(9.508085, rel=2e-6)
+    assert full_order_bound(PLANTS["AC4"]()) == pytest.approx(0.557291, rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("plant", "order"), [(PLANTS["AC4"], n) for n in (0, 1, 2, 4)] + [(scherer, n) for n in (1, 2, 3)]
+)
+def test_fixed_order_is_never_better_than_full_order(plant: object, order: int) -> None:
+    model = plant()  # type: ignore[operator]
+    bound = full_order_bound(model)
+    result = tuned(model, order, 3)
+    assert result.certificate is not None
+    assert result.certificate.values.max() >= bound * (1 - 1e-6)
+    if order == model.order:
+        assert result.soft <= 1.03 * bound, "with the full order the bound is nearly reached"

@@ -1,0 +1,253 @@
+"""Statuses with advice, hard requirements, starts, seeds, limits."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from robust_design.certificate import certify
+from robust_design.model import Model, static_gain, transfer
+from robust_design.published_plants import PLANTS
+from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
+from robust_design.special_structures import StableStateSpace
+from robust_design.structures import gain, gain_matrix_of, state_space
+from robust_design.tuner import TuningOptions, tune
+from uncertain_systems.runtime import Port
+
+
+def lag(pole: float = -1.0, name: str = "lag") -> Model:
+    """1 / (s - pole) with the disturbance at its input; effort is the command."""
+    D = [[0, 0], [0, 1], [0, 0]]
+    return Model(
+        [[pole]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)], name
+    )
+
+
+def integrators() -> Model:
+    """1 / s^2: no static gain of the position stabilises it."""
+    A, B = [[0, 1], [0, 0]], [[0, 0], [1, 1]]
+    return Model(
+        A, B, [[1, 0], [1, 0]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], "double integrator"
+    )
+
+
+STATIC = gain([("y", 1)], [("u", 1)])
+QUICK = TuningOptions(starts=2)
+
+
+def test_hard_requirement_is_active_at_the_optimum() -> None:
+    result = tune([lag()], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)], STATIC, options=QUICK)
+    assert result.status == "converged" and result.feasible
+    # k / (1 + k) = 0.8 and 1 / (1 + k) = 0.2
+    assert result.controller.D.item() == pytest.approx(-4.0, rel=1e-4)
+    assert result.soft == pytest.approx(0.2, rel=1e-4)
+
+
+def test_many_models_share_one_controller() -> None:
+    models = [lag(p, f"pole {p}") for p in (-2.0, 0.5, 1.0)]
+    hard = HinfGain("w", "effort", bound=1.25, hard=True)
+    result = tune(models, [HinfGain("w", "z", bound=0.1), hard], STATIC, options=QUICK)
+    # worst effort k / (k - 1) needs k >= 5: any larger gain is better, so effort is no limit but the soft gain is
+    assert result.values.shape == (2, 3)
+    assert result.values[0].argmax() == 2 and result.hard <= 1.0 + 1e-6
+    assert result.certificate is not None and result.certificate.stable
+
+
+def test_h2_optimum_is_the_lqg_cost() -> None:
+    """u = k y on 1 / (s + 1), z and effort to white noise: min (1 + k^2) / (2 (1 + k)), at k = sqrt(2) - 1."""
+    plant = Model(
+        [[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], "lqg"
+    )
+    result = tune([plant], [H2Gain("w", "z")], STATIC, options=QUICK)
+    k = np.sqrt(2) - 1
+    assert result.soft**2 == pytest.approx((1 + k * k) / (2 * (1 + k)), rel=1e-6)
+    assert result.controller.D.item() == pytest.approx(-k, rel=1e-2)
+
+
+def test_not_stabilised_says_what_to_do() -> None:
+    result = tune([integrators()], [HinfGain("w", "z")], STATIC, options=TuningOptions(starts=2, iterations=40))
+    assert result.status == "not_stabilised"
+    assert "order" in result.advice and result.soft == np.inf and result.abscissa >= -1e-6
+    assert result.certificate is None
+
+
+def test_stabilises_what_a_dynamic_controller_can() -> None:
+    structure = state_space([("y", 1)], [("u", 1)], 1)
+    result = tune([integrators()], [HinfGain("w", "z")], structure, options=TuningOptions(starts=4, iterations=60))
+    assert result.abscissa < 0 and np.isfinite(result.soft)
+
+
+def test_unstabilisable_plant() -> None:
+    """An unstable pole that the command does not reach."""
+    A, B = [[1, 0], [0, -1]], [[1, 0], [0, 1]]
+    plant = Model(A, B, [[1, 1], [1, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    result = tune([plant], [HinfGain("w", "z")], STATIC, options=TuningOptions(starts=2, iterations=30))
+    assert result.status == "not_stabilised" and result.abscissa == pytest.approx(1.0, abs=1e-6)
+
+
+def test_infeasible_gives_the_least_violation() -> None:
+    """Effort at most 0.3 and gain at most 0.5 contradict each other: k / (1 + k) <= 0.3, 1 / (1 + k) <= 0.5."""
+    hard = [HinfGain("w", "z", bound=0.5, hard=True, name="gain"), HinfGain("w", "effort", bound=0.3, hard=True)]
+    result = tune([lag()], [HinfGain("w", "z"), *hard], STATIC, options=QUICK)
+    assert result.status == "infeasible" and not result.feasible
+    assert "hard requirement" in result.advice
+    # 2 / (1 + k) = (k / (1 + k)) / 0.3 at k = 0.6: violation 1.25
+    assert result.hard == pytest.approx(1.25, rel=1e-3)
+
+
+def test_only_hard_requirements() -> None:
+    result = tune([lag(1.0)], [HinfGain("w", "z", bound=0.5, hard=True)], STATIC, options=QUICK)
+    assert result.feasible and result.hard <= 1.0 + 1e-6
+
+
+def test_wall_limit_gives_the_best_so_far() -> None:
+    plant = PLANTS["AC6"]()
+    structure = state_space([("y", 4)], [("u", 2)], 4)
+    begun = time.monotonic()
+    result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(starts=50, wall_limit=1.0))
+    assert time.monotonic() - begun < 6.0
+    assert result.status == "out_of_time" or result.status == "converged"
+    assert len(result.starts) < 50 and "time" in result.advice or result.status == "converged"
+
+
+def test_interrupt_keeps_the_best_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    from robust_design.problem import Problem
+
+    calls = {"n": 0}
+    true = Problem.evaluate
+
+    def counted(self: Problem, x: np.ndarray, **more: object) -> object:
+        calls["n"] += 1
+        if calls["n"] == 6:
+            raise KeyboardInterrupt
+        return true(self, x, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Problem, "evaluate", counted)
+    result = tune([PLANTS["AC4"]()], [HinfGain("w", "z")], gain([("y", 2)], [("u", 1)]), options=QUICK)
+    assert result.status == "interrupted"
+    assert np.isfinite(result.soft) and result.certificate is not None and result.certificate.stable
+
+
+def test_target_stops_early() -> None:
+    options = TuningOptions(starts=2, target=1.5)
+    result = tune([PLANTS["AC4"]()], [HinfGain("w", "z")], gain([("y", 2)], [("u", 1)]), options=options)
+    assert result.status == "target" and 0.9 < result.soft < 1.5
+
+
+def test_same_seed_same_bits_and_workers_change_nothing() -> None:
+    def run(workers: int, seed: int) -> np.ndarray:
+        options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=15)
+        return tune([PLANTS["AC3"]()], [HinfGain("w", "z")], gain([("y", 4)], [("u", 2)]), options=options).x
+
+    first = run(1, 7)
+    assert np.array_equal(first, run(1, 7))
+    assert np.array_equal(first, run(2, 7)), "processes give the same bits"
+    assert not np.array_equal(first, run(1, 8))
+
+
+def test_given_start_is_used_and_never_made_worse() -> None:
+    plant = PLANTS["AC4"]()
+    structure = gain([("y", 2)], [("u", 1)])
+    first = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(starts=1))
+    again = tune([plant], [HinfGain("w", "z")], structure, initial=[first.x], options=TuningOptions(starts=0))
+    assert again.soft <= first.soft * (1 + 1e-12)
+
+
+def test_stable_controller_on_request() -> None:
+    """By structure or by requirement; p(K) of a plant that would like an unstable one stays stable."""
+    plant = integrators()
+    by_structure = StableStateSpace((Port("y", 1),), (Port("u", 1),), 2, min_decay=0.01)
+    options = TuningOptions(starts=3, iterations=40)
+    a = tune([plant], [HinfGain("w", "z")], by_structure, options=options)
+    assert np.linalg.eigvals(a.controller.A).real.max() <= -0.01
+    free = state_space([("y", 1)], [("u", 1)], 2)
+    b = tune([plant], [HinfGain("w", "z"), ControllerPoles(min_decay=0.01)], free, options=options)
+    assert b.feasible and np.linalg.eigvals(b.controller.A).real.max() <= -0.01 * (1 - 1e-6)
+
+
+def test_pole_requirements_hold_on_the_closed_loop() -> None:
+    poles = ClosedLoopPoles(min_decay=0.3, min_damping=0.5, max_frequency=20.0)
+    free = state_space([("y", 1)], [("u", 1)], 2)
+    result = tune([integrators()], [HinfGain("w", "z"), poles], free, options=TuningOptions(starts=4, iterations=150))
+    assert result.feasible and result.certificate is not None
+    closed = result.certificate.abscissae.max()
+    assert closed <= -0.3 * (1 - 1e-6)
+    assert result.certificate.values[1, 0] <= 1 + 1e-6
+
+
+def test_delay_limits_the_gain() -> None:
+    """k / s with a delay T: the smallest peak of the disturbance response 1 / (s + k e^{-sT}) needs a finite k."""
+    plant = Model([[0]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    result = tune([plant], [HinfGain("w", "z")], STATIC, loop_delay=0.5, options=QUICK)
+    k = -result.controller.D.item()
+    w = np.geomspace(1e-3, 1e2, 200001)
+    peaks = {g: np.abs(1 / (1j * w + g * np.exp(-0.5j * w))).max() for g in np.linspace(0.3, 2.5, 221)}
+    best = min(peaks, key=peaks.__getitem__)
+    assert k == pytest.approx(best, abs=0.02)
+    assert result.soft == pytest.approx(peaks[best], rel=1e-4)
+    assert result.certificate is not None and result.certificate.values.max() == pytest.approx(result.soft, rel=1e-4)
+
+
+def test_certificate_is_independent_and_sees_a_wrong_controller() -> None:
+    wrong = static_gain([[3.0]], [("y", 1)], [("u", 1)])
+    found = certify([lag()], wrong, [HinfGain("w", "z")])
+    assert not found.stable and found.values[0, 0] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"models": []}, "at least one model"),
+        ({"requirements": []}, "at least one requirement"),
+        ({"requirements": [HinfGain("w", "position")]}, "'position' does not exist; there are z, effort, y"),
+        ({"structure": gain([("x", 1)], [("u", 1)])}, "no measurement port 'x'; there are z, effort, y"),
+        ({"structure": gain([("y", 2)], [("u", 1)])}, "has size 1, the controller has 2"),
+        ({"initial": [[1.0, 2.0]]}, "a start must be 1 finite parameters"),
+        ({"requirements": [H2Gain("w", "effort", weight_in=None), HinfGain("w", "z")]}, None),
+        ({"requirements": [HinfGain("w", "z"), HinfGain("w", "z")]}, "names must be unique"),
+    ],
+)
+def test_mistakes_raise_one_line(arguments: dict, message: str | None) -> None:
+    defaults = {"models": [lag()], "requirements": [HinfGain("w", "z")], "structure": STATIC, "options": QUICK}
+    defaults.update(arguments)
+    if message is None:
+        # the effort sees no feedthrough from w: a finite norm, accepted
+        assert tune(**defaults).feasible
+        return
+    with pytest.raises(ValueError, match=message) as error:
+        tune(**defaults)
+    assert "\n" not in str(error.value)
+
+
+def test_nan_plant_and_h2_feedthrough_are_refused() -> None:
+    with pytest.raises(ValueError, match="matrix A must be finite"):
+        Model([[np.nan]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)], "broken")
+    noisy = Model([[-1]], [[0, 1]], [[0], [1]], [[0, 1], [1, 0]], [("n", 1), ("u", 1)], [("effort", 1), ("y", 1)])
+    with pytest.raises(ValueError, match="direct feedthrough"):
+        tune([noisy], [H2Gain("n", "effort")], STATIC)
+    strictly = state_space([("y", 1)], [("u", 1)], 1, feedthrough=False)
+    assert tune([noisy], [H2Gain("n", "effort")], strictly, options=QUICK).soft < 1e-3
+
+
+def test_weights_are_folded_in() -> None:
+    """A weighted norm is the norm of the series connection."""
+    weight = transfer([1, 0], [1, 2])
+    result = tune(
+        [lag()],
+        [HinfGain("w", "z", weight_out=weight, bound=0.5)],
+        STATIC,
+        initial=[[0.0]],
+        options=TuningOptions(starts=0, iterations=1),
+    )
+    w = np.geomspace(1e-3, 1e3, 100001)
+    k = result.controller.D.item()
+    gains = np.abs(1j * w / (1j * w + 2) / (1j * w + 1 - k)) / 0.5
+    assert result.soft == pytest.approx(gains.max(), rel=1e-6)
+
+
+def test_gain_matrix_of_round_trips() -> None:
+    model = Model([[-1, 2], [0, -3]], [[1], [2]], [[3, 4]], [[5]], [("y", 1)], [("u", 1)])
+    structure = state_space([("y", 1)], [("u", 1)], 2)
+    assert np.array_equal(structure.gain_matrix(structure.parameters_of(model)), gain_matrix_of(model))
