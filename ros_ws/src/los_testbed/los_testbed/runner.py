@@ -197,6 +197,12 @@ class Runner:
         """Process numbers of the nodes that run."""
         return {name: node.process.pid for name, node in self._nodes.items()}
 
+    @property
+    def domain(self) -> int:
+        """ROS domain of the run."""
+        own = self._config.domain
+        return own if own >= 0 else int(os.environ.get("ROS_DOMAIN_ID", "0"))
+
     def run(self) -> Results:
         """Start, watch and end the nodes.
 
@@ -211,8 +217,7 @@ class Runner:
         check_new_bag(Path(self._config.output))
         build_estimator(self._config)
         build_controller(self._config)
-        domain = self._config.domain if self._config.domain >= 0 else os.environ.get("ROS_DOMAIN_ID", "0")
-        with domain_lock(str(domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+        with domain_lock(str(self.domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
             self._parameters = Path(folder) / "run.yaml"
             parameter_file(self._config, self._parameters)
             self._variables = environment(self._config, Path(folder) / "log")

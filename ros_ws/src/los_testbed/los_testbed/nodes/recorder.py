@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from los_testbed.bag import BagWriter, check_new_bag
-from los_testbed.codecs import HeaderCodec, stamp_of
+from los_testbed.codecs import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
 from los_testbed.join import HOLD_STAMP
 from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.shell import OK, STALE, WARN, Shell, run_node
@@ -41,8 +41,11 @@ def default_bag() -> Path:
 class Track:
     """What came on one topic since the last chunk, and what is known of it altogether."""
 
-    def __init__(self, path: str, subscription: RawSubscription, period_ns: int) -> None:
+    def __init__(self, path: str, subscription: RawSubscription, period_ns: int, codec: Codec | None = None) -> None:
         self.path = path
+        self.codec = codec
+        self.unreadable = 0
+        self._numbers = np.zeros(codec.size if codec else 0)
         self.subscription = subscription
         self.period_ns = period_ns
         self.data: list[bytes] = []
@@ -59,6 +62,8 @@ class Track:
         data, received, sent = self.data.append, self.received.append, self.sent.append
         while (taken := take()) is not None:
             message, times = taken
+            if not self._readable(message):
+                continue
             if len(message) >= 12 and stamp_of(message) == HOLD_STAMP and self.period_ns:
                 self.seen_hold = True
                 continue
@@ -68,6 +73,17 @@ class Track:
         if len(self.data) > before and self.period_ns:
             self._note(self.data[before:])
         return len(self.data) - before
+
+    def _readable(self, message: bytes) -> bool:
+        """A message cut short would make the bag unreadable for others; it is counted instead."""
+        if self.codec is None or (len(message) == self.codec.length and message[:2] == ENCAPSULATION[:2]):
+            return True
+        try:
+            self.codec.decode(message, self._numbers)
+        except CodecError:
+            self.unreadable += 1
+            return False
+        return True
 
     def _note(self, messages: list[bytes]) -> None:
         for message in messages:
@@ -97,6 +113,7 @@ class Recorder:
                 topic.path,
                 RawSubscription(node, topic.name, topic.type_name, DEPTH),
                 frame_ns if topic.rate == "camera" else TICK_NS,
+                codec_for(topic),
             )
             for topic in TOPICS
         ]
@@ -194,6 +211,7 @@ class Recorder:
         return {
             "messages": str(sum(track.distinct for track in self.tracks)),
             "samples_lost": str(sum(lost.values())),
+            **{f"unreadable_{t.path}": str(t.unreadable) for t in self.tracks if t.unreadable},
             **{f"lost_{name}": str(count) for name, count in lost.items() if count},
         }
 
