@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 #: Below this frequency internal forces are solved with their static response taken out [rad/s].
-SLOW = 30.0
+SLOW = 100.0
 ROUNDING = 1e-9
 
 

@@ -34,9 +34,14 @@ from titop_plant.structures.beam_frame import (
 )
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
+from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.structures.sections import bar, box, tube
 
 Parameters = Mapping[str, Any]
+
+
+PORTS = {"body": ("A1", "A2", "I_w", "I_p"), "payload": ("M1", "M2", "I_f", "DET")}
+PARENTS = {"body": "G", "payload": "I_p"}
 
 
 def build_body(parameters: Parameters) -> ModalData:
@@ -45,15 +50,20 @@ def build_body(parameters: Parameters) -> ModalData:
     Parameters
     ----------
     parameters : mapping
-        Tables ``materials`` and ``body`` of the parameter file.
+        Tables ``materials`` and ``body`` of the parameter file. If ``body.modal_data`` names a modal data
+        file, that body is taken, with all its modes and damping, in the place of the frame.
 
     Returns
     -------
     ModalData
         ``body.modes`` modes, positions in the body frame (origin at the centre of the bottom deck).
+
+    Raises
+    ------
+    ValueError
+        The file is not modal data, has another parent point or lacks a port.
     """
-    table = parameters["body"]
-    return to_modal_data(body_frame(parameters), "G", ("A1", "A2", "I_w", "I_p"), table["modes"], table["damping"])
+    return _from_file(parameters, "body") or _from_frame(parameters, "body", body_frame(parameters))
 
 
 def build_payload(parameters: Parameters) -> ModalData:
@@ -63,16 +73,39 @@ def build_payload(parameters: Parameters) -> ModalData:
     ----------
     parameters : mapping
         Tables ``materials``, ``payload`` and ``optics`` (``primary_focal_length``, ``mirror_distance``,
-        ``back_focal_distance``, m) of the parameter file.
+        ``back_focal_distance``, m) of the parameter file. If ``payload.modal_data`` names a modal data file,
+        that payload is taken in the place of the frame.
 
     Returns
     -------
     ModalData
         ``payload.modes`` modes, positions in the payload frame (origin at I_p).
+
+    Raises
+    ------
+    ValueError
+        The file is not modal data, has another parent point or lacks a port.
     """
-    table = parameters["payload"]
-    ports = ("M1", "M2", "I_f", "DET")
-    return to_modal_data(payload_frame(parameters), "I_p", ports, table["modes"], table["damping"])
+    return _from_file(parameters, "payload") or _from_frame(parameters, "payload", payload_frame(parameters))
+
+
+def _from_frame(parameters: Parameters, name: str, frame: BeamFrame) -> ModalData:
+    table = parameters[name]
+    return to_modal_data(frame, PARENTS[name], PORTS[name], table["modes"], table["damping"])
+
+
+def _from_file(parameters: Parameters, name: str) -> ModalData | None:
+    """A user's own body, if the parameters name a file."""
+    path = parameters[name].get("modal_data", "")
+    if not path:
+        return None
+    data = read_modal_data(path)
+    if data.parent != PARENTS[name]:
+        raise ValueError(f"{path}: {data.name}: expected parent {PARENTS[name]!r}, got {data.parent!r}")
+    missing = sorted(set(PORTS[name]) - {child.name for child in data.children})
+    if missing:
+        raise ValueError(f"{path}: {data.name}: child port {missing[0]!r} is missing, expected {list(PORTS[name])}")
+    return data
 
 
 def body_frame(parameters: Parameters) -> BeamFrame:
