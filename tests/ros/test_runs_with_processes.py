@@ -222,3 +222,34 @@ def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")
+
+
+def test_a_loop_of_nodes_started_one_by_one(tmp_path):
+    """As over several hosts: each node from its own command, the recorder ended by hand."""
+    config = config_for(tmp_path, duration=2.0)
+    (tmp_path / "run.yaml").write_text(json.dumps(config.to_mapping()))
+    variables = environment(config, tmp_path)
+    variables.pop("LOS_TESTBED_EVENTS")
+    commands = {
+        name: [sys.executable, "-m", "los_testbed.cli", "run", "--config", str(tmp_path / "run.yaml"), "--only", name]
+        for name in ("estimator", "controller", "recorder")
+    }
+    parameter_file(config, tmp_path / "ros.yaml")
+    commands["plant"] = [*PLANT, "--ros-args", "--params-file", str(tmp_path / "ros.yaml")]
+    processes = {
+        name: subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        for name, command in commands.items()
+    }
+    try:
+        assert processes["plant"].wait(40) == 0
+        for name in ("estimator", "controller", "recorder"):
+            processes[name].send_signal(signal.SIGINT)
+            assert processes[name].wait(20) == 0, processes[name].stdout.read()
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.communicate()
+    run = Run.open(tmp_path / "bag")
+    assert not run.problems
+    assert len(run["truth/los"]) == len(run["fsm/command"]) == 2000
+    assert run.parameters["statistics"]["plant"]["ticks"] == "2000"

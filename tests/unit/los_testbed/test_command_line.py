@@ -121,6 +121,7 @@ def _bad_controllers(folder):
         (["--set=durtion=1"], ["unknown parameter 'durtion'", "duration"]),
         (["--set=seed"], ["NAME=VALUE", "'seed'"]),
         (["--set=wheel_speed=[1, 2]"], ["wheel_speed", "four", "2"]),
+        (["--only=everything"], ["--only", "plant", "'everything'"]),
         (["--config=none.yaml"], ["none.yaml", "No such file"]),
         (["--no-such-option"], ["--no-such-option"]),
         (["--k-fsm=none.json"], ["none.json", "No such file"]),

@@ -43,6 +43,8 @@ RUN_EXAMPLES = """Run the loop, record it, judge it.
 
     los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it goes
 
+    los-testbed run --only plant                       # this host runs the plant, others the rest
+
     los-testbed run --k-fsm my_observer.json --set wheel_speed='[200, 210, 220, 230]'
 """
 
@@ -85,6 +87,12 @@ def run(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
     ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder."
+        ),
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
     json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
 ) -> None:
@@ -97,6 +105,10 @@ def run(
     from los_testbed.judgement import judge, show
 
     chosen = configure(config, settings or [], given)
+    if only is not None:
+        from los_testbed.runner import run_alone
+
+        raise typer.Exit(run_alone(only, chosen))
     console = Console(stderr=json_)
     bag, results = execute(chosen, console)
     warnings, failures, interrupted = results.warnings, results.failures, results.interrupted

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import importlib
 import importlib.util
 import json
 import os
@@ -159,6 +160,33 @@ class NodeProcess:
         self.asked_to_stop = True
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
+
+
+def run_alone(name: str, config: RunConfig) -> int:
+    """Run one node in this process, for a loop over several hosts; returns its exit code.
+
+    Discovery is left as the environment has it: the other nodes may be anywhere.
+
+    Raises
+    ------
+    ValueError
+        No such node, a mode without nodes, or ROS missing.
+    """
+    if name not in NODES:
+        raise ValueError(f"--only expects one of {', '.join(NODES)}, got {name!r}")
+    if config.mode == "inprocess":
+        raise ValueError("--only expects the mode realtime or lockstep, got inprocess")
+    check_ros()
+    if name == "recorder":
+        check_new_bag(Path(config.output))
+    if config.domain >= 0:
+        os.environ["ROS_DOMAIN_ID"] = str(config.domain)
+    with tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+        parameters = Path(folder) / "run.yaml"
+        parameter_file(config, parameters)
+        os.environ.setdefault("ROS_LOG_DIR", folder)
+        node = importlib.import_module(f"los_testbed.nodes.{name}")
+        return int(node.main(["--ros-args", "--params-file", str(parameters)]))
 
 
 class Runner:

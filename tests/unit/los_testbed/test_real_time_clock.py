@@ -1,0 +1,77 @@
+"""Deadlines, overruns, statistics, and what happens without the rights."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from los_testbed.real_time import TickClock
+from los_testbed.statistics import Durations
+
+MS = 1_000_000
+
+
+def test_ticks_come_at_the_deadlines_and_do_not_drift():
+    clock = TickClock(2 * MS)
+    start = time.monotonic_ns() + 5 * MS
+    clock.begin(start)
+    for _ in range(100):
+        late = clock.wait()
+        assert late >= 0
+    elapsed = time.monotonic_ns() - start
+    assert elapsed >= 198 * MS
+    # the last tick's time follows from the first one's, the number of ticks and the periods that were skipped
+    assert elapsed - (99 + clock.skipped) * 2 * MS - late < 1 * MS
+
+
+def test_an_overrun_is_counted_and_never_caught_up():
+    clock = TickClock(2 * MS)
+    clock.begin(time.monotonic_ns())
+    clock.wait()
+    before = clock.skipped
+    time.sleep(0.0151)
+    late = clock.wait()
+    assert late >= 13 * MS
+    skipped = clock.skipped - before
+    assert skipped == late // (2 * MS) >= 6
+    began = time.monotonic_ns()
+    clock.wait()
+    clock.wait()
+    assert time.monotonic_ns() - began > 2 * MS, "the next ticks are not hurried"
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])
+def test_quantiles_of_durations_agree_with_numpy(probability):
+    values = np.random.default_rng(2).gamma(2.0, 150_000, 5000).astype(int)
+    durations = Durations()
+    for value in values:
+        durations.add(int(value))
+    expected = np.quantile(values, probability, method="inverted_cdf") / 1000
+    assert expected - 1 <= durations.quantile_us(probability) <= expected
+    assert durations.maximum_us == values.max() / 1000
+    assert durations.mean_us == pytest.approx(values.mean() / 1000)
+
+
+def test_durations_of_any_size_are_kept_in_bounds():
+    durations = Durations()
+    assert np.isnan(durations.quantile_us(0.5))
+    for value in (-5_000, 0, 10**12):
+        durations.add(value)
+    assert durations.quantile_us(0.3) == 0
+    assert durations.quantile_us(1.0) == 10**9
+
+
+def test_what_is_not_permitted_is_named_and_not_an_error():
+    code = (
+        "import os, sys, ctypes\n"
+        "from los_testbed import real_time\n"
+        "def refuse(*a): raise PermissionError('no')\n"
+        "os.sched_setscheduler = refuse\n"
+        "class NoLock:\n"
+        "    def mlockall(self, flags): return -1\n"
+        "ctypes.CDLL = lambda *a, **k: NoLock()\n"
+        "print(real_time.become_real_time(80, 0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "['real-time scheduling', 'locked memory']"
