@@ -302,7 +302,7 @@ def render(
     rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
     # Requirements over several runs are judged once, on all of them.
     if len(runs) > 1:
-        over_runs = [r for r in chosen if r.interpretation != "temporal"]
+        over_runs = [r for r in chosen if r.across_runs]
         rows = [row for row in rows if row.text not in {str(r) for r in over_runs}]
         rows += [_row("all runs", requirements.judge(r, runs, transient)) for r in over_runs]
     environment = jinja2.Environment(

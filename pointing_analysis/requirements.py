@@ -4,8 +4,8 @@ The text form is the requirement form of ECSS-E-ST-60-10C::
 
     prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
 
-with an index (APE, MPE, RPE, PDE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two times
-for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default:
+with an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two
+times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default:
 every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and time
 together).
 """
@@ -45,7 +45,7 @@ ANGLES = {
 }
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 #: index -> number of times it takes
-INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "AKE": 0, "MKE": 1, "RKE": 1}
+INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
 INTERPRETATIONS = ("temporal", "ensemble", "mixed")
 DEFAULT_FILE = Path(__file__).with_name("requirements.toml")
 _TEXT = re.compile(
@@ -92,6 +92,11 @@ class Requirement:
     def scale(self) -> float:
         """Radians per display unit."""
         return ANGLES[self.unit]
+
+    @property
+    def across_runs(self) -> bool:
+        """Whether it is judged on several runs together and not on each."""
+        return self.interpretation != "temporal" or self.index == "PRE"
 
     @property
     def quantity(self) -> str:
@@ -237,11 +242,34 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
         cap = len(metrics.windows(e, dt, times[0]).mean)
     else:
         samples = metrics.pde(e, dt, times[0], times[1])
-    if requirement.axis:
-        values = np.abs(samples[:, metrics.AXES.index(requirement.axis)])
-    else:
-        values = metrics.radial(samples)
+    values = _norm(samples, requirement)
     return values[~np.isnan(values)], cap
+
+
+def _reproducibility(
+    requirement: Requirement, runs: Sequence[Run], transient: float | None
+) -> list[tuple[NDArray[np.float64], float, float]]:
+    """Samples of the PRE of every pair of runs: each window of the one against each of the other.
+
+    The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
+    """
+    series = [performance_error(run, transient) for run in runs]
+    found = []
+    for i, first in enumerate(series):
+        for second in series[i + 1 :]:
+            window = requirement.times[0]
+            samples = metrics.pre(first.values, second.values, first.dt, window)
+            values = _norm(samples, requirement)
+            means = [metrics.radial(metrics.mpe(s.values, s.dt, window)) for s in (first, second)]
+            weight = min(statistics.effective_number(m) for m in means)
+            found.append((values, weight, first.duration + second.duration))
+    return found
+
+
+def _norm(samples: NDArray[np.float64], requirement: Requirement) -> NDArray[np.float64]:
+    if requirement.axis:
+        return np.asarray(np.abs(samples[:, metrics.AXES.index(requirement.axis)]))
+    return metrics.radial(samples)
 
 
 def _not_judged(requirement: Requirement, why: str) -> Verdict:
@@ -275,21 +303,13 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
     With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
     worst instant of each run as one independent sample; the mixed one puts the samples of all runs together.
     """
-    if requirement.interpretation != "temporal" and len(runs) < 2:
-        return _not_judged(requirement, f"a {requirement.interpretation} requirement needs several runs; got one")
-    knowledge = requirement.index in ("AKE", "MKE", "RKE")
-    collected = []
-    for run in runs:
-        try:
-            series = (knowledge_error if knowledge else performance_error)(run, transient)
-            values, cap = index_samples(series, requirement)
-        except BagError as error:
-            return _not_judged(requirement, str(error))
-        except ValueError as error:
-            return _not_judged(requirement, f"{run.path}: {error}")
-        if not values.size:
-            return _not_judged(requirement, f"{run.path}: no complete window of {requirement.quantity}")
-        collected.append((values, min(cap, statistics.effective_number(values)), series.duration))
+    if len(runs) < 2 and requirement.across_runs:
+        what = "PRE" if requirement.index == "PRE" else requirement.interpretation
+        return _not_judged(requirement, f"a {what} requirement needs several runs; got {len(runs)}")
+    try:
+        collected = _collect(requirement, runs, transient)
+    except ValueError as error:
+        return _not_judged(requirement, str(error))
     if requirement.interpretation == "ensemble":
         worst = np.array([values.max() for values, _, _ in collected])
         return decide(requirement, worst, len(worst), sum(s for _, _, s in collected))
@@ -299,3 +319,23 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
     verdicts = [decide(requirement, *one) for one in collected]
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2, "not judged": 3}
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
+
+
+def _collect(
+    requirement: Requirement, runs: Sequence[Run], transient: float | None
+) -> list[tuple[NDArray[np.float64], float, float]]:
+    """Of each run (for the PRE, of each pair): samples of the index, their effective number, seconds of data."""
+    if requirement.index == "PRE":
+        return _reproducibility(requirement, runs, transient)
+    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
+    collected = []
+    for run in runs:
+        series = make(run, transient)
+        try:
+            values, cap = index_samples(series, requirement)
+        except ValueError as error:
+            raise BagError(f"{run.path}: {error}") from None
+        if not values.size:
+            raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
+        collected.append((values, min(cap, statistics.effective_number(values)), series.duration))
+    return collected

@@ -27,6 +27,7 @@ class Integrity:
     Attributes
     ----------
     messages : messages in the bag
+    unstamped : messages with the stamp zero, left out: the plant sends them while it waits for the run to begin
     duplicates : messages whose stamp was there already
     conflicts : duplicates that say something else than the first: two publishers on one topic
     out_of_order : messages recorded after one with a later stamp
@@ -38,6 +39,7 @@ class Integrity:
     """
 
     messages: int
+    unstamped: int
     duplicates: int
     conflicts: int
     out_of_order: int
@@ -113,7 +115,9 @@ def _other_rate(steps: NDArray[np.int64], period: int) -> float:
     return float(runs[(ratio[starts] != 1) & (runs >= 20)].sum() / ratio.size)
 
 
-def _inspect(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_], order: int, period: int) -> Integrity:
+def _inspect(
+    stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_], order: int, period: int, unstamped: int
+) -> Integrity:
     first = np.maximum.accumulate(np.where(kept, np.arange(stamp.size), 0))
     again = ~kept
     differs = np.any(values[again] != values[first[again]], axis=1) if again.any() else np.zeros(0, bool)
@@ -123,7 +127,8 @@ def _inspect(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_], 
     ticks = np.maximum(np.rint(steps / period), 1).astype(np.int64) if period else steps
     holes = np.flatnonzero(ticks > 1)
     return Integrity(
-        messages=int(stamp.size),
+        messages=int(stamp.size) + unstamped,
+        unstamped=unstamped,
         duplicates=int(again.sum()),
         conflicts=int((differs & ~both_nan).sum()),
         out_of_order=order,
@@ -145,13 +150,17 @@ def make_topic(
     published: NDArray[np.int64],
 ) -> Topic:
     """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
+    real = stamp != 0
+    unstamped = int(stamp.size - real.sum())
+    if unstamped:
+        stamp, values, published = stamp[real], values[real], published[real]
     late = int((stamp < np.maximum.accumulate(stamp)).sum()) if stamp.size else 0
     if late:
         order = np.argsort(stamp, kind="stable")
         stamp, values, published = stamp[order], values[order], published[order]
     kept = np.append(np.ones(min(stamp.size, 1), bool), np.diff(stamp) > 0)
     period = _period_ns(stamp[kept])
-    integrity = _inspect(stamp, values, kept, late, period)
+    integrity = _inspect(stamp, values, kept, late, period, unstamped)
     if not kept.all():
         stamp, values, published = stamp[kept], values[kept], published[kept]
     return Topic(

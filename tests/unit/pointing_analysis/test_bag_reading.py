@@ -167,6 +167,16 @@ def test_gaps_duplicates_and_disorder_are_counted(tmp_path: Path) -> None:
     assert topic.values[10, 0] == 22.0  # sorted by stamp: rows 10 and 11 changed places
 
 
+def test_messages_before_the_run_begins_are_left_out(tmp_path: Path) -> None:
+    """A plant that waits sends stamp zero; a recorder that was there already has them in the bag."""
+    los = np.random.default_rng(0).standard_normal((500, 2))
+    stamps = np.append(np.zeros(100, np.int64), 10**15 + 10**6 * np.arange(400))
+    topic = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, stamps={"truth/los": stamps}))["truth/los"]
+    assert (len(topic), topic.integrity.unstamped, topic.integrity.messages) == (400, 100, 500)
+    assert (topic.integrity.missing, topic.integrity.conflicts) == (0, 0)
+    assert np.array_equal(on_grid(topic)[0][:, :2], los[100:])
+
+
 def test_changing_frame_names_do_not_disturb(tmp_path: Path) -> None:
     """Frame names of other and of equal total length: the layout of the first message does not fit all of them."""
     kind = "sensor_msgs/msg/JointState"

@@ -172,6 +172,40 @@ def test_interpretations_over_runs(noise_run) -> None:
     assert judge(few, quiet[:1]).status == "not judged"
 
 
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
+    """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
+    from scipy.signal import lfilter
+
+    from pointing_analysis.statistics import effective_number, radial_factor
+
+    p, n, runs = 0.98, 5000, 400
+    limit = radial_factor(p)
+    requirement = parse(f"prob(|APE| < {limit} rad) >= {p} at 95 % confidence")
+    rng = np.random.default_rng(11)
+    white = rng.standard_normal((runs, 2, n + 200))
+    e = lfilter([math.sqrt(1 - pole**2)], [1, -pole], white, axis=2)[:, :, 200:]
+    norms = np.hypot(e[:, 0], e[:, 1])
+    found = [requirements.decide(requirement, r, effective_number(r), 5.0).status for r in norms]
+    # 5 % of 400 are 20; 30 are more than two standard deviations above.
+    assert found.count("compliant") <= 30
+    assert found.count("not compliant") <= 30
+    assert found.count("compliant") + found.count("not compliant") > 0
+
+
+def test_reproducibility_needs_two_runs(tmp_path) -> None:
+    rng = np.random.default_rng(0)
+    runs = []
+    for i, offset in enumerate((0.0, 5.0, 9.0)):
+        los = MAS * (rng.standard_normal((6000, 2)) + [offset, 0.0])
+        runs.append(Run.open(write_bag(tmp_path / str(i), {"truth/los": los})))
+    requirement = parse("prob(|PRE_x(20 ms)| < 7 mas) >= 0.9 at 95 % confidence")
+    assert judge(requirement, runs[:2]).status == "compliant"
+    assert judge(requirement, runs).status == "not compliant"  # 9 mas between the first and the last
+    alone = judge(requirement, runs[:1])
+    assert (alone.status, "needs several runs; got 1" in alone.note) == ("not judged", True)
+
+
 def test_what_cannot_be_judged_says_why(noise_run, tmp_path) -> None:
     run = noise_run(1.0, 1.0)
     ask = "prob(|{}| < 1 mas) >= 0.9 at 90 % confidence".format
