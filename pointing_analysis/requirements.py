@@ -5,9 +5,9 @@ The text form is the requirement form of ECSS-E-ST-60-10C::
     prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
 
 with an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two
-times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation ``temporal`` (default:
-every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and time
-together).
+times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation: ``temporal``
+(default: every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and
+time together).
 """
 
 from __future__ import annotations
