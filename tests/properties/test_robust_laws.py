@@ -1,0 +1,123 @@
+"""Laws of norms, loops and tuning on random systems."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robust_design.frequency import FrequencyResponse, direct_response
+from robust_design.model import Model, close_loop, pade_delay, series
+from robust_design.norms import h2_norm, hinf_norm, spectral_abscissa
+from robust_design.problem import Problem
+from robust_design.requirements import H2Gain, HinfGain
+from robust_design.structures import controller, state_space
+
+SEEDS = st.integers(0, 10_000)
+
+
+def random_system(seed: int, n: int, m: int, p: int, feedthrough: bool = True) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-3, 0)) * np.eye(n)
+    D = rng.normal(size=(p, m)) * feedthrough
+    return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), D
+
+
+def gain(system: tuple[np.ndarray, ...], w: float) -> float:
+    return float(np.linalg.svd(direct_response(*system, w), compute_uv=False)[0])
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(1, 9), st.integers(1, 3), st.integers(1, 3))
+def test_norm_bounds_every_gain_and_is_reached(seed: int, n: int, m: int, p: int) -> None:
+    system = random_system(seed, n, m, p)
+    norm = hinf_norm(*system, rtol=1e-7)
+    grid = np.concatenate([[0.0, np.inf], np.geomspace(1e-4, 1e4, 400), np.abs(np.linalg.eigvals(system[0]))])
+    assert max(gain(system, w) for w in grid) <= norm.upper * (1 + 1e-10)
+    assert abs(gain(system, norm.omega) - norm.value) <= 1e-9 * norm.value
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.integers(1, 7))
+def test_norms_do_not_depend_on_coordinates_or_time_unit(seed: int, n: int) -> None:
+    A, B, C, D = random_system(seed, n, 2, 2, feedthrough=False)
+    T = np.random.default_rng(seed + 1).normal(size=(n, n)) + 3 * np.eye(n)
+    inverse = np.linalg.inv(T)
+    first, other = hinf_norm(A, B, C, D), hinf_norm(T @ A @ inverse, T @ B, C @ inverse, D)
+    assert abs(first.value - other.value) <= 1e-6 * first.value
+    faster = hinf_norm(100 * A, 100 * B, C, D)
+    assert abs(faster.value - first.value) <= 1e-6 * first.value
+    assert abs(h2_norm(100 * A, 100 * B, C, D) - 10 * h2_norm(A, B, C, D)) <= 1e-8 * h2_norm(A, B, C, D) * 10
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.integers(1, 6))
+def test_norm_of_a_series_is_at_most_the_product(seed: int, n: int) -> None:
+    first = Model(*random_system(seed, n, 2, 3), [("a", 2)], [("b", 3)])
+    second = Model(*random_system(seed + 1, n, 3, 2), [("b", 3)], [("c", 2)])
+    both = hinf_norm(*series(first, second).matrices)
+    assert both.value <= hinf_norm(*first.matrices).upper * hinf_norm(*second.matrices).upper * (1 + 1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.integers(1, 4), st.integers(0, 3))
+def test_closed_loop_is_the_fractional_transformation(seed: int, n: int, order: int) -> None:
+    """close_loop against P11 + P12 K (I - P22 K)^-1 P21 at a few frequencies, and LoopGains against both."""
+    A, B, C, D = random_system(seed, n, 4, 5)
+    plant = Model(A, B, C, 0.3 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
+    structure = state_space([("y", 2)], [("u", 2)], order)
+    K = controller(structure, 0.2 * structure.start(np.random.default_rng(seed)))
+    loop = close_loop(plant, K, ["w"], ["z"])
+    for w in (0.0, 0.3, 2.0):
+        P, Kw = direct_response(*plant.matrices, w), direct_response(*K.matrices, w)
+        inner = np.linalg.solve(np.eye(2) - P[3:, 2:] @ Kw, P[3:, :2])
+        expected = P[:3, :2] + P[:3, 2:] @ Kw @ inner
+        assert np.abs(direct_response(*loop.matrices, w) - expected).max() <= 1e-8 * (1 + np.abs(expected).max())
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(2, 6), st.integers(0, 3))
+def test_tuning_values_are_the_norms_of_the_assembled_loop(seed: int, n: int, order: int) -> None:
+    A, B, C, D = random_system(seed, n, 4, 5)
+    D[:, :2] = 0.0
+    plant = Model(A, B, C, 0.2 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
+    structure = state_space([("y", 2)], [("u", 2)], order)
+    x = 0.05 * structure.start(np.random.default_rng(seed))
+    K = structure.gain_matrix(x)
+    K[:order, :order] -= np.eye(order)
+    x = structure.parameters_of(
+        Model(K[:order, :order], K[:order, order:], K[order:, :order], K[order:, order:], [("y", 2)], [("u", 2)])
+    )
+    problem = Problem([plant], [HinfGain("w", "z"), H2Gain("w", "z")], structure)
+    found = problem.evaluate(x)
+    loop = close_loop(plant, controller(structure, x), ["w"], ["z"])
+    if spectral_abscissa(loop.A) >= 0:
+        assert np.isinf(found.values).all()
+        return
+    norm = hinf_norm(*loop.matrices, rtol=1e-8)
+    assert abs(found.values[0, 0] - norm.value) <= 1e-6 * norm.value
+    expected = h2_norm(loop.A, loop.B, loop.C, np.zeros_like(loop.D))
+    assert abs(found.values[1, 0] - expected) <= 1e-8 * expected
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 10.0), st.integers(2, 8))
+def test_pade_is_all_pass_and_early_it_is_the_delay(delay: float, order: int) -> None:
+    model = pade_delay(delay, order)
+    for turn in (0.1, 0.5, 1.0, 5.0):
+        response = direct_response(*model.matrices, turn / delay).item()
+        assert abs(abs(response) - 1.0) <= 1e-8
+        if turn <= 1.0 and order >= 3:
+            assert abs(response - np.exp(-1j * turn)) <= 1e-4
+    assert spectral_abscissa(model.A) < 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 8))
+def test_modal_and_direct_responses_agree(seed: int, n: int) -> None:
+    system = random_system(seed, n, 2, 2)
+    response = FrequencyResponse.of(*system)
+    w = np.array([0.0, 0.1, 1.0, 10.0])
+    direct = np.array([direct_response(*system, x) for x in w])
+    assert np.abs(response.at(w) - direct).max() <= 1e-7 * np.abs(direct).max()
