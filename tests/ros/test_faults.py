@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -213,3 +215,35 @@ def test_a_recorder_that_cannot_write_says_why(tmp_path):
 
     with pytest.raises((ValueError, RunError), match="is not a folder"):
         Runner(replace(config, output=str(tmp_path / "file" / "bag")), commands={"plant": PLANT}).run()
+
+
+def test_a_full_disk_ends_the_run_with_the_reason_and_what_was_written_is_kept(tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(small)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("mounting a small file system is not permitted")
+    try:
+        with pytest.raises(RunError, match=r"recorder: .*No space left"):
+            run_with_fault(tmp_path, 10**9, lambda r: None, 20.0, output=str(small / "bag"))
+        salvage = repair_bag(small / "bag", tmp_path / "saved")
+    finally:
+        subprocess.run(["umount", "-l", str(small)], check=True)
+    run = Run.open(tmp_path / "saved")
+    assert salvage.chunks >= 1
+    assert len(run["truth/los"]) > 300
+    assert run["truth/los"].integrity.missing == 0
+
+
+def test_busy_processors_do_not_stop_the_loop(tmp_path):
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)]
+    try:
+        results = run_with_fault(tmp_path, 10**9, lambda r: None, 4.0)
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+    if results.warnings:
+        pytest.skip(f"real time is not permitted here: {results.warnings}")
+    assert int(results.statistics["plant"]["missed_ticks"]) <= 40  # 1 %; a tenth of what it is without priorities
+    assert results.statistics["recorder"]["samples_lost"] == "0"
