@@ -121,7 +121,7 @@ def write_bag(
     """
     folder = Path(path)
     folder.mkdir(parents=True, exist_ok=False)
-    events = _events(signals, dt, dict(periods or {}), dict(stamps or {}), start)
+    typed, events = _events(signals, dt, dict(periods or {}), dict(stamps or {}), start)
     file = folder / f"{folder.name}_0.mcap"
     with file.open("wb") as stream:
         writer = Writer(
@@ -134,19 +134,24 @@ def write_bag(
         writer.start(profile="ros2", library="pointing_analysis.synthetic")
         text = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (parameters or {}).items()}
         writer.add_metadata(METADATA_NAME, text)
-        channels = {}
-        for name, (schema, _) in events[0].items():
-            number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
-            channels[name] = writer.register_channel(f"{namespace}/{name}", "cdr", number)
-        for _, stamp, name, row in events[1]:
-            data = encode(events[0][name][0], stamp, events[0][name][1][row], frame=name.replace("/", "_"))
-            writer.add_message(channels[name], stamp, data, stamp, sequence=row)
+        _write_messages(writer, typed, events, namespace)
         writer.finish()
-    _write_yaml(folder, file.name, namespace, events[0], np.array([e[0] for e in events[1]], dtype=np.int64))
+    _write_yaml(folder, file.name, namespace, typed, np.array([e[0] for e in events], dtype=np.int64))
     return folder
 
 
 _Signals = dict[str, tuple[str, NDArray[np.float64]]]
+
+
+def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]], namespace: str) -> None:
+    channels = {}
+    for name, (schema, _) in typed.items():
+        number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
+        channels[name] = writer.register_channel(f"{namespace}/{name}", "cdr", number)
+    for logged, stamp, name, row in events:
+        schema, values = typed[name]
+        data = encode(schema, stamp, values[row], frame=name.replace("/", "_"))
+        writer.add_message(channels[name], logged, data, logged, sequence=row)
 
 
 def _events(
