@@ -1,6 +1,7 @@
 """PID of a slow process with a delay: five requirements at once.
 
-Process 2 / ((10 s + 1)(s + 1)) with 0.5 s of delay in the loop. Load disturbances are to be rejected as well as possible (soft) while
+Process 2 / ((10 s + 1)(s + 1)) with 0.5 s of delay in the loop. Load disturbances are to be rejected as well as
+possible (soft) while
 the sensitivity peak stays below 1.7 and the complementary one below 1.3 (hard: margins), measurement noise moves
 the command by at most 0.15 units rms (hard, H2), and no closed-loop pole is faster than 12 rad/s (hard).
 """
@@ -27,7 +28,8 @@ PERIOD = 0.1  # s, of these samples
 
 
 def process() -> Model:
-    """Ports: load, reference, noise, valve -> level, error, command, seen. The noise is filtered at 5 rad/s before the PID."""
+    """Ports: load, reference, noise, valve -> level, error, command, seen. The noise is filtered at 5 rad/s
+    before the PID."""
     A = [[-0.1, 0.2, 0, 0], [0, -1, 0, 0], [0, 0, -5, 0], [-5, 0, 0, -5]]
     B = [[0, 0, 0, 0], [1, 0, 0, 1], [0, 0, 5, 0], [0, 5, 0, 0]]
     C = [[1, 0, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 0], [0, 0, -1, 1]]

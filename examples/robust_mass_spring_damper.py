@@ -27,7 +27,8 @@ BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
 
 def build(p: Mapping[str, float]) -> Model:
-    """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (error as the controller sees it)."""
+    """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (error as the controller sees
+    it)."""
     m, c, k = p["m"], p["c"], p["k"]
     return Model(
         [[0, 1], [-k / m, -c / m]],

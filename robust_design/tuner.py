@@ -14,6 +14,7 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
@@ -23,7 +24,8 @@ from robust_design.model import Model
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.progress import Progress
 from robust_design.requirements import Requirement
-from robust_design.structures import Structure, controller
+from robust_design.special_structures import StableStateSpace
+from robust_design.structures import AffineStructure, Structure, controller
 
 FloatArray = NDArray[np.float64]
 
@@ -215,7 +217,7 @@ def tune(
     deadline = begun + options.wall_limit
     problem = Problem(models, requirements, structure, loop_delay=loop_delay)
     given = [start_checked(x, structure.size) for x in initial]
-    jobs = [(x, seed) for x, seed in starts_of(given, structure, options)]
+    jobs = [(x, seed) for x, seed in starts_of(given, structure, options, problem)]
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
@@ -288,17 +290,49 @@ def _status(found: Descent, hard: float) -> str:
     return {"stationary": "converged", "nearly stationary": "converged"}.get(found.reason, found.reason)
 
 
-def starts_of(given: list[FloatArray], structure: Structure, options: TuningOptions) -> list[tuple[FloatArray, int]]:
-    """Starting points with the seed of each: the given ones, then random ones."""
+def starts_of(
+    given: list[FloatArray], structure: Structure, options: TuningOptions, problem: Problem | None = None
+) -> list[tuple[FloatArray, int]]:
+    """Starting points with the seed of each: the given ones, then random ones fitted to the time scales of the
+    problem."""
     sequence = np.random.SeedSequence(options.seed)
     seeds = [int(s.generate_state(1)[0]) for s in sequence.spawn(len(given) + options.starts)]
     jobs = list(zip(given, seeds))
     for i, seed in enumerate(seeds[len(given) :]):
         rng = np.random.default_rng(seed)
         # from timid to bold: a stable plant is best started near no control at all
-        size = (0.1, 1.0, 0.01, 3.0)[i % 4]
-        jobs.append((size * structure.start(rng), seed))
+        x = (0.1, 1.0, 0.01, 3.0)[i % 4] * structure.start(rng)
+        jobs.append((_tamed(problem, x, rng) if problem is not None else x, seed))
     return jobs
+
+
+def _tamed(problem: Problem, x: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Start with a stable controller at the speed of the plant, its gain lowered until the loop is stable if that
+    helps.
+
+    Only for structures that can say the parameters of a given controller; others start where they say.
+    """
+    structure = problem.structure
+    n = structure.order
+    if n == 0 or not isinstance(structure, AffineStructure | StableStateSpace):
+        return x
+    sizes = np.abs(scipy.linalg.eigvals(problem.models[0].A)) if problem.models[0].order else np.ones(1)
+    low, high = np.log(np.quantile(sizes[sizes > 0], [0.1, 0.9])) if np.any(sizes > 0) else (0.0, 0.0)
+    K = structure.gain_matrix(x)
+    A = K[:n, :n] / max(float(np.abs(K[:n, :n]).max()), 1e-300)
+    A = np.exp(rng.uniform(low, high)) * (A - (scipy.linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
+    for shrink in (1.0, 1e-1, 1e-2, 1e-3, 1e-4):
+        K[:n, :n] = A
+        model = Model(
+            A, shrink * K[:n, n:], shrink * K[n:, :n], shrink * K[n:, n:], structure.inputs, structure.outputs
+        )
+        try:
+            trial = structure.parameters_of(model)
+        except ValueError:  # a structure with fixed entries that a stable random controller does not have
+            return x
+        if problem.abscissa(trial) < 0.0:
+            return trial
+    return x
 
 
 def _serial(

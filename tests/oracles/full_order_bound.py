@@ -55,7 +55,7 @@ def _stabilising(A: np.ndarray, B: np.ndarray, C1: np.ndarray, D1: np.ndarray, R
     values = np.linalg.eigvals(H)
     if np.abs(values.real).min() < 1e-9 * np.abs(values).max():
         return None
-    T, Z, stable = scipy.linalg.schur(H, sort="lhp")
+    _, Z, stable = scipy.linalg.schur(H, sort="lhp")
     if stable != n or np.linalg.cond(Z[:n, :n]) > 1e13:
         return None
     X = Z[n:, :n] @ np.linalg.inv(Z[:n, :n])

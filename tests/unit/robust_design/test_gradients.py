@@ -95,7 +95,7 @@ def largest(pieces: tuple[Piece, ...]) -> list[Piece]:
 
 def test_gradient_of_the_gain_at_a_fixed_frequency_equals_the_analytic_derivative() -> None:
     """T is analytic in K: u^H T v is differentiated along the imaginary direction."""
-    model, structure = random_model(2), state_space(Y, U, 2)
+    model = random_model(2)
     loop = LoopGains(model, ("y",), ("u",), (HinfGain("w", "z"),))
     K = gain_matrix_of(Model([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
     omega = np.array([0.7])
