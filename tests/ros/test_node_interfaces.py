@@ -132,6 +132,8 @@ def test_diagnostics_come_once_a_second_from_each_node(seen):
 
 
 def test_looking_does_not_disturb_the_loop(seen):
+    if seen[1].warnings:
+        pytest.skip(f"real time is not permitted here: {seen[1].warnings}")
     statistics = seen[1].statistics["plant"]
     assert int(statistics["missed_ticks"]) < 0.05 * int(statistics["ticks"])
     assert seen[1].statistics["recorder"]["samples_lost"] == "0"

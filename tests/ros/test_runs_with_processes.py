@@ -59,6 +59,8 @@ def test_all_topics_share_the_stamps(real_time):
 def test_few_ticks_are_missed(real_time):
     statistics = real_time[1].statistics["plant"]
     assert statistics["ticks"] == "2000"
+    if real_time[1].warnings:
+        pytest.skip(f"real time is not permitted here: {real_time[1].warnings}")
     assert int(statistics["missed_ticks"]) <= 100  # the bound of 0.5 % is the benchmark's, on a quiet machine
     assert 30 < float(statistics["latency_median_us"]) < 1000
 

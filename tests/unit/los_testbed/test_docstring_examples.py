@@ -6,7 +6,7 @@ import importlib
 import pytest
 
 MODULES = (
-    "bag", "bag_repair", "codecs", "command_gate", "config", "cores", "inprocess", "join", "mcap_writer", "real_time",
+    "bag", "bag_repair", "codecs", "command_gate", "config", "cores", "health", "inprocess", "join", "mcap_writer", "real_time",
     "runner", "schemas", "statistics", "topics",
 )  # fmt: skip
 

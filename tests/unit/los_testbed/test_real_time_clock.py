@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from los_testbed.health import LoopHealth
 from los_testbed.real_time import TickClock
 from los_testbed.statistics import Durations
 
@@ -75,3 +76,29 @@ def test_what_is_not_permitted_is_named_and_not_an_error():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "['real-time scheduling', 'locked memory']"
+
+
+@pytest.mark.parametrize(
+    ("ticks", "mean_us", "level"),
+    [
+        (1000, 100, 0),
+        (996, 100, 0),
+        (994, 100, 1),
+        (1006, 100, 1),
+        (989, 100, 2),
+        (1000, 1500, 1),
+        (1000, 2500, 2),
+        (0, 100, 3),
+    ],
+)
+def test_levels_have_the_limits_of_ros2_control(ticks, mean_us, level):
+    health, execution = LoopHealth(), Durations()
+    health.assess(5, 0, execution)
+    execution.add(mean_us * 1000)
+    assert health.assess(5 + ticks, 10**9, execution)[0] == level
+
+
+def test_in_lockstep_the_rate_is_no_fault():
+    health, execution = LoopHealth(paced=False), Durations()
+    health.assess(0, 0, execution)
+    assert health.assess(5000, 10**9, execution)[0] == 0

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.codecs import stamp_of
+from los_testbed.health import OK, WARN, LoopHealth
 from los_testbed.join import HOLD_STAMP, SampleJoin
 from los_testbed.nodes.raw_topics import RawSubscription, Waiter
-from los_testbed.nodes.shell import OK, STALE, WARN, Shell
+from los_testbed.nodes.shell import Shell
 from los_testbed.statistics import Durations
 from los_testbed.topics import Topic
 
@@ -48,6 +49,8 @@ class Follower:
         self._on_trigger = Waiter(shell.node, self._subscriptions[-1:])
         self._on_any = Waiter(shell.node, self._subscriptions)
         self._execution = Durations()
+        self._health = LoopHealth(shell.config.mode == "realtime")
+        self._troubles = (0, 0)
         self._last_done = 0
         self.ticks = 0
 
@@ -126,11 +129,9 @@ class Follower:
         }
 
     def _report(self) -> None:
-        values = self.statistics()
-        if not self.ticks:
-            level, message = STALE, "no samples yet"
-        elif self._join.gaps or self._join.rejected:
+        level, message, figures = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
+        troubles = (self._join.gaps, self._join.rejected.total())
+        if level == OK and troubles != self._troubles:
             level, message = WARN, "samples missing or rejected"
-        else:
-            level, message = OK, "following"
-        self._shell.diagnose(level, message, values, self._join.stamp)
+        self._troubles = troubles
+        self._shell.diagnose(level, message, {**figures, **self.statistics()}, self._join.stamp)

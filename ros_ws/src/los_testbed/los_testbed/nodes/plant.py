@@ -15,16 +15,20 @@ import numpy as np
 
 from los_testbed.config import RunConfig
 from los_testbed.cores import Plant, build_plant, one_thread, plant_notes
+from los_testbed.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.inprocess import SIMULATED_START_NS, LoopDivergedError, aligned_start
 from los_testbed.nodes.handshake import refuse_second_plant, wait_for_followers
 from los_testbed.nodes.lockstep import LockstepPacer
 from los_testbed.nodes.plant_io import PlantIo
-from los_testbed.nodes.shell import ERROR, OK, WARN, Shell, run_node
+from los_testbed.nodes.shell import Shell, run_node
 from los_testbed.real_time import TickClock
 from los_testbed.statistics import Durations
 from los_testbed.topics import TICK_NS
 
 RING = 64
+
+CLOCK_STEP_NS = 1_000_000_000
+"""The middleware stamps arrivals with the wall clock: a figure beyond this is a step of that clock."""
 
 
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
@@ -56,11 +60,12 @@ class PlantLoop:
         self.core = core
         self.io = PlantIo(shell)
         self.ticks = 0
-        self.missed = 0
+        self.held = 0
         self.clock = TickClock(TICK_NS)
         self.lateness = Durations()
         self.latency = Durations()
         self.execution = Durations()
+        self.health = LoopHealth(shell.config.mode == "realtime")
         self._woke = [0] * RING
         self._command = np.zeros(8)
         self._measurement = np.zeros(22)
@@ -92,6 +97,11 @@ class PlantLoop:
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         return 0
 
+    @property
+    def missed(self) -> int:
+        """Ticks for which an older command was held, and periods that were lost altogether."""
+        return self.held + self.clock.skipped
+
     def _real_time(self, start: int) -> None:
         shell, clock = self.shell, self.clock
         total = shell.config.ticks
@@ -106,7 +116,6 @@ class PlantLoop:
             self._tick(now)
             self.execution.add(time.monotonic_ns() - began)
             self._slack(k, now)
-        self.missed += clock.skipped
 
     def _take_commands(self, now: int) -> None:
         """Offer all that came to the gates; note when the mirror command of a tick arrived."""
@@ -116,9 +125,11 @@ class PlantLoop:
         while (taken := io.fsm_input.take()) is not None:
             if io.fsm_gate.offer(taken[0], now):
                 tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
-                self.latency.add(taken[1]["received_timestamp"] - self._woke[tick % RING])
+                latency = taken[1]["received_timestamp"] - self._woke[tick % RING]
+                if 0 <= latency < CLOCK_STEP_NS:
+                    self.latency.add(latency)
         if not (io.fsm_gate.fresh(now) and io.pma_gate.fresh(now)):
-            self.missed += 1
+            self.held += 1
 
     def _tick(self, now: int) -> None:
         io, command = self.io, self._command
@@ -173,6 +184,7 @@ class PlantLoop:
         rejected = self.io.rejected_total()
         news = (self.missed - self._reported[0], rejected - self._reported[1])
         self._reported = (self.missed, rejected)
+        level, message, figures = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         if self.io.fading():
             level, message = ERROR, "no valid commands: actuators brought to zero"
         elif news[1]:
@@ -180,10 +192,10 @@ class PlantLoop:
         elif news[0] > 10:
             level, message = ERROR, f"{news[0]} ticks missed"
         elif news[0]:
-            level, message = WARN, f"{news[0]} ticks missed"
-        else:
-            level, message = OK, "finished" if last else "running"
-        self.shell.diagnose(level, message, self.statistics(), now)
+            level, message = max(level, WARN), f"{news[0]} ticks missed"
+        elif last:
+            level, message = OK, "finished"
+        self.shell.diagnose(level, message, {**figures, **self.statistics()}, now)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,10 @@ from rclpy.serialization import deserialize_message
 
 from los_testbed.bag import BagWriter, check_new_bag
 from los_testbed.codecs import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.health import OK, STALE, WARN
 from los_testbed.join import HOLD_STAMP
 from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
-from los_testbed.nodes.shell import OK, STALE, WARN, Shell, run_node
+from los_testbed.nodes.shell import Shell, run_node
 from los_testbed.run_record import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
 

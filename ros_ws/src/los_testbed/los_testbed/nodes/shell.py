@@ -22,8 +22,6 @@ from los_testbed.nodes.security import refuse_missing_security
 from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, sharpen_timers
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
 
-OK, WARN, ERROR, STALE = (bytes([level]) for level in range(4))
-
 PROFILE = Path(__file__).parents[1] / "profiles" / "fastdds.xml"
 """Discovery times of the middleware; a profile that the user names goes before it."""
 
@@ -88,13 +86,13 @@ class Shell:
         """Answer parameter requests, if there are any; about 0.1 ms."""
         self._executor.spin_once(timeout_sec=0.0)
 
-    def diagnose(self, level: bytes, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
+    def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
         """Publish the state of this node on /diagnostics."""
         array = DiagnosticArray()
         array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
         array.status = [
             DiagnosticStatus(
-                level=level,
+                level=bytes([level]),
                 name=f"telescope: {self.name}",
                 message=message,
                 hardware_id="los_testbed",
