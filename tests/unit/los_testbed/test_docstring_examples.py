@@ -6,8 +6,8 @@ import importlib
 import pytest
 
 MODULES = (
-    "bag", "bag_repair", "codecs", "command_gate", "config", "cores", "health", "inprocess", "join", "mcap_writer", "real_time",
-    "runner", "schemas", "statistics", "topics",
+    "bag", "bag_repair", "codecs", "command_gate", "config", "cores", "health", "inprocess", "join", "mcap_writer",
+    "real_time", "runner", "schemas", "statistics", "topics",
 )  # fmt: skip
 
 
