@@ -104,11 +104,10 @@ def test_transform_of_ports(make) -> None:
         transform(system, inputs={"u": (np.eye(2), Port("x", 3))})
 
 
-def two(**ports: Port):
-    return {
-        "a": static_gain([[1.0]], [ports.get("a_in", Port("u", 1))], [ports.get("a_out", Port("y", 1))]),
-        "b": static_gain(np.ones((1, ports.get("b_in", Port("u", 1)).size)), [ports.get("b_in", Port("u", 1))], [Port("y", 1)]),
-    }  # fmt: skip
+def two(b_in: Port | None = None):
+    u, y = Port("u", 1), Port("y", 1)
+    second = b_in or u
+    return {"a": static_gain([[1.0]], [u], [y]), "b": static_gain(np.ones((1, second.size)), [second], [y])}
 
 
 @pytest.mark.parametrize(
