@@ -187,9 +187,7 @@ def design_tones(parameters: Parameters, plant: StateSpaceData, rng: np.random.G
     response = frequency_response(plant, omega) * size[:, None, :]
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
     wheels, drives = slice(0, 20), slice(20, 22)
-    peaks = _highest_peaks(
-        seen * singular_values(response[:, :, wheels])[:, 0], parameters["design_scenario"]["tones"]
-    )
+    peaks = _highest_peaks(seen * singular_values(response[:, :, wheels])[:, 0], parameters["design_scenario"]["tones"])
     worst = int(np.argmax(seen * singular_values(response[:, :, drives])[:, 0]))
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:

@@ -16,8 +16,9 @@ from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joine
 from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS, ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.control_plant import with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
-from uncertain_systems import Port, StateSpaceData, UncertainSystem, connect, state_space
+from uncertain_systems import StateSpaceData
 
 DT = 1e-3
 RAMP_STEP = 0.25
@@ -131,25 +132,6 @@ def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 
 def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
     """The assembled telescope of a parameter file (kept for the next call)."""
     return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
-
-
-def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
-    """Add the camera's low-pass F_LOS: output ``camera_los`` from ``los_controlled``; four states."""
-    c0, c1, c2 = parameters["sensors"]["camera_filter"]
-    A = np.kron(np.eye(2), [[0.0, 1.0], [-c2, -c1]])
-    B = np.kron(np.eye(2), [[0.0], [1.0]])
-    C = np.kron(np.eye(2), [[c0, 0.0]])
-    los, camera = system.output_port("los_controlled"), Port("camera_los", 2, "rad")
-    low_pass = state_space(A, B, C, np.zeros((2, 2)), [los], [camera])
-    return connect(
-        {"telescope": system, "camera": low_pass},
-        [
-            *((p.name, f"telescope.{p.name}") for p in system.inputs),
-            ("telescope.los_controlled", "camera.los_controlled"),
-        ],
-        inputs=system.inputs,
-        outputs={**{p.name: f"telescope.{p.name}" for p in system.outputs}, camera.name: "camera.camera_los"},
-    )
 
 
 MEASURED = ("accel_Ip", "accel_M1", "accel_M2", "camera_los", "fsm_angle")

@@ -1,0 +1,97 @@
+"""The telescope as the fine line-of-sight control sees it: sensors with their filters and noise.
+
+=======================  ====  ===================================================================
+input                    size  meaning
+=======================  ====  ===================================================================
+``wheel_imbalance``      20    [N], [Nm]; ``sadm_torque`` 2 [Nm]
+``accelerometer_noise``  18    white, density 1 (two-sided): scaled by sigma sqrt(dt) inside
+``optical_noise``        4     camera 2, strain gauges 2, the same
+``fsm_command``          2     [rad]; ``pma_force`` 6 [N]
+=======================  ====  ===================================================================
+
+=======================  ====  ===================================================================
+output                   size  meaning
+=======================  ====  ===================================================================
+``los_controlled``       2     [rad]
+``accel_Ip`` and so on   18    behind the washout F_w, with noise
+``camera_los``           2     behind F_LOS, with noise [rad]
+``fsm_angle``            2     with noise [rad]
+=======================  ====  ===================================================================
+
+Noise is given in the parameter file as the standard deviation of samples at 1 kHz: its two-sided density is
+sigma^2 dt. Source: the paper, "Fine LOS control".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from titop_plant.telescope.parameters import Parameters
+from uncertain_systems import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from uncertain_systems.sampling import high_pass
+
+ACCELEROMETERS = ("accel_Ip", "accel_M1", "accel_M2")
+DISTURBANCES = ("wheel_imbalance", "sadm_torque")
+COMMANDS = ("fsm_command", "pma_force")
+SAMPLING = 1e-3
+
+
+def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+    """Add the camera's low-pass F_LOS: output ``camera_los`` from ``los_controlled``; four states."""
+    c0, c1, c2 = parameters["sensors"]["camera_filter"]
+    A = np.kron(np.eye(2), [[0.0, 1.0], [-c2, -c1]])
+    B = np.kron(np.eye(2), [[0.0], [1.0]])
+    C = np.kron(np.eye(2), [[c0, 0.0]])
+    los, camera = system.output_port("los_controlled"), Port("camera_los", 2, "rad")
+    low_pass = state_space(A, B, C, np.zeros((2, 2)), [los], [camera])
+    return connect(
+        {"telescope": system, "camera": low_pass},
+        [
+            *((p.name, f"telescope.{p.name}") for p in system.inputs),
+            ("telescope.los_controlled", "camera.los_controlled"),
+        ],
+        inputs=system.inputs,
+        outputs={**{p.name: f"telescope.{p.name}" for p in system.outputs}, camera.name: "camera.camera_los"},
+    )
+
+
+def control_plant(telescope: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+    """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
+
+    Parameters
+    ----------
+    telescope : UncertainSystem
+        From :func:`titop_plant.telescope.assembly.build_telescope`.
+    parameters : mapping
+        Table ``sensors``.
+    """
+    seen = with_camera(telescope, parameters).select(
+        inputs=(*DISTURBANCES, *COMMANDS), outputs=("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
+    )
+    sensors, root = parameters["sensors"], np.sqrt(SAMPLING)
+    noise, optical = Port("accelerometer_noise", 18), Port("optical_noise", 4)
+    ports = [seen.output_port(name) for name in ACCELEROMETERS]
+    systems = {
+        "plant": seen,
+        "noise": static_gain(np.diag(np.tile(sensors["accelerometer_noise"], 3)) * root, [noise], ports),
+        "optical": static_gain(
+            np.diag([sensors["camera_noise"]] * 2 + [sensors["strain_gauge_noise"]] * 2) * root,
+            [optical],
+            [seen.output_port("camera_los"), seen.output_port("fsm_angle")],
+        ),
+    }
+    wires: list[Connection] = [
+        *((p.name, f"plant.{p.name}") for p in seen.inputs),
+        (noise.name, "noise.accelerometer_noise"),
+        (optical.name, "optical.optical_noise"),
+    ]
+    outputs: dict[str, str | tuple[str, ...]] = {"los_controlled": "plant.los_controlled"}
+    for port in ports:
+        systems[f"washout_{port.name}"] = high_pass(port, sensors["washout"])
+        wires.append(((f"plant.{port.name}", f"noise.{port.name}"), f"washout_{port.name}.{port.name}"))
+        outputs[port.name] = f"washout_{port.name}.{port.name}"
+    for name in ("camera_los", "fsm_angle"):
+        outputs[name] = (f"plant.{name}", f"optical.{name}")
+    external = [seen.input_port(name) for name in DISTURBANCES] + [noise, optical]
+    external += [seen.input_port(name) for name in COMMANDS]
+    return connect(systems, wires, inputs=external, outputs=outputs)
