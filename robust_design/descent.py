@@ -157,6 +157,7 @@ class _State:
         if not np.isfinite(self.sample.objective) and not np.isfinite(self.sample.constraint):
             raise ValueError("the starting point is outside the domain: stabilise it first")
         self._first = max(abs(self.sample.objective), 1e-12)
+        self._scaled_at = self._first
         self._scale = _scales(self.sample, x)
         self._B: FloatArray = np.zeros((len(x), len(x)))
         self._proximity = self._first_proximity()
@@ -252,11 +253,24 @@ class _State:
         self.history.append(found.objective)
         self._planes, self._sampled, self._rejected = [], [], 0
         self._sampling = 1e-3
+        self._rescale()
         if ratio > BELOW["good"]:
             least = max(FLOOR_PROXIMITY, 1e-12 * float(np.abs(np.diag(self._B)).max()))
             self._proximity = max(self._proximity * 0.3, least)
         elif ratio < 0.25:
             self._proximity *= 2.0
+
+    def _rescale(self) -> None:
+        """New scales of the parameters whenever the value has halved: the first point may have been near the border."""
+        size = abs(self.sample.objective) if self.sample.constraint <= 0 else self._scaled_at
+        if size > 0.5 * self._scaled_at or size < 1e-3 * self._first:
+            return
+        self._scaled_at = size
+        scale = _scales(self.sample, self.x)
+        change = scale / self._scale
+        self._B = self._B * np.outer(change, change)
+        self._proximity *= float(np.exp(2.0 * np.mean(np.log(change))))
+        self._scale = scale
 
     def _reject(self, found: Sample, trial: FloatArray, lam: FloatArray, d: FloatArray) -> None:
         self._rejected += 1

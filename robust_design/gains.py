@@ -154,7 +154,7 @@ class LoopGains:
         closed_loop_poles: ComplexArray,
         band: float,
         floor: float = 0.0,
-        most: int = 6,
+        most: int = 24,
         gradients: bool = True,
     ) -> list[list[Peak]]:
         """For each requirement the local maxima above `band` times its largest gain (and above `floor`).

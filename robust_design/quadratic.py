@@ -38,40 +38,49 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
     m = len(a)
     if m == 1:
         return np.ones(1), float(0.5 * H[0, 0] - a[0])
-    size = max(float(np.abs(np.diag(H)).max()), float(np.ptp(a)), 1e-300)
+    diagonal = np.maximum(np.diag(H), 0.0)
+    # pieces much steeper than the others (a border close by) get variables of their own scale
+    middle = float(np.median(diagonal))
+    e = np.minimum(1.0, np.sqrt(middle / np.maximum(diagonal, 1e-300))) if middle > 0.0 else np.ones(m)
+    size = max(float((diagonal * e * e).max()), float(np.ptp(a)), 1e-300)
     top = float(a.max())
-    H, a = H / size, (a - top) / size
-    lam: FloatArray = np.full(m, 1.0 / m)
+    Q, c = H * np.outer(e, e) / size, e * (a - top) / size
+    # lam = e mu: minimise mu' Q mu / 2 - c' mu over mu >= 0, e' mu = 1
+    mu: FloatArray = np.full(m, 1.0 / float(e.sum()))
     s: FloatArray = np.ones(m)
-    nu = float((a + s - H @ lam).mean())
+    nu = 0.0
     for _ in range(MOST_ITERATIONS):
-        residual = H @ lam - a - s + nu
-        gap = float(lam @ s) / m
+        residual = Q @ mu - c - s + nu * e
+        gap = float(mu @ s) / m
         if gap < tolerance and np.abs(residual).max() < 1e-12:
             break
-        factor = sl.cho_factor(H + np.diag(s / lam + 1e-14), lower=True, check_finite=False)
-        ones = sl.cho_solve(factor, np.ones(m), check_finite=False)
-
-        rest = (residual, factor, ones, lam, s)
-        dlam, ds, _ = _newton(-lam * s, *rest)
-        step = min(_longest(lam, dlam), _longest(s, ds))
-        centre = (float((lam + step * dlam) @ (s + step * ds)) / m / gap) ** 3 if gap > 0 else 0.0
-        dlam, ds, dnu = _newton(-lam * s - dlam * ds + centre * gap, *rest)
-        step = 0.995 * min(_longest(lam, dlam), _longest(s, ds))
-        lam, s, nu = lam + step * dlam, s + step * ds, nu + step * dnu
-    lam = np.maximum(lam, 0.0)
+        factor = sl.cho_factor(Q + np.diag(s / mu + 1e-14), lower=True, check_finite=False)
+        rest = (residual, factor, sl.cho_solve(factor, e, check_finite=False), e, mu, s)
+        dmu, ds, _ = _newton(-mu * s, *rest)
+        step = min(_longest(mu, dmu), _longest(s, ds))
+        centre = (float((mu + step * dmu) @ (s + step * ds)) / m / gap) ** 3 if gap > 0 else 0.0
+        dmu, ds, dnu = _newton(-mu * s - dmu * ds + centre * gap, *rest)
+        step = 0.995 * min(_longest(mu, dmu), _longest(s, ds))
+        mu, s, nu = mu + step * dmu, s + step * ds, nu + step * dnu
+    lam = np.maximum(e * mu, 0.0)
     lam /= lam.sum()
-    return lam, float(size * (0.5 * lam @ H @ lam - a @ lam)) - top
+    return lam, float(0.5 * lam @ H @ lam - a @ lam)
 
 
 def _newton(
-    complement: FloatArray, residual: FloatArray, factor: Any, ones: FloatArray, lam: FloatArray, s: FloatArray
+    complement: FloatArray,
+    residual: FloatArray,
+    factor: Any,
+    solved_e: FloatArray,
+    e: FloatArray,
+    mu: FloatArray,
+    s: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Step of the perturbed optimality conditions for a wanted change of the products lam s."""
-    u = sl.cho_solve(factor, complement / lam - residual, check_finite=False)
-    dnu = float(u.sum() - (1.0 - lam.sum())) / float(ones.sum())
-    dlam = u - dnu * ones
-    return dlam, (complement - s * dlam) / lam, dnu
+    """Step of the perturbed optimality conditions for a wanted change of the products mu s."""
+    u = sl.cho_solve(factor, complement / mu - residual, check_finite=False)
+    dnu = float(e @ u - (1.0 - e @ mu)) / float(e @ solved_e)
+    dmu = u - dnu * solved_e
+    return dmu, (complement - s * dmu) / mu, dnu
 
 
 def _longest(v: FloatArray, dv: FloatArray) -> float:
