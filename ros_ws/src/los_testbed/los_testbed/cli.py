@@ -20,6 +20,7 @@ from los_testbed.bag import check_new_bag
 from los_testbed.config import RunConfig, parse_value, read_yaml
 from los_testbed.cores import build_controller, build_estimator
 from los_testbed.inprocess import LoopDivergedError
+from los_testbed.plant_members import check_member, chosen_member, layered
 from los_testbed.runner import Results
 
 RESTARTED = 3
@@ -45,7 +46,11 @@ RUN_EXAMPLES = """Run the loop, record it, judge it.
 
     los-testbed run --only plant                       # this host runs the plant, others the rest
 
-    los-testbed run --k-fsm my_observer.json --set wheel_speed='[200, 210, 220, 230]'
+    los-testbed run --theta 1.57 --wheel-speed 200 -210 220 -230    # arrays a quarter turn round
+
+    los-testbed run --case worst                       # a named telescope of the family; or --sample 7, a random one
+
+    los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
 """
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
@@ -83,6 +88,22 @@ def run(
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file.")] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
     domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
+    theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
+    tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), in the place of theta.")] = None,
+    wheel_speed: Annotated[
+        tuple[float, float, float, float] | None, typer.Option(help="Speeds of the four wheels [rad/s].")
+    ] = None,
+    omega_1: Annotated[str | None, typer.Option(metavar="RAD/S", help="First frequency of the arrays.")] = None,
+    omega_2: Annotated[str | None, typer.Option(metavar="RAD/S", help="Second frequency of the arrays.")] = None,
+    theta_rate: Annotated[str | None, typer.Option(metavar="RAD/S", help="Rate of the arrays during the ramp.")] = None,
+    wheel_acceleration: Annotated[
+        tuple[float, float, float, float] | None, typer.Option(help="Of the four wheels during the ramp [rad/s2].")
+    ] = None,
+    ramp_duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="How long the ramp lasts [s].")] = None,
+    sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
+    case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
+    cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
+    parameters: Annotated[str | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
@@ -100,11 +121,13 @@ def run(
     given = {
         "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
         "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
-        "output": output, "domain": domain,
+        "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
+        "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
+        "ramp_duration": ramp_duration, "parameters": parameters,
     }  # fmt: skip
     from los_testbed.judgement import judge, show
 
-    chosen = configure(config, settings or [], given)
+    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample)
     if only is not None:
         from los_testbed.runner import run_alone
 
@@ -169,24 +192,32 @@ def repair(
     console.print(f"bag     {target}", soft_wrap=True)
 
 
-def configure(file: Path | None, settings: list[str], given: dict[str, Any]) -> RunConfig:
-    """Configuration from file, ``--set`` and options; the later ones win.
+def configure(
+    file: Path | None,
+    settings: list[str],
+    given: dict[str, Any],
+    *,
+    case: str | None = None,
+    cases: Path | None = None,
+    sample: str | None = None,
+) -> RunConfig:
+    """Configuration from file, named case, random member, ``--set`` and options; the later ones win.
 
     Raises
     ------
     ValueError
         Unknown names, values that do not fit.
     """
-    values: dict[str, Any] = read_yaml(file) if file is not None else {}
+    first: dict[str, Any] = read_yaml(file) if file is not None else {}
+    stated: dict[str, Any] = {}
     for setting in settings:
         name, sign, text = setting.partition("=")
         if not sign:
             raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
-        values[name] = parse_value(name, text)
-    for name, value in given.items():
-        if value is not None:
-            values[name] = parse_value(name, value) if isinstance(value, str) else value
-    chosen = RunConfig.from_mapping(values)
+        stated[name] = parse_value(name, text)
+    options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
+    named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
+    chosen = RunConfig.from_mapping(layered(first, named, drawn, stated, options))
     if not chosen.output:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
@@ -206,9 +237,10 @@ def check(config: RunConfig) -> None:
     Raises
     ------
     ValueError
-        A bag that exists, a file that is no controller, ROS missing.
+        A bag that exists, a telescope outside the family, a file that is no controller, ROS missing.
     """
     check_new_bag(Path(config.output))
+    check_member(config)
     build_estimator(config)
     build_controller(config)
     if config.mode != "inprocess":

@@ -66,8 +66,9 @@ class RunConfig:
     camera_rate: float = _parameter(50.0, "frames per second; it divides 1000", "Hz", 1.0, 1000.0)
     camera_dropout: float = _parameter(0.0, "probability that a frame is dropped", "1", 0.0, 1.0)
     theta: float = _parameter(0.0, "angle of both solar arrays", "rad", -6.28, 6.28)
+    tau: float = _parameter(0.0, "tan(theta/4) in the place of theta; 0 for what theta says", "", -1e3, 1e3)
     wheel_speed: tuple[float, ...] = _parameter(
-        (), "speeds of the four wheels; empty for the plant's own", "rad/s", -1100.0, 1100.0
+        (), "speeds of the four wheels; empty for the plant's own", "rad/s", -1e5, 1e5
     )
     omega_1: float = _parameter(0.0, "first frequency of the solar arrays; 0 for the nominal one", "rad/s", 0.0, 1000.0)
     omega_2: float = _parameter(
@@ -103,6 +104,8 @@ class RunConfig:
         for name in ("wheel_speed", "wheel_acceleration"):
             if len(getattr(self, name)) not in (0, 4):
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
+        if self.tau and self.theta:
+            raise ValueError(f"expected theta or tau = tan(theta/4), got both: {self.theta:g} rad and {self.tau:g}")
         if abs(self.ticks - self.duration * RATE) > 1e-6:
             raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
 
@@ -110,6 +113,11 @@ class RunConfig:
     def ticks(self) -> int:
         """Number of ticks."""
         return round(self.duration * RATE)
+
+    @property
+    def array_angle(self) -> float:
+        """Angle theta of both solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
+        return 4.0 * math.atan(self.tau) if self.tau else self.theta
 
     @property
     def frame_ticks(self) -> int:
@@ -197,7 +205,7 @@ def parse_value(name: str, text: str) -> Any:
 def physical_hash(config: RunConfig) -> str:
     """SHA-256 of the figures that the plant is built from."""
     values = {name: config.to_mapping()[name] for name in PHYSICAL}
-    values["isolated"] = config.loop != "none"
+    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unus
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig
+from los_testbed.plant_members import check_member
 from uncertain_systems.runtime import SampledSystem
 
 FloatArray = NDArray[np.float64]
@@ -72,11 +73,18 @@ def build_controller(config: RunConfig) -> FsmPmaController:
 
 
 def build_plant(config: RunConfig) -> Plant:
-    """Telescope of the configuration, sampled at 1 kHz."""
+    """Telescope of the configuration, sampled at 1 kHz.
+
+    Raises
+    ------
+    ValueError
+        A parameter outside its range; the message names both.
+    """
     from titop_plant import simulation
 
+    check_member(config)
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL}
-    values["isolated"] = config.loop != "none"
+    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # the plant's own
         if not values[name]:
             del values[name]

@@ -18,7 +18,7 @@ from los_testbed.topics import Topic
 
 WAIT_NS = 50_000_000
 HORIZON_NS = 50_000_000
-"""A stamp may be this much newer than the time that passed since the last tick allows."""
+"""A stamp may be this much ahead of the plant's clock."""
 
 GAP_LIMIT = 50
 """Longest gap, in ticks, over which a core is stepped on held samples; after a longer one it starts anew."""
@@ -51,7 +51,7 @@ class Follower:
         self._execution = Durations()
         self._health = LoopHealth(shell.config.mode == "realtime")
         self._troubles = (0, 0)
-        self._last_done = 0
+        self._ahead = 0
         self.ticks = 0
 
     def run(self) -> int:
@@ -65,10 +65,12 @@ class Follower:
             (self._on_any if join.waiting else self._on_trigger).wait(WAIT_NS)
             before = time.monotonic_ns()
             if paced and join.last:
-                join.horizon = join.last + before - self._last_done + HORIZON_NS
+                # the plant's clock seen from here: the sample that was least delayed tells best. After a stall
+                # old samples come first, and must not make the newer ones look early.
+                self._ahead = max(self._ahead or -(1 << 62), join.last - before)
+                join.horizon = before + self._ahead + HORIZON_NS
             if self._drain():
-                self._last_done = time.monotonic_ns()
-                self._execution.add(self._last_done - before)
+                self._execution.add(time.monotonic_ns() - before)
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 shell.service()
@@ -116,6 +118,8 @@ class Follower:
         self._tick(stamp, vector, gap)
         if stamp != HOLD_STAMP:
             self.ticks += 1
+        else:  # another run begins, on another clock
+            self._ahead = 0
         return True
 
     def statistics(self) -> dict[str, str]:

@@ -146,7 +146,9 @@ class PlantLoop:
             self.shell.event("progress", tick=self.ticks)
         elif phase == 100:
             self.shell.service()
-        elif phase == 0 and k % 1000 == 0:
+        elif k == 0:
+            self.health.assess(1, time.monotonic_ns(), self.execution)
+        elif k % 1000 == 0:
             self._report(now)
 
     def _lockstep(self, start: int) -> None:

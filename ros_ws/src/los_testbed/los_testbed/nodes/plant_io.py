@@ -26,6 +26,10 @@ LOCKSTEP_DEPTH = 1000
 """In lockstep a reader may fall behind by many ticks: the writers keep that many for it."""
 
 
+COMMAND_DEPTH = 200
+"""Messages of an intruder must not push those of the controller out of the queue within a tick."""
+
+
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
@@ -39,8 +43,8 @@ class PlantIo:
         self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
         self._frame_ns = config.frame_ticks * TICK_NS
-        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name)
-        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name)
+        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, COMMAND_DEPTH)
+        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, COMMAND_DEPTH)
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
         hold = config.hold_ticks, config.fade_ticks
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), config.fsm_authority, *hold)
