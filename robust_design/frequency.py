@@ -107,13 +107,17 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     """Response (p, m) at one frequency [rad/s] by an LU solution of the original matrices."""
     if not np.isfinite(omega) or len(A) == 0:
         return np.asarray(D, dtype=complex)
-    resolvent = sl.solve(1j * omega * np.eye(len(A)) - A, B.astype(complex), check_finite=False)
+    shifted = (-A).astype(complex, order="F")
+    shifted[np.diag_indices(len(A))] += 1j * omega
+    _, _, resolvent, info = sl.lapack.zgesv(shifted, B.astype(complex), overwrite_a=True)
+    if info > 0:
+        raise ValueError(f"no frequency response at {omega} rad/s: there is a pole at this frequency")
     return np.asarray(C @ resolvent + D, dtype=complex)
 
 
 def _reproduces(form: FrequencyResponse, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
     sizes = np.abs(form.poles)
-    places = np.quantile(sizes, [0.1, 0.6])
+    places = np.quantile(sizes, [0.4])
     places = np.where(places > 0, places, 1.0) * 1.01
     for w, there in zip(places, form.at(places)):
         exact = direct_response(a, b, c, d, float(w))

@@ -27,6 +27,8 @@ ComplexArray = NDArray[np.complex128]
 
 MOST_INTERVALS = 40_000
 CHUNK = 2_000
+GROWTH = 4.0  # of the intervals away from a pole
+INSIDE = 0.75  # an interval's half width over the distance of the nearest pole, at most
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,7 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) 
     poles = response.poles
     residue = np.sqrt(np.sum(np.abs(response.left) ** 2, axis=0) * np.sum(np.abs(response.right) ** 2, axis=1))
     top = 2.0 * float(np.abs(poles).max(initial=1.0))
-    inner = np.concatenate([[0.0, top], seeds[(seeds > 0) & (seeds < top)]])
-    cuts = np.unique(inner)
+    cuts = _cuts(poles, seeds, top)
     ends = np.column_stack([cuts[:-1], cuts[1:]])
     tail = np.array([[0.0, 1.0 / top]])
     products = _residue_products(response)
@@ -81,6 +82,22 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) 
         if not outcome.below:
             return outcome
     return LevelTest(True, True, np.zeros(0))
+
+
+def _cuts(poles: ComplexArray, seeds: FloatArray, top: float) -> FloatArray:
+    """First cuts of the axis: intervals that grow with the distance from the nearest lightly damped pole."""
+    light = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.3 * np.abs(poles))]
+    order = np.argsort(light.imag)
+    w, decay = light.imag[order], np.abs(light.real[order])
+    ends = np.concatenate([[0.0], w, [top]])
+    below, above = np.maximum(w - ends[:-2], 0.0), np.maximum(ends[2:] - w, 0.0)
+    cuts = [np.array([0.0, top]), np.geomspace(1e-3 * top, top, 40), seeds, w]
+    reach = decay.copy()
+    while np.any(reach < np.maximum(below, above)):
+        cuts += [(w - reach)[reach < 0.7 * below], (w + reach)[reach < 0.7 * above]]
+        reach = reach * GROWTH
+    every = np.unique(np.concatenate(cuts))
+    return np.asarray(every[(every >= 0.0) & (every <= top)])
 
 
 def _residue_products(response: FrequencyResponse) -> ComplexArray:
@@ -105,8 +122,11 @@ def _cover(
         kept = []
         for start in range(0, len(intervals), CHUNK):
             part = intervals[start : start + CHUNK]
-            centre = part.mean(axis=1)
-            value, bound = _taylor_bound(response, products, residue, centre, 0.5 * (part[:, 1] - part[:, 0]), inverse)
+            centre, half = part.mean(axis=1), 0.5 * (part[:, 1] - part[:, 0])
+            if not inverse:
+                hard = ~_clearly_below(response, residue, level, centre, half)
+                part, centre, half = part[hard], centre[hard], half[hard]
+            value, bound = _taylor_bound(response, products, residue, centre, half, inverse)
             above = value > level
             if above.any():
                 found = centre[above]
@@ -121,6 +141,17 @@ def _cover(
             [np.column_stack([intervals[:, 0], middle]), np.column_stack([middle, intervals[:, 1]])]
         )
     return LevelTest(True, True, np.zeros(0))
+
+
+def _clearly_below(
+    response: FrequencyResponse, residue: FloatArray, level: float, centre: FloatArray, half: FloatArray
+) -> NDArray[np.bool_]:
+    """Intervals on which the norms of D and of all modal terms add up to less than the level: no phase needed."""
+    poles = response.poles
+    distance = np.sqrt((centre[:, None] - poles.imag) ** 2 + poles.real**2) - half[:, None]
+    with np.errstate(divide="ignore"):
+        total = np.where(distance.min(axis=1) > 0.0, (1.0 / np.maximum(distance, 1e-300)) @ residue, np.inf)
+    return np.asarray(total + largest_gains(response.D[None].astype(complex))[0] <= level)
 
 
 def _taylor_bound(
@@ -144,7 +175,7 @@ def _taylor_bound(
         ratio = -1j * zeroth
         first = ratio * zeroth
     size = np.sqrt(ratio.real**2 + ratio.imag**2)
-    inside = half * size.max(axis=1) < 0.5
+    inside = half * size.max(axis=1) < INSIDE
     gain, bound = np.zeros(len(centre)), np.full(len(centre), np.inf)
     if inside.any():
         zeroth, first, ratio, size = zeroth[inside], first[inside], ratio[inside], size[inside]

@@ -17,39 +17,40 @@ from robust_design.requirements import HinfGain
 from robust_design.structures import gain, state_space
 from robust_design.tuner import TuningOptions, TuningResult, tune
 
-# plant: (best known value, allowed, starts)
+# plant: (best known value, allowed, starts, iterations)
 KNOWN = {
-    "AC2": (0.1115, 0.11150, 1),
-    "AC3": (3.5053, 3.66, 4),
-    "AC4": (0.9355, 0.93548, 1),
-    "AC6": (4.1140, 4.1141, 1),
-    "AC15": (15.1995, 15.18, 1),
-    "AC16": (14.9881, 14.88, 1),
-    "AC17": (6.6124, 6.6125, 1),
-    "HE1": (0.1540, 0.1539, 1),
-    "HE2": (4.4931, 4.2495, 1),
-    "REA1": (0.8815, 0.8700, 4),
-    "REA2": (1.1881, 1.1495, 1),
-    "DIS2": (1.0548, 1.0548, 1),
-    "DIS3": (1.0816, 1.0800, 4),
+    "AC2": (0.1115, 0.1115, 1, 300),
+    "AC3": (3.5053, 3.42, 9, 600),
+    "AC4": (0.9355, 0.9355, 1, 300),
+    "AC6": (4.1140, 4.1142, 1, 300),
+    "AC15": (15.1995, 15.18, 4, 300),
+    "AC16": (14.9881, 14.88, 2, 300),
+    "AC17": (6.6124, 6.6126, 1, 300),
+    "HE1": (0.1540, 0.1540, 1, 300),
+    "HE2": (4.4931, 4.2500, 1, 300),
+    "REA1": (0.8815, 0.8800, 6, 300),
+    "REA2": (1.1881, 1.1500, 1, 300),
+    "DIS2": (1.0548, 1.0549, 1, 300),
+    "DIS3": (1.0816, 1.0800, 4, 300),
 }
-WORSE_THAN_BEST_KNOWN = {"AC3"}
+SLOW = {"AC3"}
 
 
-def tuned(plant: Model, order: int, starts: int) -> TuningResult:
+def tuned(plant: Model, order: int, starts: int, iterations: int = 300) -> TuningResult:
     ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
     structure = state_space([ports["y"]], [ports["u"]], order) if order else gain([ports["y"]], [ports["u"]])
-    return tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(starts=starts, wall_limit=200))
+    options = TuningOptions(starts=starts, iterations=iterations, wall_limit=250)
+    return tune([plant], [HinfGain("w", "z")], structure, options=options)
 
 
-@pytest.mark.parametrize("name", KNOWN)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in SLOW else []) for n in KNOWN])
 def test_static_output_feedback(name: str) -> None:
-    best_known, allowed, starts = KNOWN[name]
-    result = tuned(PLANTS[name](), 0, starts)
+    best_known, allowed, starts, iterations = KNOWN[name]
+    result = tuned(PLANTS[name](), 0, starts, iterations)
     assert result.certificate is not None and result.certificate.stable
     assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-5)
     assert result.certificate.upper.max() <= allowed
-    assert (allowed <= best_known * 1.0005) == (name not in WORSE_THAN_BEST_KNOWN)
+    assert allowed <= best_known * 1.0001, "at least as good as the best value known to us"
 
 
 def test_decoupling_is_found_for_ac1() -> None:
