@@ -99,7 +99,10 @@ def _from_file(parameters: Parameters, name: str) -> ModalData | None:
     path = parameters[name].get("modal_data", "")
     if not path:
         return None
-    data = read_modal_data(path)
+    try:
+        data = read_modal_data(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {name}.modal_data {path}: {error.strerror}") from None
     if data.parent != PARENTS[name]:
         raise ValueError(f"{path}: {data.name}: expected parent {PARENTS[name]!r}, got {data.parent!r}")
     missing = sorted(set(PORTS[name]) - {child.name for child in data.children})

@@ -32,6 +32,7 @@ else:
 Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
+_OWN_BODIES = ("body", "payload")
 
 
 def load_parameters(path: str | Path = REFERENCE) -> Parameters:
@@ -41,7 +42,8 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     ----------
     path : str or Path
         TOML file of the form of ``reference.toml``; tables that are missing are taken from it, so that a
-        user's file holds only what differs.
+        user's file holds only what differs. A relative ``body.modal_data`` or ``payload.modal_data`` is looked
+        for beside it.
 
     Raises
     ------
@@ -51,7 +53,12 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     reference = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return MappingProxyType(reference)
-    return MappingProxyType(_merged(reference, _read(Path(path)), str(path), ""))
+    merged = _merged(reference, _read(Path(path)), str(path), "")
+    for name in _OWN_BODIES:
+        file = merged[name]["modal_data"]
+        if file:
+            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
+    return MappingProxyType(merged)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -80,8 +87,14 @@ def _merged(base: dict[str, Any], over: Mapping[str, Any], where: str, prefix: s
 
 
 def parameters_hash(parameters: Parameters) -> str:
-    """Twelve hexadecimal digits that name these parameter values."""
-    text = json.dumps(dict(parameters), sort_keys=True)
+    """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts."""
+    content = dict(parameters)
+    for name in _OWN_BODIES:
+        file = content[name].get("modal_data", "")
+        if file:
+            digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            content[name] = {**content[name], "modal_data": digest}
+    text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

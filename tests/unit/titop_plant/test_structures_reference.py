@@ -20,6 +20,8 @@ from titop_plant.structures import (
     smallest_residual_fraction,
     write_modal_data,
 )
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -122,3 +124,31 @@ def test_a_users_body_that_does_not_fit_is_named(
     write_modal_data(change(payload), path)
     with pytest.raises(ValueError, match=f"mine.toml: payload: {word}"):
         build_payload({**parameters, "payload": {**parameters["payload"], "modal_data": str(path)}})
+
+
+def test_modal_files_of_both_bodies_reproduce_the_telescope(
+    body: ModalData, payload: ModalData, tmp_path: Path
+) -> None:
+    """Written, named in a parameter file beside them, read again: the same model bit for bit."""
+    for data in (body, payload):
+        write_modal_data(data, tmp_path / f"{data.name}.toml")
+    mine = tmp_path / "mine.toml"
+    mine.write_text('[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n')
+    again, reference = build_telescope(load_parameters(mine)).system, build_telescope().system
+    assert again.occurrences() == reference.occurrences()
+    for key in "ABCD":
+        np.testing.assert_array_equal(getattr(again, key), getattr(reference, key))
+
+
+def test_the_hash_of_the_parameters_follows_the_content_of_a_modal_file(payload: ModalData, tmp_path: Path) -> None:
+    hashes = []
+    for folder, modes in (("a", 5), ("b", 5), ("c", 4)):
+        (tmp_path / folder).mkdir()
+        write_modal_data(payload.truncate(modes), tmp_path / folder / "payload.toml")
+        mine = tmp_path / folder / "mine.toml"
+        mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
+        hashes.append(parameters_hash(load_parameters(mine)))
+    assert hashes[0] == hashes[1] != hashes[2]
+    (tmp_path / "c" / "payload.toml").unlink()
+    with pytest.raises(ValueError, match=r"cannot read payload.modal_data .*payload.toml: No such file"):
+        build_payload(load_parameters(tmp_path / "c" / "mine.toml"))

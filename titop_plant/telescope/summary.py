@@ -1,0 +1,125 @@
+"""What a telescope's model is, in figures: order, occurrences, poles, inertia, residual masses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.structures.residual_mass import smallest_residual_fraction
+from titop_plant.telescope.assembly import Telescope
+from uncertain_systems import RealParameter
+
+
+@dataclass(frozen=True)
+class BodySummary:
+    """A flexible body in figures.
+
+    Parameters
+    ----------
+    name : str
+    mass : float
+        kg.
+    modes : int
+    frequencies : tuple of 2 floats
+        First and last clamped frequency kept [rad/s].
+    min_residual_mass : float
+        Smallest eigenvalue of ``M_rr - L'L`` [kg or kg m2]; **not negative for a physical body**.
+    min_residual_fraction : float
+        Smallest residual as a fraction of the rigid mass over all directions of motion.
+    """
+
+    name: str
+    mass: float
+    modes: int
+    frequencies: tuple[float, float]
+    min_residual_mass: float
+    min_residual_fraction: float
+
+
+@dataclass(frozen=True)
+class PlantSummary:
+    """A telescope's model in figures; poles are those of the nominal member.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+    occurrences : dict
+        How often each parameter is repeated in Delta.
+    parameters : tuple of RealParameter
+    hurwitz : bool
+        Whether every pole has a negative real part.
+    slowest_pole : float
+        Smallest magnitude of a pole [rad/s].
+    largest_real_part : float
+        rad/s.
+    total_inertia : ndarray, shape (3, 3)
+        About G by the inverse low-frequency gain [kg m2].
+    bodies : tuple of BodySummary
+    """
+
+    order: int
+    occurrences: dict[str, int]
+    parameters: tuple[RealParameter, ...]
+    hurwitz: bool
+    slowest_pole: float
+    largest_real_part: float
+    total_inertia: FloatArray
+    bodies: tuple[BodySummary, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain types for JSON; ``total_inertia`` is the diagonal, what the attitude law is tuned on."""
+        return {
+            "order": self.order,
+            "occurrences": self.occurrences,
+            "hurwitz": self.hurwitz,
+            "slowest_pole": self.slowest_pole,
+            "largest_real_part": self.largest_real_part,
+            "total_inertia": np.diag(self.total_inertia).tolist(),
+            "total_inertia_matrix": self.total_inertia.tolist(),
+            "min_residual_mass": {b.name: b.min_residual_mass for b in self.bodies},
+            "min_residual_fraction": {b.name: b.min_residual_fraction for b in self.bodies},
+            "parameters": {
+                p.name: {"nominal": p.nominal, "lower": p.lower, "upper": p.upper, "unit": p.unit}
+                for p in self.parameters
+            },
+            "bodies": {b.name: {"mass": b.mass, "modes": b.modes, "frequencies": b.frequencies} for b in self.bodies},
+        }
+
+
+def summarise(telescope: Telescope) -> PlantSummary:
+    """Order, occurrences, poles, inertia and residual masses of a telescope.
+
+    Examples
+    --------
+    >>> from titop_plant.simulation import telescope
+    >>> found = summarise(telescope())
+    >>> found.order, found.occurrences["solar_array.tau"], found.hurwitz
+    (204, 32, True)
+    """
+    system = telescope.system
+    poles = linalg.eigvals(system.data_at({}).A)
+    return PlantSummary(
+        order=system.order,
+        occurrences=system.occurrences(),
+        parameters=system.parameters,
+        hurwitz=bool(poles.real.max() < 0.0),
+        slowest_pole=float(np.abs(poles).min()),
+        largest_real_part=float(poles.real.max()),
+        total_inertia=telescope.inertia,
+        bodies=tuple(
+            BodySummary(
+                data.name,
+                data.mass,
+                data.n_modes,
+                (float(data.frequencies.min(initial=np.inf)), float(data.frequencies.max(initial=0.0))),
+                float(linalg.eigvalsh(data.residual_mass())[0]),
+                smallest_residual_fraction(data),
+            )
+            for data in telescope.bodies
+        ),
+    )
