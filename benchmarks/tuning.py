@@ -26,7 +26,8 @@ from threadpoolctl import threadpool_limits
 from robust_design import H2Gain, HinfGain, Model, TuningOptions, certify, controller, gain, state_space, transfer
 from robust_design.problem import Problem, worst_values
 from robust_design.published_plants import PLANTS
-from robust_design.tuner import starts_of, tune_from
+from robust_design.starts import starts_of
+from robust_design.tuner import tune_from
 
 BUDGET = 400
 
@@ -114,7 +115,7 @@ class _BudgetSpentError(Exception):
 
 def stabilised(problem: Problem) -> np.ndarray:
     """The point from which everybody starts: the second random start, made stable."""
-    for x, seed in starts_of([], problem.structure, TuningOptions(starts=8), problem):
+    for x, seed in starts_of([], 8, 0, problem):
         run = tune_from(problem, x, seed, TuningOptions(iterations=60, target=np.inf), time.monotonic() + 60)
         if np.isfinite(run.soft):
             return run.x

@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+MIN_DECAY = 1e-6
+
+
 @dataclass(frozen=True)
 class Piece:
     """One smooth piece of the nonsmooth problem.
@@ -89,6 +92,8 @@ class Problem:
     loop_delay : float
         Delay of the loop [s]: exact in the H-infinity gains, Padé of order `pade_order` in poles and H2 norms.
     pade_order : int
+    min_decay : float
+        A loop counts as stable when every pole decays faster than this [rad/s].
 
     Raises
     ------
@@ -105,6 +110,7 @@ class Problem:
         *,
         loop_delay: float = 0.0,
         pade_order: int = 6,
+        min_decay: float = MIN_DECAY,
     ) -> None:
         check_names(requirements)
         if not models:
@@ -113,6 +119,7 @@ class Problem:
         self.structure = structure
         self.loop_delay = loop_delay
         self.pade_order = pade_order
+        self.min_decay = min_decay
         self.models: tuple[Model, ...] = ()
         self._bare: list[ExtendedPlant] = []
         self._gains: list[LoopGains | None] = []
@@ -126,7 +133,14 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by what it was made of: small, and a copy in another process computes the same bits."""
-        return _rebuilt, (self.models, self.requirements, self.structure, self.loop_delay, self.pade_order)
+        return _rebuilt, (
+            self.models,
+            self.requirements,
+            self.structure,
+            self.loop_delay,
+            self.pade_order,
+            self.min_decay,
+        )
 
     def add_model(self, model: Model) -> None:
         """Make one more model active."""
@@ -187,11 +201,11 @@ class Problem:
                 pieces.append(Piece(float(s.poles[i].real), g, False, 0, k, float(abs(s.poles[i]))))
         return worst, pieces
 
-    def evaluate(self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, margin: float = 0.0) -> Evaluation:
+    def evaluate(self, x: FloatArray, *, band: float = 0.7, gradients: bool = True) -> Evaluation:
         """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
         of their kind.
 
-        Models are looked at in order; with an unstable loop (abscissa above ``-margin``) every value is infinite.
+        Models are looked at in order; with an unstable loop (abscissa above ``-min_decay``) every value is infinite.
         """
         K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
@@ -199,7 +213,7 @@ class Problem:
         spectra: list[Spectrum] = []
         for plant in self._bare:
             spectra.append(spectrum(plant.closed(K), derivatives=gradients))
-            if not spectra[-1].abscissa < -margin:
+            if not spectra[-1].abscissa < -self.min_decay:
                 return Evaluation(spectra[-1].abscissa, values, places, ())
         pieces: list[Piece] = []
         values[:] = -np.inf
@@ -213,7 +227,7 @@ class Problem:
                 places[piece.requirement, piece.model] = piece.place
         kept = _active(pieces, band) if gradients else ()
         pairs = [pair for s in spectra for pair in s.barriers()]
-        barriers = tuple((real, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
+        barriers = tuple((real + self.min_decay, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
         return Evaluation(max(s.abscissa for s in spectra), values, places, tuple(kept), barriers)
 
     def _gain_pieces(
@@ -280,8 +294,9 @@ def _rebuilt(
     structure: Structure,
     loop_delay: float,
     pade_order: int,
+    min_decay: float,
 ) -> Problem:
-    return Problem(models, requirements, structure, loop_delay=loop_delay, pade_order=pade_order)
+    return Problem(models, requirements, structure, loop_delay=loop_delay, pade_order=pade_order, min_decay=min_decay)
 
 
 def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:

@@ -33,4 +33,4 @@ class Progress:
     def say(self, line: str) -> None:
         """Print a line that stays."""
         if self._status is not None:
-            self._console.print(line, highlight=False)
+            self._console.print(line, highlight=False, soft_wrap=True)

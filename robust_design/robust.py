@@ -19,8 +19,9 @@ from robust_design.model import Model
 from robust_design.problem import Problem
 from robust_design.progress import Progress
 from robust_design.requirements import Requirement
+from robust_design.starts import start_checked, starts_of
 from robust_design.structures import Structure
-from robust_design.tuner import TuningOptions, TuningResult, result_of, start_checked, starts_of, tune, tune_from
+from robust_design.tuner import TuningOptions, TuningResult, result_of, tune, tune_from
 from robust_design.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
 
 FloatArray = NDArray[np.float64]
@@ -175,7 +176,7 @@ class _Rounds:
                 options=options,
             )
         begun = time.monotonic()
-        jobs = starts_of([before.x], self.structure, replace(self.options, starts=0))
+        jobs = starts_of([before.x], 0, self.options.seed, problem)
         runs = [tune_from(problem, x, seed, self.options, begun + left) for x, seed in jobs]
         return result_of(problem, runs, time.monotonic() - begun)
 

@@ -11,21 +11,19 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import Descent, DescentOptions, Sample, minimise
 from robust_design.model import Model
-from robust_design.problem import Evaluation, Problem, worst_values
+from robust_design.problem import MIN_DECAY, Evaluation, Problem, worst_values
 from robust_design.progress import Progress
 from robust_design.requirements import Requirement
-from robust_design.special_structures import StableStateSpace
-from robust_design.structures import AffineStructure, Structure, controller
+from robust_design.starts import lowered_gain, start_checked, starts_of
+from robust_design.structures import Structure, controller
 
 FloatArray = NDArray[np.float64]
 
@@ -172,6 +170,7 @@ def tune(
     *,
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
+    min_decay: float = MIN_DECAY,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune `structure` against `requirements` on all `models` at once.
@@ -187,6 +186,8 @@ def tune(
         Given starts, taken before the random ones.
     loop_delay : float
         Delay of the loop [s].
+    min_decay : float
+        Stable means that every closed-loop pole decays faster than this [rad/s].
     options : TuningOptions, optional
 
     Returns
@@ -215,9 +216,9 @@ def tune(
     options = options or TuningOptions()
     begun = time.monotonic()
     deadline = begun + options.wall_limit
-    problem = Problem(models, requirements, structure, loop_delay=loop_delay)
+    problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
     given = [start_checked(x, structure.size) for x in initial]
-    jobs = [(x, seed) for x, seed in starts_of(given, structure, options, problem)]
+    jobs = [(x, seed) for x, seed in starts_of(given, options.starts, options.seed, problem)]
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
@@ -233,7 +234,7 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOption
     """One start: stabilise, then descend (used by :func:`tune` and by the robust outer loop)."""
     rng = np.random.default_rng(seed)
     stable, first = _stabilise(problem, x0, rng, options, deadline)
-    if stable.sample.objective >= 0.0:
+    if stable.sample.objective >= -problem.min_decay:
         status = {"deadline": "out_of_time", "interrupted": "interrupted"}.get(stable.reason, "not_stabilised")
         return Run(
             status, stable.x, np.inf, np.inf, stable.sample.objective, stable.stationarity, stable.evaluations, first
@@ -260,18 +261,24 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOption
 def _stabilise(
     problem: Problem, x0: FloatArray, rng: np.random.Generator, options: TuningOptions, deadline: float
 ) -> tuple[Descent, int]:
-    """Descend on the spectral abscissa until every model is stable with some margin."""
+    """Descend on the spectral abscissa until every model is stable with some margin; at last lower the gain."""
     worst, _ = problem.stability_pieces(x0, 0.0)
     band = max(0.3 * abs(worst), 1e-3)
+    if worst < -problem.min_decay:
+        return Descent(x0, Sample(worst, -np.inf, ()), "target", 0.0, 0, 1), 0
 
     def oracle(x: FloatArray) -> Sample:
         value, pieces = problem.stability_pieces(x, band)
         return Sample(value, -np.inf, tuple(pieces))
 
-    if worst < 0.0:
-        return Descent(x0, Sample(worst, -np.inf, ()), "target", 0.0, 0, 1), 0
-    limits = DescentOptions(min(options.iterations, 120), 1e-5, target=-0.1 * worst, deadline=deadline)
+    target = min(-0.1 * worst, -2.0 * problem.min_decay)
+    limits = DescentOptions(min(options.iterations, 120), 1e-5, target=target, deadline=deadline)
     found = minimise(oracle, x0, limits, rng)
+    if found.sample.objective >= -problem.min_decay and found.reason not in ("deadline", "interrupted"):
+        lowered = lowered_gain(problem, x0)
+        if lowered is not None:
+            sample = Sample(problem.abscissa(lowered), -np.inf, ())
+            return Descent(lowered, sample, "target", 0.0, 0, found.evaluations), found.iterations
     return found, found.iterations
 
 
@@ -288,51 +295,6 @@ def _status(found: Descent, hard: float) -> str:
     if hard > 1.0 + FEASIBLE:
         return "infeasible"
     return {"stationary": "converged", "nearly stationary": "converged"}.get(found.reason, found.reason)
-
-
-def starts_of(
-    given: list[FloatArray], structure: Structure, options: TuningOptions, problem: Problem | None = None
-) -> list[tuple[FloatArray, int]]:
-    """Starting points with the seed of each: the given ones, then random ones fitted to the time scales of the
-    problem."""
-    sequence = np.random.SeedSequence(options.seed)
-    seeds = [int(s.generate_state(1)[0]) for s in sequence.spawn(len(given) + options.starts)]
-    jobs = list(zip(given, seeds))
-    for i, seed in enumerate(seeds[len(given) :]):
-        rng = np.random.default_rng(seed)
-        # from timid to bold: a stable plant is best started near no control at all
-        x = (0.1, 1.0, 0.01, 3.0)[i % 4] * structure.start(rng)
-        jobs.append((_tamed(problem, x, rng) if problem is not None else x, seed))
-    return jobs
-
-
-def _tamed(problem: Problem, x: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Start with a stable controller at the speed of the plant, its gain lowered until the loop is stable if that
-    helps.
-
-    Only for structures that can say the parameters of a given controller; others start where they say.
-    """
-    structure = problem.structure
-    n = structure.order
-    if n == 0 or not isinstance(structure, AffineStructure | StableStateSpace):
-        return x
-    sizes = np.abs(scipy.linalg.eigvals(problem.models[0].A)) if problem.models[0].order else np.ones(1)
-    low, high = np.log(np.quantile(sizes[sizes > 0], [0.1, 0.9])) if np.any(sizes > 0) else (0.0, 0.0)
-    K = structure.gain_matrix(x)
-    A = K[:n, :n] / max(float(np.abs(K[:n, :n]).max()), 1e-300)
-    A = np.exp(rng.uniform(low, high)) * (A - (scipy.linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
-    for shrink in (1.0, 1e-1, 1e-2, 1e-3, 1e-4):
-        K[:n, :n] = A
-        model = Model(
-            A, shrink * K[:n, n:], shrink * K[n:, :n], shrink * K[n:, n:], structure.inputs, structure.outputs
-        )
-        try:
-            trial = structure.parameters_of(model)
-        except ValueError:  # a structure with fixed entries that a stable random controller does not have
-            return x
-        if problem.abscissa(trial) < 0.0:
-            return trial
-    return x
 
 
 def _serial(
@@ -385,7 +347,7 @@ def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningRe
     found = problem.evaluate(best.x, gradients=False)
     soft, hard = worst_values(problem, found)
     K = controller(problem.structure, best.x)
-    stable = found.abscissa < 0.0
+    stable = found.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.requirements, problem.loop_delay) if stable else None
     status = best.status
     return TuningResult(
@@ -406,11 +368,3 @@ def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningRe
         tuple(r.soft if r.hard <= 1.0 + FEASIBLE else np.inf for r in runs),
         tuple(r.name for r in problem.requirements),
     )
-
-
-def start_checked(x: ArrayLike, size: int) -> FloatArray:
-    """A given start as an array, or ValueError."""
-    start: Any = np.asarray(x, dtype=float)
-    if start.shape != (size,) or not np.all(np.isfinite(start)):
-        raise ValueError(f"a start must be {size} finite parameters, got an array of shape {start.shape}")
-    return np.asarray(start)

@@ -99,3 +99,23 @@ def test_same_seed_same_answer() -> None:
     options = WorstCaseOptions(samples=5, climbs=1, seed=3)
     first, again = (worst_case(oscillator, box, OPEN, [HinfGain("w", "z")], options=options) for _ in range(2))
     assert first == again
+
+
+def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
+    """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
+
+    def build(p: Mapping[str, float]) -> Model:
+        A = [[0, 1], [-1, -0.05]]
+        B = [[0, 0], [1, 1]]
+        C = [[1.0, 0.0], [p["mix"], 1.0]]
+        return Model(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+
+    box = {"mix": (-2.0, 2.0)}
+    structure = gain([("y", 1)], [("u", 1)])
+    result = tune_robust(
+        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=2)
+    )
+    assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
+    assert result.status == "converged"
+    assert all(np.isfinite(w.value) for w in result.worst)
+    assert result.worst[0].value <= result.tuning.soft * 1.01

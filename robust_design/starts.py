@@ -1,0 +1,91 @@
+"""Where tuning starts from: given points, random ones at the speed of the plant, and the same with less gain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from robust_design.model import Model
+from robust_design.problem import Problem
+from robust_design.special_structures import StableStateSpace
+from robust_design.structures import AffineStructure
+
+FloatArray = NDArray[np.float64]
+
+SIZES = (0.1, 1.0, 0.01, 3.0)  # of random starts in turn, from timid to bold
+LOWER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)
+
+
+def starts_of(given: list[FloatArray], count: int, seed: int, problem: Problem) -> list[tuple[FloatArray, int]]:
+    """Starting points with the seed of each: the given ones, then `count` random ones."""
+    sequence = np.random.SeedSequence(seed)
+    seeds = [int(s.generate_state(1)[0]) for s in sequence.spawn(len(given) + count)]
+    jobs = list(zip(given, seeds))
+    for i, own in enumerate(seeds[len(given) :]):
+        rng = np.random.default_rng(own)
+        x = SIZES[i % len(SIZES)] * problem.structure.start(rng)
+        jobs.append((_at_the_speed_of_the_plant(problem, x, rng), own))
+    return jobs
+
+
+def lowered_gain(problem: Problem, x: FloatArray) -> FloatArray | None:
+    """Parameters of the same controller with less gain, as little less as makes every model stable.
+
+    None where the structure cannot say the parameters of a given controller, where the controller itself is
+    unstable, or where
+    not even no gain at all is enough.
+    """
+    structure = problem.structure
+    if not isinstance(structure, AffineStructure | StableStateSpace):
+        return None
+    n = structure.order
+    K = structure.gain_matrix(x)
+    for factor in LOWER:
+        root = np.sqrt(factor)
+        model = Model(
+            K[:n, :n], root * K[:n, n:], root * K[n:, :n], factor * K[n:, n:], structure.inputs, structure.outputs
+        )
+        try:
+            trial = structure.parameters_of(model)
+        except ValueError:  # fixed entries that a lower gain does not have
+            return None
+        if problem.abscissa(trial) < -problem.min_decay:
+            return trial
+    return None
+
+
+def _at_the_speed_of_the_plant(problem: Problem, x: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Random start whose controller is stable, as fast as some mode of the plant, and weak if that stabilises the loop.
+
+    Only for structures that can say the parameters of a given controller; others start where they say.
+    """
+    structure = problem.structure
+    n = structure.order
+    if n == 0 or not isinstance(structure, AffineStructure | StableStateSpace):
+        return x
+    plant = problem.models[0].A
+    sizes = np.abs(scipy.linalg.eigvals(plant)) if len(plant) else np.ones(1)
+    sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
+    low, high = np.log(np.quantile(sizes, [0.1, 0.9]))
+    K = structure.gain_matrix(x)
+    A = K[:n, :n] / max(float(np.abs(K[:n, :n]).max()), 1e-300)
+    A = np.exp(rng.uniform(low, high)) * (A - (scipy.linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
+    try:
+        trial = structure.parameters_of(Model(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs))
+    except ValueError:  # a structure with fixed entries that a stable random controller does not have
+        return x
+    if problem.abscissa(trial) < -problem.min_decay:
+        return trial
+    lowered = lowered_gain(problem, trial)
+    return x if lowered is None else lowered
+
+
+def start_checked(x: ArrayLike, size: int) -> FloatArray:
+    """A given start as an array, or ValueError."""
+    start: Any = np.asarray(x, dtype=float)
+    if start.shape != (size,) or not np.all(np.isfinite(start)):
+        raise ValueError(f"a start must be {size} finite parameters, got an array of shape {start.shape}")
+    return np.asarray(start)
