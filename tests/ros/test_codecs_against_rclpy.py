@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.codecs import Codec, HeaderCodec, codec_for, stamp_of
+from los_testbed.codecs import JOINT_NAMES, Codec, HeaderCodec, codec_for, stamp_of
 from los_testbed.nodes.raw_topics import MESSAGES
 from los_testbed.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, TOPICS, VECTOR3
@@ -30,8 +30,20 @@ def build(type_name, stamp, frame, values):
     elif type_name == VECTOR3:
         message.vector.x, message.vector.y = values
     else:
-        message.effort = values
+        message.name, message.effort = list(JOINT_NAMES), values
     return message
+
+
+def _written(type_name, frame, length):
+    """Places of a message that are no padding."""
+    at = 16 + len(frame) + 1
+    places = set(range(at))
+    if type_name == JOINT_STATE:
+        for size in (4, *(4 + len(name) + 1 for name in JOINT_NAMES), 12):
+            at += -(at - 4) % 4
+            places |= set(range(at, at + size))
+            at += size
+    return sorted(places | set(range(at + (-(at - 4)) % 8, length)))
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.name)
@@ -40,11 +52,10 @@ def test_what_we_send_is_what_rclpy_would_send(topic):
         values, stamp = RNG.standard_normal(topic.size), int(RNG.integers(0, 2**60))
         ours = bytes(codec_for(topic).encode(stamp, values))
         theirs = serialize_message(build(topic.type_name, stamp, topic.frame_id, values))
-        # all but the padding after the frame, which serialize_message does not write
-        text = 16 + len(topic.frame_id) + 1
-        data = text + (-(text - 4)) % (4 if topic.type_name == JOINT_STATE else 8)
-        assert theirs[:text] == ours[:text]
-        assert theirs[data : len(ours)] == ours[data:]
+        # all but the padding, which serialize_message does not write
+        written = _written(topic.type_name, topic.frame_id, len(ours))
+        assert [theirs[i] for i in written] == [ours[i] for i in written]
+        assert sum(ours[i] for i in range(len(ours)) if i not in written) == 0
         assert len(theirs) - len(ours) in (0, 8)  # serialize_message leaves 8 bytes behind a JointState
         message = deserialize_message(ours, MESSAGES[topic.type_name])
         assert message == build(topic.type_name, stamp, topic.frame_id, values)

@@ -24,6 +24,10 @@ _STAMP = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
 _NS = 1_000_000_000
 
+JOINT_NAMES = tuple(f"pma_{i}" for i in range(1, 7))
+"""Names of the actuators in a JointState. Tools label the efforts by them; PlotJuggler reads past the end of
+its memory if there are efforts and no names."""
+
 
 class CodecError(ValueError):
     """A message that is not what its topic carries; `reason` is ``encoding`` or ``size``."""
@@ -154,9 +158,17 @@ def codec_for(topic: Topic) -> Codec:
     return Codec(topic.type_name, topic.size, topic.frame_id)
 
 
+def _padded(data: bytes, to: int) -> bytes:
+    return data + bytes(_align(len(data), to) - len(data))
+
+
 def _layout(type_name: str, size: int, head: bytes) -> tuple[bytes, int]:
     if type_name == JOINT_STATE:
-        body = head + bytes(_align(len(head), 4) - len(head)) + bytes(12) + _LENGTH.pack(size)
+        body = _padded(head, 4) + _LENGTH.pack(size)
+        for i in range(size):
+            name = (JOINT_NAMES[i] if i < len(JOINT_NAMES) else f"joint_{i + 1}").encode() + b"\x00"
+            body = _padded(body, 4) + _LENGTH.pack(len(name)) + name
+        body = _padded(body, 4) + bytes(8) + _LENGTH.pack(size)
         offset = _align(len(body), 8)
         return body + bytes(offset - len(body) + 8 * size), offset
     offset = _align(len(head), 8)
