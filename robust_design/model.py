@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robust_design.norms import checked
 from uncertain_systems.runtime import Port, SampledSystem, port_slices, read_only
+from uncertain_systems.system import StateSpaceData
 
 FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
@@ -113,6 +114,11 @@ class Model:
     def renamed(self, name: str) -> Model:
         """Same model under another name."""
         return replace(self, name=name)
+
+    @classmethod
+    def from_data(cls, data: StateSpaceData, name: str = "model") -> Model:
+        """Model of an uncertain system's numbers at given parameter values; the ports stay."""
+        return cls(data.A, data.B, data.C, data.D, data.inputs, data.outputs, name)
 
     @classmethod
     def from_control(cls, system: Any, units: Mapping[str, str] | None = None, name: str = "") -> Model:

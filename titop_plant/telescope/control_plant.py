@@ -55,7 +55,22 @@ def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSys
     )
 
 
-def control_plant(telescope: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+def camera_hold(period: float) -> UncertainSystem:
+    """Mean delay of a camera value that is held for a period [s]: half of it, Pade of order 2, both axes."""
+    port = Port("camera_los", 2, "rad")
+    if period == 0.0:
+        return static_gain(np.eye(2), [port], [port])
+    if not period > 0.0:
+        raise ValueError(f"camera period must not be negative, got {period} s")
+    delay = 0.5 * period
+    # e^(-s T) = (s^2 - a s + b) / (s^2 + a s + b), a = 6 / T, b = 12 / T^2
+    a, b = 6.0 / delay, 12.0 / delay**2
+    A, B = np.array([[0.0, 1.0], [-b, -a]]), np.array([[0.0], [1.0]])
+    both = np.eye(2)
+    return state_space(np.kron(both, A), np.kron(both, B), np.kron(both, [[0.0, -2.0 * a]]), np.eye(2), [port], [port])
+
+
+def control_plant(telescope: UncertainSystem, parameters: Parameters, *, camera_period: float = 0.0) -> UncertainSystem:
     """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
 
     Parameters
@@ -64,6 +79,9 @@ def control_plant(telescope: UncertainSystem, parameters: Parameters) -> Uncerta
         From :func:`titop_plant.telescope.assembly.build_telescope`.
     parameters : mapping
         Table ``sensors``.
+    camera_period : float
+        Time between camera frames, whose value is held [s]: adds its mean delay, half a period, as a
+        Pade form of order 2 for each axis (4 states). 0: a continuous camera, as in the paper.
     """
     seen = with_camera(telescope, parameters).select(
         inputs=(*DISTURBANCES, *COMMANDS), outputs=("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
@@ -90,8 +108,10 @@ def control_plant(telescope: UncertainSystem, parameters: Parameters) -> Uncerta
         systems[f"washout_{port.name}"] = high_pass(port, sensors["washout"])
         wires.append(((f"plant.{port.name}", f"noise.{port.name}"), f"washout_{port.name}.{port.name}"))
         outputs[port.name] = f"washout_{port.name}.{port.name}"
-    for name in ("camera_los", "fsm_angle"):
-        outputs[name] = (f"plant.{name}", f"optical.{name}")
+    systems["hold"] = camera_hold(camera_period)
+    wires.append((("plant.camera_los", "optical.camera_los"), "hold.camera_los"))
+    outputs["camera_los"] = "hold.camera_los"
+    outputs["fsm_angle"] = ("plant.fsm_angle", "optical.fsm_angle")
     external = [seen.input_port(name) for name in DISTURBANCES] + [noise, optical]
     external += [seen.input_port(name) for name in COMMANDS]
     return connect(systems, wires, inputs=external, outputs=outputs)

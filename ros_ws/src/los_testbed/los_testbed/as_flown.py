@@ -7,6 +7,7 @@ product of the N one-tick matrices.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,8 @@ class FlownLoop:
         Controlled line of sight [rad] from the state.
     frame_ticks : int
         N.
+    plant_order : int
+        Number of plant states, the first of the state.
     """
 
     frame: FloatArray
@@ -44,6 +47,7 @@ class FlownLoop:
     noise_hold: FloatArray
     truth: FloatArray
     frame_ticks: int
+    plant_order: int
 
     def spectral_radius(self) -> float:
         """Growth a tick of the slowest or least stable motion: below 1 is stable."""
@@ -72,7 +76,7 @@ def flown_loop(
     actuators = 1.0 if loop == "fsm+pma" else 0.0
     f, p = k_fsm.order, k_pma.order
     places = np.cumsum([0, n, COMMANDS, f, p, 2])
-    X, V, F, P, H = (slice(a, b) for a, b in zip(places[:-1], places[1:]))
+    X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(places))
     size = int(places[-1])
     Y = np.zeros((MEASUREMENTS, size))
     Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
@@ -100,4 +104,4 @@ def flown_loop(
     hold, noise_hold = tick(False)
     truth = np.zeros((2, size))
     truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
-    return FlownLoop(frame, hold, noise_frame, noise_hold, truth, frame_ticks)
+    return FlownLoop(frame, hold, noise_frame, noise_hold, truth, frame_ticks, n)

@@ -1,0 +1,134 @@
+"""The design problem of K_PMA on top of a given observer K_FSM.
+
+Plant: telescope with the mirror loop closed. The controller is of order 4, from the platform's six accelerometer
+signals behind their washout to the six actuator forces.
+
+=============  ======  =============================================================================
+requirement    kind    value 1 means
+=============  ======  =============================================================================
+APE            soft    normalised disturbances make 10 arcsec of line of sight (H-infinity)
+RPE            soft    they make 40 mas through the weight of 20 ms (H-infinity)
+noise -> APE   soft    accelerometer noise at the platform makes 10 arcsec rms (H2)
+force          hard    they ask for 31.6 N of one actuator (H-infinity)
+noise -> RPE   soft    all sensor noise makes 100 mas rms (H2), as flown only
+=============  ======  =============================================================================
+
+Source: the paper, equation of the PMA synthesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robust_design import H2Gain, HinfGain, Model, Requirement, pade_delay, state_space
+from robust_design.structures import AffineStructure
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
+from uncertain_systems import Connection, Port, UncertainSystem, connect, static_gain
+from uncertain_systems import state_space as system_of
+
+MEASUREMENTS = ("accel_Ip",)
+ORDER = 4
+FORCE = Port("pma_force", 6, "N")
+PADE_ORDER = 3
+
+
+@dataclass(frozen=True)
+class ActuatorPlant:
+    """Generalised plant of K_PMA as a function of the parameter values (see :class:`robust_design.Model`)."""
+
+    system: UncertainSystem
+
+    def __call__(self, values: Mapping[str, float]) -> Model:
+        """Plant at the given values (others nominal)."""
+        name = ", ".join(f"{n}={v:.4g}" for n, v in values.items()) or "nominal"
+        return Model.from_data(self.system.data_at(values), name)
+
+
+def actuator_plant(
+    telescope: Telescope,
+    parameters: Parameters,
+    observer: UncertainSystem,
+    *,
+    loop_delay: float = 0.0,
+    camera_period: float = 0.0,
+) -> ActuatorPlant:
+    """Plant that K_PMA is designed on: the mirror loop is closed.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameter file.
+    observer : UncertainSystem
+        Continuous K_FSM, 22 measurements to ``los_estimate``.
+    loop_delay : float
+        Delay of the mirror's command [s]; that of the actuators is the tuner's `loop_delay`.
+    camera_period : float
+        Time that a camera frame is held [s].
+    """
+    plant = control_plant(telescope.system, parameters, camera_period=camera_period)
+    n_base, n_mirrors = Port("platform_noise", 6), Port("mirror_noise", 12)
+    split = np.eye(18)
+    mirror = Port("fsm_command", 2, "rad")
+    delay = pade_delay(loop_delay, PADE_ORDER, 2)
+    late = system_of(delay.A, delay.B, delay.C, delay.D, [Port("in", 2, "rad")], [Port("out", 2, "rad")])
+    estimate = observer.output_port("los_estimate")
+    law = static_gain(-np.eye(2) / parameters["fsm"]["los_sensitivity"], [estimate], [mirror])
+    noise = static_gain(split, [Port("platform", 6), Port("mirrors", 12)], [Port("accelerometer_noise", 18)])
+    systems = {"plant": plant, "observer": observer, "law": law, "late": late, "noise": noise}
+    wires: list[Connection] = [
+        *((name, f"plant.{name}") for name in (*DISTURBANCES, "optical_noise", "pma_force")),
+        (n_base.name, "noise.platform"),
+        (n_mirrors.name, "noise.mirrors"),
+        ("noise.accelerometer_noise", "plant.accelerometer_noise"),
+        *((f"plant.{p.name}", f"observer.{p.name}") for p in observer.inputs),
+        ("observer.los_estimate", "law.los_estimate"),
+        ("law.fsm_command", "late.in"),
+        ("late.out", "plant.fsm_command"),
+    ]
+    inputs = [plant.input_port(n) for n in (*DISTURBANCES, "optical_noise")] + [n_base, n_mirrors, FORCE]
+    closed = connect(
+        systems,
+        wires,
+        inputs=inputs,
+        outputs={"los_controlled": "plant.los_controlled", "accel_Ip": f"plant.{ACCELEROMETERS[0]}",
+                 "fsm_command": "law.fsm_command"},
+    )  # fmt: skip
+    echo = static_gain(np.eye(6), [FORCE], [FORCE])
+    system = connect(
+        {"plant": closed, "echo": echo},
+        [*((p.name, f"plant.{p.name}") for p in closed.inputs), (FORCE.name, "echo.pma_force")],
+        inputs=closed.inputs,
+        outputs={**{p.name: f"plant.{p.name}" for p in closed.outputs}, FORCE.name: "echo.pma_force"},
+    )
+    return ActuatorPlant(system)
+
+
+def actuator_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Requirement, ...]:
+    """Requirements of K_PMA (see the module's table), in the order of the paper's gammas."""
+    weights = parameters["weights"]
+    expected = Model.from_data(disturbance_weight(parameters).data_at({}), "W_rws, W_sa")
+    relative = Model.from_data(relative_error_weight(weights["rpe_window"]).data_at({}), "W_RPE")
+    ape, fine, los = weights["ape_limit"], weights["rpe_limit_fine"], "los_controlled"
+    paper: tuple[Requirement, ...] = (
+        HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
+        HinfGain(DISTURBANCES, (los,), fine, weight_in=expected, weight_out=relative, name="RPE"),
+        H2Gain(("platform_noise",), (los,), ape, name="noise -> APE"),
+        HinfGain(DISTURBANCES, ("pma_force",), parameters["pma"]["authority"], weight_in=expected, hard=True,
+                 name="force"),
+    )  # fmt: skip
+    if not as_flown:
+        return paper
+    everything = ("platform_noise", "mirror_noise", "optical_noise")
+    return (*paper, H2Gain(everything, (los,), weights["rpe_limit"], weight_out=relative, name="noise -> RPE"))
+
+
+def actuator_structure(plant: ActuatorPlant, *, order: int = ORDER) -> AffineStructure:
+    """State space of fixed order from the platform's accelerations to the forces, no direct feedthrough."""
+    ports = [plant.system.output_port(name) for name in MEASUREMENTS]
+    return state_space(ports, [FORCE], order, feedthrough=False)

@@ -1,0 +1,116 @@
+"""The design problem of K_FSM: requirements of the paper, and those of the loop as it flies.
+
+Plant: telescope, sensors with their filters, mirror driven by ``-estimate / 0.1``. The observer is a controller of
+order 4 from 22 measurements to the estimated line of sight.
+
+=============  ======  =============================================================================
+requirement    kind    value 1 means
+=============  ======  =============================================================================
+APE            soft    normalised disturbances make 10 arcsec of line of sight (H-infinity)
+RPE            soft    they make 100 mas through the weight of 20 ms (H-infinity)
+mirror         hard    they ask for 5.3 mrad of mirror (H-infinity)
+noise -> APE   soft    sensor noise makes 10 arcsec rms (H2), as flown only
+noise -> RPE   soft    sensor noise makes 100 mas rms (H2), as flown only
+=============  ======  =============================================================================
+
+Source: the paper, equation of the FSM synthesis. As flown: 1.5 ms of loop delay (one tick and the hold), a camera whose
+frames are held, and the noise requirements, without which the optimum drowns in accelerometer noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from los_estimator.kalman import kalman_observer
+from robust_design import H2Gain, HinfGain, Model, Requirement, state_space
+from robust_design.structures import AffineStructure
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
+from uncertain_systems import Port, UncertainSystem, connect, static_gain, transform
+
+MEASUREMENTS = (*ACCELEROMETERS, "camera_los", "fsm_angle")
+NOISE = ("accelerometer_noise", "optical_noise")
+ORDER = 4
+ESTIMATE = Port("los_estimate", 2, "rad")
+
+
+@dataclass(frozen=True)
+class ObserverPlant:
+    """Generalised plant of K_FSM as a function of the parameter values.
+
+    Calling it with values gives a :class:`robust_design.Model` with the disturbance, noise and estimate
+    ports in, line of sight, mirror command and measurements out.
+    """
+
+    system: UncertainSystem
+
+    def __call__(self, values: Mapping[str, float]) -> Model:
+        """Plant at the given values (others nominal)."""
+        return Model.from_data(self.system.data_at(values), describe(values))
+
+
+def describe(values: Mapping[str, float]) -> str:
+    """Short name of a parameter point."""
+    return ", ".join(f"{name}={value:.4g}" for name, value in values.items()) or "nominal"
+
+
+def observer_plant(telescope: Telescope, parameters: Parameters, *, camera_period: float = 0.0) -> ObserverPlant:
+    """Plant that K_FSM is designed on.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameter file.
+    camera_period : float
+        Time that a camera frame is held [s]; 0: the paper's continuous camera.
+    """
+    plant = control_plant(telescope.system, parameters, camera_period=camera_period)
+    mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
+    inputs = (*DISTURBANCES, *NOISE, "fsm_command")
+    driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})
+    command = Port("fsm_command", 2, "rad")
+    system = connect(
+        {"plant": driven, "law": static_gain(mirror, [ESTIMATE], [command])},
+        [*((p.name, f"plant.{p.name}") for p in driven.inputs), (ESTIMATE.name, "law.los_estimate")],
+        inputs=driven.inputs,
+        outputs={**{p.name: f"plant.{p.name}" for p in driven.outputs}, command.name: "law.fsm_command"},
+    )
+    return ObserverPlant(system)
+
+
+def observer_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Requirement, ...]:
+    """Requirements of K_FSM (see the module's table); `as_flown` adds the two on sensor noise."""
+    weights = parameters["weights"]
+    expected = Model.from_data(disturbance_weight(parameters).data_at({}), "W_rws, W_sa")
+    relative = Model.from_data(relative_error_weight(weights["rpe_window"]).data_at({}), "W_RPE")
+    ape, rpe, los = weights["ape_limit"], weights["rpe_limit"], "los_controlled"
+    paper: tuple[Requirement, ...] = (
+        HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
+        HinfGain(DISTURBANCES, (los,), rpe, weight_in=expected, weight_out=relative, name="RPE"),
+        HinfGain(DISTURBANCES, ("fsm_command",), parameters["fsm"]["authority"], weight_in=expected, hard=True,
+                 name="mirror"),
+    )  # fmt: skip
+    noise: tuple[Requirement, ...] = (
+        H2Gain(NOISE, (los,), ape, name="noise -> APE"),
+        H2Gain(NOISE, (los,), rpe, weight_out=relative, name="noise -> RPE"),
+    )
+    return paper + noise if as_flown else paper
+
+
+def observer_structure(plant: ObserverPlant, *, order: int = ORDER) -> AffineStructure:
+    """State space of fixed order from the 22 measurements to the estimate, all entries free."""
+    return state_space([plant.system.output_port(name) for name in MEASUREMENTS], [ESTIMATE], order)
+
+
+def kalman_start(
+    plant: ObserverPlant, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
+) -> FloatArray:
+    """The Kalman observer as a start of the tuner."""
+    guess = Model.from_data(kalman_observer(parameters, telescope.bodies[1], lead=lead).data_at({}), "K_est")
+    return np.asarray(observer_structure(plant).parameters_of(guess))

@@ -1,0 +1,56 @@
+"""Synthesis weights of the fine control: expected disturbances in, pointing errors out.
+
+``W_rws`` shapes the amplitude of each wheel's imbalance, ``W_sa`` bounds the drives' torque, ``W_RPE`` is the rational
+high-pass of a relative performance error over a window. Source: the paper, "Hybrid control of LOS with FSM".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from titop_plant.telescope.parameters import Parameters
+from uncertain_systems import Port, UncertainSystem, state_space
+
+
+def disturbance_weight(parameters: Parameters) -> UncertainSystem:
+    """From normalised disturbances (22) to wheel imbalance (20) [N, Nm] and SADM torque (2) [Nm]; 20 states.
+
+    Examples
+    --------
+    Fast disturbances have the full amplitude, slow ones almost none:
+
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> W = disturbance_weight(load_parameters()).nominal()
+    >>> round(abs(complex(W(1e4j)[0, 0])), 3), round(abs(complex(W(0)[0, 0])), 6)
+    (0.4, 4e-06)
+    """
+    table = parameters["weights"]
+    zero, pole = table["wheel_imbalance_zero"], table["wheel_imbalance_pole"]
+    size = np.tile(table["wheel_imbalance"], 4)
+    D = np.diag(np.r_[size, [parameters["sadm"]["torque_bound"]] * 2])
+    B = np.hstack([np.eye(20), np.zeros((20, 2))])
+    C = np.vstack([np.diag(size) * (zero - pole), np.zeros((2, 20))])
+    return state_space(-pole * np.eye(20), B, C, D, [Port("normalised", 22)], [Port("disturbance", 22)])
+
+
+def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
+    """``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis, t the window [s]; 2 states an axis.
+
+    Examples
+    --------
+    >>> W = relative_error_weight(0.02, 1).nominal()
+    >>> round(float(abs(W(2j * np.pi * 10.0))), 6)
+    0.360016
+    """
+    if not window > 0.0:
+        raise ValueError(f"the window must be positive, got {window} s")
+    a1, a0, b1 = 6.0 / window, 12.0 / window**2, np.sqrt(12.0) / window
+    each = np.eye(size)
+    return state_space(
+        np.kron(each, [[0.0, 1.0], [-a0, -a1]]),
+        np.kron(each, [[0.0], [1.0]]),
+        np.kron(each, [[-a0, b1 - a1]]),
+        each,
+        [Port("error", size)],
+        [Port("relative_error", size)],
+    )
