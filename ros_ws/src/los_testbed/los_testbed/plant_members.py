@@ -13,8 +13,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from los_testbed.config import RunConfig, read_yaml
 
 if TYPE_CHECKING:
@@ -167,7 +165,7 @@ def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
 
 
 def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of all layers; a later one wins, and its ``tau`` goes before an earlier ``theta`` and the other way round.
+    """Settings of all layers; a later one wins, also its ``tau`` over an earlier ``theta`` and the other way round.
 
     Examples
     --------
@@ -206,12 +204,3 @@ def chosen_member(
         raise ValueError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
     path = layered(before, named, after).get("parameters", "")
     return named, random_member(seed, str(path))
-
-
-def describe(config: RunConfig) -> str:
-    """One line of YAML with the member that a configuration flies, to put into ``--config`` or a file of cases."""
-    member = {
-        "theta": config.array_angle, "wheel_speed": list(_start_speeds(config)),
-        "omega_1": config.omega_1, "omega_2": config.omega_2,
-    }  # fmt: skip
-    return yaml.safe_dump(member, default_flow_style=True, sort_keys=False, width=1000).strip()

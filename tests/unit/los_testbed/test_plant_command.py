@@ -1,0 +1,233 @@
+"""`los-testbed plant` and the telescopes of the family that `los-testbed run` flies."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed import cli, cores
+from los_testbed.config import PHYSICAL, RunConfig, physical_hash
+from los_testbed.plant_members import CASES, check_member, named_cases, random_member
+
+from titop_plant.simulation import PlantConfig, parameter_values, telescope
+from titop_plant.structures import write_modal_data
+from titop_plant.telescope import figures
+from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.responses import Curve, scene
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder; exit code, output, error output."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+    def call(*arguments):
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as stop:
+            code = stop.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    call.files = tmp_path
+    call.here = tmp_path / "here"
+    return call
+
+
+def test_json_says_what_the_model_is(run) -> None:
+    code, out, err = run("plant", "--json")
+    found = json.loads(out)
+    assert (code, err, out.count("\n")) == (0, "", 1)
+    assert found["order"] == 204 and found["hurwitz"] is True
+    assert found["occurrences"] == {
+        "wheel_1.speed": 2, "wheel_2.speed": 2, "wheel_3.speed": 2, "wheel_4.speed": 2,
+        "solar_array.omega_1": 4, "solar_array.omega_2": 4, "solar_array.tau": 32,
+    }  # fmt: skip
+    assert found["slowest_pole"] > 1e-3 and found["largest_real_part"] < 0.0
+    assert np.linalg.eigvalsh(found["total_inertia_matrix"])[0] > 1e3
+    np.testing.assert_array_equal(np.diag(found["total_inertia_matrix"]), found["total_inertia"])
+    assert set(found["min_residual_mass"]) == {"body", "payload", "solar array"}
+    assert min(found["min_residual_fraction"].values()) > -1e-9
+
+
+def test_the_table_names_parameters_and_bodies(run) -> None:
+    code, out, _ = run("plant")
+    assert code == 0
+    for word in ("order 204", "left half plane", "solar_array.tau", "32", "wheel_4.speed", "payload", "kg m2"):
+        assert word in out
+
+
+def test_a_parameter_file_of_ones_own_changes_the_figures(run) -> None:
+    """A payload with six of its modes: sixty states fewer."""
+    payload = telescope().bodies[1]
+    write_modal_data(payload.truncate(6), run.files / "payload.toml")
+    mine = run.files / "mine.toml"
+    mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
+    code, out, _ = run("plant", "--json", "--parameters", mine)
+    found = json.loads(out)
+    assert (code, found["order"]) == (0, 204 - 2 * (payload.n_modes - 6))
+    assert found["bodies"]["payload"]["modes"] == 6
+
+
+def test_figures_come_as_png_and_svg_and_are_the_same_each_time(run, monkeypatch) -> None:
+    """Coarse ones here: the number of members and steps is all that differs from those of the documentation."""
+    monkeypatch.setattr(figures, "MEMBERS", 2)
+    monkeypatch.setattr(figures, "STEPS", 6)
+    code, out, _ = run("plant", "figures", "--output", "one")
+    paths = sorted((run.here / "one").iterdir())
+    assert code == 0 and {Path(line).name for line in out.split()} == {p.name for p in paths}
+    assert {p.stem for p in paths} == set(figures.FIGURES) and len(paths) == 8
+    assert all(10_000 < path.stat().st_size < 300_000 for path in paths)
+    for again in figures.draw_figures("two", names=["arrays_turn"]):
+        assert again.read_bytes() == (run.here / "one" / again.name).read_bytes()
+
+
+def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
+    """A resonance far narrower than a column is as high as in the response."""
+    curve = scene().first_channel({}, 0.3, 20.0)
+    edges = np.geomspace(0.3, 20.0, 11)
+    columns = curve.columns(edges)
+    assert columns.max() == curve.size.max()
+    for low, high, value in zip(edges[:-1], edges[1:], columns):
+        inside = curve.size[(curve.omega >= low) & (curve.omega < high)]
+        assert value >= inside.max() * (1.0 - 1e-12)
+    narrow = Curve(np.array([1.0, 2.0, 2.001, 2.002, 4.0]), np.array([1.0, 1.0, 50.0, 1.0, 1.0]))
+    np.testing.assert_allclose(narrow.columns(np.array([1.0, 1.5, 3.0, 4.0])), [1.0, 50.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["plant", "--parameters=none.toml"], ["parameter file none.toml", "No such file"]),
+        (["plant", "figures", "--parameters=none.toml"], ["parameter file none.toml"]),
+        (["plant", "figures", "--output=../file/x"], ["cannot make the folder"]),
+        (["plant", "cases", "--file=none.yaml"], ["none.yaml", "No such file"]),
+        (["plant", "fgures"], ["fgures"]),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
+    (run.files / "file").write_text("")
+    code, out, err = run(*arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    for word in words:
+        assert word in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--theta=4"], ["theta must be between -3.14159 and 3.14159 rad", "got 4 rad"]),
+        (["--tau=1.2"], ["tau must be between -1 and 1", "got 1.2"]),
+        (["--theta=1", "--tau=0.1"], ["theta or tau", "got both"]),
+        (["--wheel-speed", "1", "2", "-3", "2000"], ["wheel_speed (wheel 4)", "-1047.2 and 1047.2 rad/s", "2000"]),
+        (["--wheel-speed", "1", "2"], ["--wheel-speed", "4 arguments"]),
+        (["--omega-1=0.9"], ["omega_1 must be between 0.70585 and 0.78015 rad/s", "0.9"]),
+        (["--omega-2=1"], ["omega_2 must be between 2.5175 and 2.7825 rad/s", "got 1 rad/s"]),
+        (["--theta-rate=1", "--ramp-duration=5"], ["theta", "got 5 rad at the end of the ramp"]),
+        (["--wheel-acceleration", "90", "0", "0", "0", "--ramp-duration=10"], ["wheel 1", "at the end of the ramp"]),
+        (["--sample=three"], ["sample", "whole number", "'three'"]),
+        (["--sample=-1"], ["sample", "not negative", "-1"]),
+        (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
+        (["--case=xyz"], ["no case 'xyz'", "expected one of nominal"]),
+        (["--cases=mine.yaml"], ["--cases mine.yaml needs --case NAME"]),
+        (["--case=a", "--cases=none.yaml"], ["none.yaml", "No such file"]),
+        (["--parameters=none.toml"], ["none.toml", "No such file"]),
+    ],
+)
+def test_a_telescope_outside_the_family_is_refused(run, arguments, words) -> None:
+    code, out, err = run("run", "--mode=inprocess", "--duration=2", *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    for word in words:
+        assert word in err
+    assert not list(run.here.iterdir())
+
+
+def test_the_plant_node_refuses_it_too() -> None:
+    """Cores are built from ROS parameters without the command line."""
+    with pytest.raises(ValueError, match=r"omega_2 must be between 2\.5175 and 2\.7825 rad/s, got 3 rad/s"):
+        cores.build_plant(RunConfig(omega_2=3.0))
+
+
+def test_tau_is_another_name_of_theta() -> None:
+    by_tau, by_theta = RunConfig(tau=math.tan(0.3)), RunConfig(theta=1.2)
+    assert by_tau.array_angle == pytest.approx(1.2, rel=1e-14)
+    assert physical_hash(RunConfig(tau=0.5)) == physical_hash(RunConfig(theta=4.0 * math.atan(0.5)))
+    signals = []
+    for config in (by_tau, by_theta):
+        plant = cores.build_plant(config)
+        truth, measurement = np.zeros(2), np.zeros(22)
+        for _ in range(50):
+            plant.step(np.zeros(8), measurement, truth)
+        signals.append(np.r_[truth, measurement[:18]])
+    np.testing.assert_allclose(signals[0], signals[1], rtol=1e-6)
+
+
+def test_a_random_member_is_the_one_that_the_uncertain_system_draws() -> None:
+    drawn, expected = random_member(7), telescope().system.sample_values(np.random.default_rng(7))[0]
+    chosen = RunConfig.from_mapping(drawn)
+    plant = PlantConfig(
+        theta=chosen.array_angle, wheel_speed=chosen.wheel_speed, omega_1=chosen.omega_1, omega_2=chosen.omega_2
+    )
+    found = parameter_values(plant, load_parameters())
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the_file(run) -> None:
+    file = run.files / "run.yaml"
+    file.write_text("theta: 0.5\nseed: 9\nomega_1: 0.75\n")
+    chosen = cli.configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
+    assert (chosen.theta, chosen.tau, chosen.seed) == (0.0, 0.25, 9)
+    assert (chosen.omega_1, chosen.omega_2) == (0.70585, 2.6)
+    drawn = cli.configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
+    assert (drawn.theta, drawn.tau) == (0.1, 0.0)
+    assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
+
+
+def test_every_named_case_is_a_member_and_can_be_flown(run) -> None:
+    cases = named_cases(CASES)
+    assert {"nominal", "arrays_quarter_turn", "wheels_fast", "worst"} <= set(cases)
+    for name, settings in cases.items():
+        assert settings["description"], name
+        config = cli.configure(None, [], {"output": "x"}, case=name)
+        assert (
+            any(getattr(config, key) != getattr(RunConfig(), key) for key in PHYSICAL)
+            or name == "nominal"
+            or config.tau
+        )
+        check_member(config)
+    code, out, _ = run("plant", "cases")
+    assert code == 0 and all(name in out for name in cases)
+
+
+def test_a_run_of_a_named_case_of_ones_own_is_recorded_as_such(run) -> None:
+    mine = run.files / "mine.yaml"
+    mine.write_text("turning:\n  description: d\n  theta: 0.2\n  theta_rate: 0.1\n  ramp_duration: 1.0\n")
+    code, out, err = run(
+        "run", "--mode=inprocess", "--duration=2", "--loop=isolator", "--no-report", "--json", "--output=bag",
+        "--cases", mine, "--case=turning", "--wheel-speed", "100", "-100", "100", "-100",
+    )  # fmt: skip
+    assert code == 0, err
+    assert json.loads(out.splitlines()[-1])["ticks"] == 2000
+    from mcap.reader import make_reader
+
+    with open(next((run.here / "bag").glob("*.mcap")), "rb") as stream:
+        records = [m.metadata for m in make_reader(stream).iter_metadata() if m.name == "los_testbed"]
+    assert (records[-1]["theta"], records[-1]["theta_rate"], records[-1]["ramp_duration"]) == ("0.2", "0.1", "1.0")
+    assert json.loads(records[-1]["wheel_speed"]) == [100.0, -100.0, 100.0, -100.0]
+
+
+def test_members_of_the_family_differ_in_what_they_do(run) -> None:
+    """The same noise and seed on other telescopes: other signals."""
+    truths = []
+    for config in (RunConfig(), RunConfig(theta=math.pi / 2), RunConfig.from_mapping(random_member(1))):
+        plant = cores.build_plant(config)
+        rows = np.zeros((200, 2))
+        for row in rows:
+            plant.step(np.zeros(8), np.zeros(22), row)
+        truths.append(rows)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(truths[a] - truths[b]).max() > 1e-3 * np.abs(truths[a]).max()
