@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 REFINEMENTS = 12
+HIGH_CELL, MOST_CELLS = 0.9, 60
 NEAR_MULTIPLE = 0.98  # singular values this close to the largest give subgradients of their own
 
 
@@ -67,7 +68,7 @@ class LoopGains:
         commands: tuple[str, ...],
         requirements: tuple[HinfGain, ...],
         loop_delay: float = 0.0,
-        per_decade: int = 30,
+        per_decade: int = 50,
     ) -> None:
         self.requirements = requirements
         self._delay = loop_delay
@@ -187,13 +188,13 @@ class LoopGains:
         found: list[list[Peak]] = []
         for i in which:
             parts = [gains_above(response[i], min(band, 0.5)) for response in responses]
-            gains = np.concatenate(parts)[index]
+            w, gains = self._split_high_cells(omega, np.concatenate(parts)[index], gain_matrix, order, i)
             top = float(gains.max())
             places = _local_maxima(gains, max(band * top, min(floor, top)))[:most]
-            at, value = self._refined(omega, gains, places, gain_matrix, order, i)
+            at, value = self._refined(w, gains, places, gain_matrix, order, i)
             if gradients:
                 also = _shoulders(gains, band * top, places)
-                at, value = np.concatenate([at, omega[also]]), np.concatenate([value, gains[also]])
+                at, value = np.concatenate([at, w[also]]), np.concatenate([value, gains[also]])
             found.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
         return found
 
@@ -210,6 +211,21 @@ class LoopGains:
         far = size[(size > grid[-2]) | ((size < grid[1]) & (size > 0))]
         new = np.unique(np.concatenate([near, (far[:, None] * np.array([0.3, 0.6, 1.0, 1.7, 3.0])).ravel()]))
         return np.setdiff1d(new[new > 0], grid)
+
+    def _split_high_cells(
+        self, w: FloatArray, gains: FloatArray, K: FloatArray, order: int, i: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Add the middle of every cell whose ends are both near the top: a peak may hide between two high points."""
+        high = gains >= HIGH_CELL * gains.max()
+        cells = np.flatnonzero(high[:-1] & high[1:] & np.isfinite(w[1:]))
+        if len(cells) == 0:
+            return w, gains
+        cells = cells[np.argsort(-(gains[cells] + gains[cells + 1]), kind="stable")][:MOST_CELLS]
+        middle = 0.5 * (w[cells] + w[cells + 1])
+        response, _ = self._closed(self._arrays(middle), controller_response(K, order, middle), (i,))
+        index = np.argsort(np.concatenate([w, middle]), kind="stable")
+        added = np.concatenate([gains, gains_above(response[i], 0.0)])
+        return np.concatenate([w, middle])[index], added[index]
 
     def _refined(
         self, w: FloatArray, gains: FloatArray, places: NDArray[np.intp], K: FloatArray, order: int, i: int

@@ -205,9 +205,10 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
             test = "hamiltonian"
             continue
         better, place = _best_peak(response, outcome.frequencies, rtol)
-        if better <= upper:
-            return HInfNorm(value, upper, omega, test)
-        value, omega = better, place
+        exact, place = _directly(system, better, place)
+        if exact <= upper:  # what the test saw above the level is rounding of the modal form: the bound allows for it
+            return HInfNorm(value, max(upper, better * (1.0 + rtol)), omega, test)
+        value, omega = exact, place
     raise ArithmeticError(f"the H-infinity norm did not settle in {MOST_ROUNDS} rounds (order {len(A)})")
 
 

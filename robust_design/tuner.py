@@ -349,10 +349,12 @@ def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningRe
     K = controller(problem.structure, best.x)
     stable = found.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.requirements, problem.loop_delay) if stable else None
-    status = best.status
+    status, advice = best.status, ADVICE[best.status]
+    if certificate is not None and np.any(certificate.values > found.values * 1.002 + 1e-9):
+        advice += "; the certificate is above the tuned value somewhere: start again from this point"
     return TuningResult(
         status,
-        ADVICE[status],
+        advice,
         K,
         best.x,
         soft,
