@@ -15,7 +15,11 @@ from pointing_analysis.topic import on_grid, read_only
 Floats = NDArray[np.float64]
 RAD_PER_ARCSEC = math.pi / 648_000
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000
-DEFAULT_TRANSIENT = 1.0  # [s], used where the bag does not name its own as ``transient_s``
+#: [s] the observer starts from zero beside a telescope in full motion: its washout and the camera need this long until
+#: what is left of the start is small beside the motion that stays (docs/pointing_analysis.md has the figures)
+SETTLING = 3.0
+SHORT_RUN = 8.0  # [s]; a run shorter than this would lose too much of itself and drops `SHORT_TRANSIENT` only
+SHORT_TRANSIENT = 1.0  # [s]
 FSM_TO_LOS = 0.1  # LOS rotation per FSM tilt, used where the bag does not give ``fsm_to_los``
 
 
@@ -47,9 +51,20 @@ class ErrorSeries:
         return self.dt * len(self.values)
 
 
-def transient_of(run: Run, transient: float | None) -> float:
-    """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `DEFAULT_TRANSIENT`."""
-    value = run.parameters.get("transient_s", DEFAULT_TRANSIENT) if transient is None else transient
+def default_transient(duration: float) -> float:
+    """Start-up transient [s] dropped from a run of `duration` [s] that does not say how much is to be dropped.
+
+    Examples
+    --------
+    >>> default_transient(10.0), default_transient(5.0)
+    (3.0, 1.0)
+    """
+    return SETTLING if duration >= SHORT_RUN - 1e-9 else SHORT_TRANSIENT
+
+
+def transient_of(run: Run, transient: float | None, duration: float) -> float:
+    """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `default_transient`."""
+    value = run.parameters.get("transient_s", default_transient(duration)) if transient is None else transient
     if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
         raise BagError(f"expected a transient of zero or more seconds; got {value!r}")
     return float(value)
@@ -86,7 +101,7 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
     if "truth/los" not in run:
         raise BagError(f"{run.path}: expected the topic truth/los; the bag has {', '.join(run.topics)}")
     values, dt = on_grid(run["truth/los"])
-    return _drop(values, dt, transient_of(run, transient), run.path)
+    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path)
 
 
 def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
@@ -134,4 +149,4 @@ def knowledge_error_of(
     index, rest = np.divmod(common - truth.stamp[0], step)
     fits = (rest == 0) & (index >= 0) & (index < len(grid))
     full[index[fits]] = estimate[rows[fits], :2] + gain * angle.values[columns[fits], :2]
-    return _drop(full - grid[:, :2], dt, transient_of(run, transient), run.path)
+    return _drop(full - grid[:, :2], dt, transient_of(run, transient, dt * len(grid)), run.path)

@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis import metrics, requirements
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, knowledge_error, performance_error
+from pointing_analysis.errors import (
+    RAD_PER_ARCSEC,
+    RAD_PER_MAS,
+    SETTLING,
+    SHORT_RUN,
+    knowledge_error,
+    performance_error,
+)
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import KNOWN, Run
 from pointing_analysis.requirements import Requirement, Verdict
@@ -191,7 +198,8 @@ def summarise(
     Parameters
     ----------
     run : an opened bag
-    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 1 s
+    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 3 s,
+        from runs shorter than 8 s only 1 s (:func:`pointing_analysis.errors.default_transient`)
     wanted : requirements; by default those of the reference telescope
 
     Raises
@@ -211,6 +219,11 @@ def summarise(
         instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
         p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
     lost, problems, dropped = _integrity(run)
+    if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
+        problems.append(
+            f"a run shorter than {SHORT_RUN:g} s: only {series.start:g} s of start-up is left out, the observer may "
+            f"take {SETTLING:g} s to settle"
+        )
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),

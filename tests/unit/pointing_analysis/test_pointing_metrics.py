@@ -177,6 +177,31 @@ def test_transient_is_dropped_explicitly(tmp_path) -> None:
         performance_error(run, transient=-1.0)
 
 
+@pytest.mark.parametrize(("seconds", "dropped"), [(10, 3.0), (8, 3.0), (7, 1.0), (2, 1.0)])
+def test_default_transient_is_the_settling_of_the_observer_where_the_run_is_long_enough(
+    tmp_path, seconds, dropped
+) -> None:
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.ones((1000 * seconds, 2))}))
+    found = summarise(run)
+    assert found.transient == dropped
+    assert any("start-up" in p for p in found.problems) == (dropped < 3.0)
+    assert not any("start-up" in p for p in summarise(run, transient=0.5).problems)
+
+
+@pytest.mark.parametrize("hertz", [3.0, 14.0, 60.0])
+def test_the_quantile_in_the_table_never_hides_a_tone(tmp_path, hertz) -> None:
+    """A tone's 99.7 % quantile lies above its rms; with t at the centre of its window it would not."""
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": tone(hertz, 1e-6, 20_000)}))
+    found = summarise(run)
+    weight = weights.rpe_discrete(2 * np.pi * hertz, 20, DT)
+    e = performance_error(run).values
+    assert found.rpe_rms * MAS == pytest.approx(np.hypot(*metrics.rms(e)) * weight, rel=1e-2)
+    assert found.rpe_p997 > found.rpe_rms
+    centred = metrics.radial(metrics.rpe_instant(e, DT, 0.02, "centred"))
+    if hertz < 5:
+        assert np.quantile(centred, 0.997) < 0.4 * found.rpe_rms * MAS
+
+
 def test_spectrum_keeps_the_power_and_shows_the_tone() -> None:
     e = tone(50.0, 2.0, 40_000) + 0.1 * np.random.default_rng(0).standard_normal((40_000, 2))
     s = spectra.psd(e, DT, segment=2.0)

@@ -82,7 +82,8 @@ def show(console: Console, judgement: Judgement) -> None:
 
 
 def _table(summary: Summary, figures: Mapping[str, Any]) -> Table:
-    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s"
+    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
+    title += f"first {summary.transient:g} s (start-up) left out"
     table = Table(title=title)
     table.add_column("figure")
     table.add_column("value", justify="right")
