@@ -3,6 +3,7 @@
 Plants: COMPleib (F. Leibfritz 2004). Best known to us: table of H-infinity static output feedback in Q. Tran
 Dinh, S. Gumussoy,
 W. Michiels and M. Diehl, IEEE Trans. Autom. Control 57(6), 2012 (the best of HIFOO, PENBMI and their own method).
+Those numbers are quoted from memory, not checked against the printed page.
 `allowed` is what this tuner reaches with the starts given, rounded up: the test fails when a change makes it worse.
 """
 
