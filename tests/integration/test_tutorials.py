@@ -1,0 +1,114 @@
+"""The tutorial's code runs as it is printed, prints what is printed, and obeys the mechanics it tells of."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from pointing_analysis.read import Run
+
+PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+
+
+def sections() -> dict[str, str]:
+    """Text of each section by its number."""
+    parts = re.split(r"^## (\d)", PAGE.read_text("utf-8"), flags=re.MULTILINE)
+    return dict(zip(parts[1::2], parts[2::2]))
+
+
+def code(section: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def spacecraft() -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec("\n".join(code(sections()["1"])), names)
+    names["printed"] = printed.getvalue()
+    return names
+
+
+def test_it_takes_less_than_forty_lines() -> None:
+    building = code(sections()["1"])[:-1]
+    assert sum(bool(line.strip()) for block in building for line in block.splitlines()) < 40
+
+
+def test_the_output_is_the_one_on_the_page(spacecraft: dict[str, Any]) -> None:
+    shown = re.findall(r"```text\n(.*?)```", sections()["1"], flags=re.DOTALL)[0]
+    assert spacecraft["printed"] == shown
+
+
+def coupled(names: dict[str, Any], omega_1: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, damping, stiffness for hub motion (6), hinge angle, modes: kinematic elimination by hand."""
+    boom, hub = names["boom"], names["hub_mass"]
+    x, y, z = 0.2, 0.6, 0.1
+    to_root = np.eye(6)
+    to_root[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    root = np.column_stack([to_root, np.eye(6)[:, 5]])  # motion of the root by hub and hinge
+    L, n = boom.participation, boom.n_modes
+    rigid = root.T @ boom.mass_matrix @ root
+    rigid[:6, :6] += hub
+    M = np.block([[rigid, root.T @ L.T], [L @ root, np.eye(n)]])
+    w = np.array([omega_1, *boom.frequencies[1:]])
+    K = np.diag([*np.zeros(6), 3000.0, *w**2])
+    D = np.diag([*np.zeros(6), 2.0, *2.0 * boom.damping * w])
+    return M, D, K
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.2])
+def test_free_poles_are_those_of_the_coupled_equations(spacecraft: dict[str, Any], factor: float) -> None:
+    value = factor * spacecraft["w1"]
+    M, D, K = coupled(spacecraft, value)
+    n = len(M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-linalg.solve(M, K), -linalg.solve(M, D)]])
+    theirs = np.array([p for p in linalg.eigvals(A) if abs(p) > 1.0])
+    ours = linalg.eigvals(spacecraft["free"].data_at({"boom.omega_1": value}).A)
+    assert ours.size == theirs.size == 14
+    for pole in theirs:
+        assert np.abs(ours - pole).min() < 1e-9 * abs(pole)
+
+
+def test_slow_motion_sees_the_rigid_spacecraft(spacecraft: dict[str, Any]) -> None:
+    M, _, _ = coupled(spacecraft, spacecraft["w1"])
+    rigid = M[:6, :6]
+    about_cg = rigid[3:, 3:] - rigid[3:, :3] @ linalg.solve(rigid[:3, :3], rigid[:3, 3:])
+    np.testing.assert_allclose(spacecraft["inertia"], about_cg, rtol=1e-10, atol=1e-9)
+
+
+def test_a_constant_torque_leaves_its_angle_and_winds_no_hinge(spacecraft: dict[str, Any]) -> None:
+    rest = spacecraft["spacecraft"].nominal()(0).real
+    np.testing.assert_allclose(rest[:3, :3], np.diag(1.0 / (0.1**2 * np.diag(spacecraft["inertia"]))), atol=1e-10)
+    np.testing.assert_allclose(rest[3], [0, 0, 0, 1.0 / 3000.0], atol=1e-12)
+    np.testing.assert_allclose(rest[:3, 3], 0.0, atol=1e-10)
+
+
+def test_stable_for_every_boom_of_the_family(spacecraft: dict[str, Any]) -> None:
+    system = spacecraft["spacecraft"]
+    for w in np.linspace(0.8, 1.2, 9) * spacecraft["w1"]:
+        assert linalg.eigvals(system.data_at({"boom.omega_1": w}).A).real.max() < -0.05
+
+
+def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The slow observer takes most of a slow wandering out; without it the error is the wandering itself."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec("\n".join(code(sections()["2"]) + code(sections()["3"])), names)
+    loose = names["Wandering"]()
+    loose.reset()
+    config = names["RunConfig"](duration=20.0, loop="isolator", mode="inprocess")
+    names["run_in_process"](config, Path("open_bag"), plant=loose)
+    peaks = []
+    for folder in ("my_bag", "open_bag"):
+        truth = Run.open(tmp_path / folder)["truth/los"]
+        peaks.append(np.abs(truth.values).max())
+    assert peaks[1] == pytest.approx(2e-5, rel=1e-3)
+    assert peaks[0] < 0.35 * peaks[1]
