@@ -1,4 +1,4 @@
-"""Command line: ``los-testbed run``, ``analyse``, ``bag`` and ``plant``."""
+"""Command line: ``los-testbed run``, ``analyse``, ``bag``, ``plant`` and ``design``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from los_testbed.bag import check_new_bag
 from los_testbed.config import RunConfig, parse_value, read_yaml
 from los_testbed.cores import build_controller, build_estimator
+from los_testbed.design_command import design_app
 from los_testbed.inprocess import LoopDivergedError
 from los_testbed.plant_command import plant_app
 from los_testbed.plant_members import check_member, chosen_member, layered
@@ -168,6 +169,7 @@ def analyse(
 bag_app = typer.Typer(help="Look after recorded runs.", no_args_is_help=True, rich_markup_mode="markdown")
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
+app.add_typer(design_app, name="design")
 
 
 @bag_app.callback()

@@ -67,6 +67,7 @@ def flown_figures(
     loop: str,
     frame_ticks: int,
     noise: bool = True,
+    sensors: str | None = None,
 ) -> FlownFigures:
     """All figures of the flown loop at one parameter point.
 
@@ -82,6 +83,8 @@ def flown_figures(
         Ticks between camera frames.
     noise : bool
         Compute the noise figures too (a Lyapunov equation).
+    sensors : {None, "platform"}
+        Noise of all sensors, or of the platform's accelerometers only.
     """
     closed = flown_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
     omega = flown_grid(plant, closed.hold[:-2, :-2])
@@ -91,7 +94,7 @@ def flown_figures(
     relative = los * rpe_weight(omega, table["rpe_window"])
     mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
     force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
-    rms = _noise(_camera_every_tick(closed), parameters) if noise else (float("nan"), float("nan"))
+    rms = _noise(_camera_every_tick(closed), parameters, sensors) if noise else (float("nan"), float("nan"))
     return FlownFigures(
         float(los.max()) / table["ape_limit"],
         float(relative.max()) / table["rpe_limit"],
@@ -133,7 +136,7 @@ def _camera_every_tick(loop: FlownLoop) -> EveryTick:
 def flown_grid(plant: StateSpaceData, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
     """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
     closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
-    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=250, per_mode=5)
+    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, per_mode=3)
 
 
 def disturbance_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> ComplexArray:
@@ -179,14 +182,16 @@ def _eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return np.asarray(values, dtype=complex), np.asarray(vectors, dtype=complex)
 
 
-def _noise(loop: EveryTick, parameters: Parameters) -> tuple[float, float]:
+def _noise(loop: EveryTick, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
     """Line of sight by sensor noise [rad rms], plain and through the relative-error weight."""
-    sensors: Any = parameters["sensors"]
+    table: Any = parameters["sensors"]
     sigma = np.r_[
-        np.tile(sensors["accelerometer_noise"], 3),
-        np.full(2, sensors["camera_noise"]),
-        np.full(2, sensors["strain_gauge_noise"]),
+        np.tile(table["accelerometer_noise"], 3),
+        np.full(2, table["camera_noise"]),
+        np.full(2, table["strain_gauge_noise"]),
     ]
+    if sensors == "platform":
+        sigma[6:] = 0.0
     filtered = _with_relative_error(loop, parameters["weights"]["rpe_window"])
     drive = filtered.N * sigma
     P = linalg.solve_discrete_lyapunov(filtered.A, drive @ drive.T)

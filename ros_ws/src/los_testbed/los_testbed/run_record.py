@@ -24,7 +24,7 @@ def run_metadata(config: RunConfig) -> dict[str, str]:
         **config.to_strings(),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
-        "commit": _commit(),
+        "commit": commit(),
         "python": sys.version.split()[0],
     }
 
@@ -57,7 +57,7 @@ def _version() -> str:
         return "unknown"
 
 
-def _commit() -> str:
+def commit() -> str:
     """Commit of the source tree; a tree with changes is marked."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
     try:

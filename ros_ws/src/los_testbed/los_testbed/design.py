@@ -1,0 +1,214 @@
+"""Making the flown controllers: problems, tuner, files with their birth certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.skyhook import flown_controller
+from los_estimator.kalman import flown_observer
+from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_testbed.run_record import commit
+from robust_design import (
+    Model,
+    RobustResult,
+    TuningOptions,
+    TuningResult,
+    WorstCaseOptions,
+    tune,
+    tune_robust,
+)
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.parameters import Parameters, parameters_hash, uncertain_parameters
+from uncertain_systems import SampledSystem, UncertainSystem, state_space
+
+FLOWN_DELAY = 1.5e-3
+CAMERA_PERIOD = 0.02
+ROOMS = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
+VARIANTS = ("flown", "flown_nominal", "paper", "paper_nominal")
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """What to design and how long to try.
+
+    Parameters
+    ----------
+    nominal : bool
+        On the nominal model alone instead of the whole box of parameters.
+    loop_delay : float
+        0: the paper's continuous problem; else as flown, with sensor noise and a held camera [s].
+    starts : int
+        Random starts.
+    seed : int
+    wall_limit : float
+        Seconds.
+    workers : int
+        Processes for the starts.
+    progress : bool
+    """
+
+    nominal: bool = False
+    loop_delay: float = FLOWN_DELAY
+    starts: int = 0
+    seed: int = 0
+    wall_limit: float = 300.0
+    workers: int = 1
+    progress: bool = False
+
+    @property
+    def as_flown(self) -> bool:
+        """With delay, held camera and noise requirements."""
+        return self.loop_delay > 0.0
+
+    @property
+    def variant(self) -> str:
+        """Name of the stored design."""
+        return ("flown" if self.as_flown else "paper") + ("_nominal" if self.nominal else "")
+
+
+def design_file(kind: str, variant: str = "flown") -> Path:
+    """Where a design is stored.
+
+    Raises
+    ------
+    ValueError
+        Unknown kind or variant.
+    """
+    if kind not in ROOMS or variant not in VARIANTS:
+        raise ValueError(
+            f"expected one of {', '.join(ROOMS)} and one of {', '.join(VARIANTS)}, got {kind!r} and {variant!r}"
+        )
+    stem = kind.replace("-", "_") + ("" if variant == "flown" else f"_{variant}")
+    return Path(str(import_module(ROOMS[kind]).__file__)).parent / "designs" / f"{stem}.json"
+
+
+def continuous(system: SampledSystem) -> UncertainSystem:
+    """The continuous controller that a stored design was sampled from, without washout.
+
+    Raises
+    ------
+    ValueError
+        The file does not hold it.
+    """
+    matrices = system.provenance.get("continuous")
+    if not isinstance(matrices, Mapping):
+        raise ValueError(f"{system.name}: the file holds no continuous controller, only the sampled one")
+    return state_space(matrices["A"], matrices["B"], matrices["C"], matrices["D"], system.inputs, system.outputs)
+
+
+def box_of(parameters: Parameters) -> dict[str, tuple[float, float]]:
+    """Ranges of the telescope's uncertain parameters."""
+    return {name: (p.lower, p.upper) for name, p in uncertain_parameters(parameters).items()}
+
+
+def design_observer(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> SampledSystem:
+    """Tune K_FSM, started from the Kalman observer."""
+    plant = observer_plant(telescope, parameters, camera_period=CAMERA_PERIOD if options.as_flown else 0.0)
+    start = kalman_start(plant, telescope, parameters, lead=options.loop_delay)
+    requirements = observer_requirements(parameters, as_flown=options.as_flown)
+    result = _run(plant, requirements, observer_structure(plant), [start], parameters, options)
+    found = result.controller
+    system = state_space(found.A, found.B, found.C, found.D, _ports("k-fsm")[0], _ports("k-fsm")[1])
+    return flown_observer(
+        system,
+        parameters["sensors"]["washout"],
+        name=f"K_FSM, {options.variant}",
+        provenance=_certificate("k-fsm", result, parameters, options),
+    )
+
+
+def design_actuators(
+    telescope: Telescope, parameters: Parameters, observer: SampledSystem, options: DesignOptions
+) -> SampledSystem:
+    """Tune K_PMA on top of an observer, from random starts."""
+    plant = actuator_plant(
+        telescope,
+        parameters,
+        continuous(observer),
+        loop_delay=options.loop_delay,
+        camera_period=CAMERA_PERIOD if options.as_flown else 0.0,
+    )
+    requirements = actuator_requirements(parameters, as_flown=options.as_flown)
+    structure = actuator_structure(plant)
+    rng = np.random.default_rng(options.seed)
+    starts = [1e-3 * structure.start(rng)]
+    result = _run(plant, requirements, structure, starts, parameters, options)
+    found = result.controller
+    system = state_space(found.A, found.B, found.C, found.D, _ports("k-pma")[0], _ports("k-pma")[1])
+    return flown_controller(
+        system,
+        parameters["sensors"]["washout"],
+        name=f"K_PMA, {options.variant}",
+        provenance=_certificate("k-pma", result, parameters, options),
+    )
+
+
+def _ports(kind: str) -> tuple[Any, Any]:
+    runtime = import_module(f"{ROOMS[kind]}.runtime")
+    return runtime.INPUTS, runtime.OUTPUTS
+
+
+def _run(
+    plant: Any, requirements: Any, structure: Any, starts: Sequence[Any], parameters: Parameters, options: DesignOptions
+) -> RobustResult | TuningResult:
+    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
+    tuning = TuningOptions(
+        starts=options.starts,
+        seed=options.seed,
+        wall_limit=options.wall_limit,
+        workers=options.workers,
+        iterations=100,
+        tolerance=1e-3,
+        progress=options.progress,
+    )
+    if options.nominal:
+        models: list[Model] = [plant(nominal)]
+        return tune(models, requirements, structure, initial=starts, loop_delay=options.loop_delay, options=tuning)
+    search = WorstCaseOptions(samples=40, climbs=1, iterations=8, seed=options.seed, wall_limit=90.0)
+    return tune_robust(
+        plant,
+        box_of(parameters),
+        requirements,
+        structure,
+        nominal=nominal,
+        initial=starts,
+        loop_delay=options.loop_delay,
+        options=tuning,
+        search=search,
+    )
+
+
+def _certificate(
+    kind: str, result: RobustResult | TuningResult, parameters: Parameters, options: DesignOptions
+) -> dict[str, Any]:
+    """Birth certificate of a design."""
+    tuning = result.tuning if isinstance(result, RobustResult) else result
+    found = tuning.controller
+    flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
+    content: dict[str, Any] = {
+        "command": f"los-testbed design {kind}{flags}",
+        "commit": commit(),
+        "parameters_hash": parameters_hash(parameters),
+        "seed": options.seed,
+        "loop_delay": options.loop_delay,
+        "status": result.status,
+        "seconds": round(tuning.seconds, 1),
+        "tuned_values": {
+            name: float(f"{value:.6g}") for name, value in zip(tuning.requirement_names, tuning.values.max(axis=1))
+        },
+        "continuous": {key: getattr(found, key).tolist() for key in "ABCD"},
+    }
+    if isinstance(result, RobustResult):
+        content["active_models"] = [dict(values) for values in result.active]
+        content["worst_cases"] = [
+            {"requirement": w.requirement, "value": w.value, "omega": w.omega, "parameters": dict(w.parameters)}
+            for w in result.worst
+        ]
+    return content

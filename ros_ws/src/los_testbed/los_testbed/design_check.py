@@ -1,0 +1,172 @@
+"""Checking the stored designs by a route of their own: gammas of the paper's problem and of the loop as flown."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.problem import MEASUREMENTS as PMA_MEASUREMENTS
+from fsm_pma_controller.problem import actuator_plant, actuator_requirements
+from los_estimator.problem import MEASUREMENTS as FSM_MEASUREMENTS
+from los_estimator.problem import observer_plant, observer_requirements
+from los_testbed.design import box_of, continuous, design_file
+from los_testbed.flown_norms import FlownFigures, flown_figures
+from robust_design import Model, certify
+from titop_plant.simulation import DISTURBANCES, MEASURED
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.parameters import Parameters
+from uncertain_systems import SampledSystem, UncertainSystem
+
+ARCSEC = np.pi / 648000.0
+FRAME_TICKS = 20
+Values = Mapping[str, float]
+FloatArray = NDArray[np.float64]
+PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
+PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
+
+
+def flown_plant(telescope: Telescope, parameters: Parameters) -> UncertainSystem:
+    """Commands (8) and disturbances (22) to measurements (22) and controlled line of sight (2)."""
+    return with_camera(telescope.system, parameters).select(
+        inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+    )
+
+
+def corners(parameters: Parameters) -> list[dict[str, float]]:
+    """All corners of the box of parameters (2^7)."""
+    box = box_of(parameters)
+    return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]
+
+
+def points(parameters: Parameters, system: UncertainSystem, samples: int, seed: int = 0) -> list[dict[str, float]]:
+    """Nominal, all corners, and random points."""
+    return [{}, *corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
+
+
+@dataclass(frozen=True)
+class FlownCheck:
+    """Worst figures over parameter points of a pair of flown designs.
+
+    Parameters
+    ----------
+    fsm, pma : list of float
+        Gammas in the paper's order: APE, RPE (100 mas), mirror; APE, RPE (40 mas), noise to APE, force.
+    noise_ape, noise_rpe : float
+        Of the final loop at the nominal point [rad rms].
+    worst : dict
+        Parameter point of the largest APE and RPE of each stage.
+    stable, count : int
+        Points at which both stages are stable, and all points.
+    """
+
+    fsm: list[float]
+    pma: list[float]
+    noise_ape: float
+    noise_rpe: float
+    worst: dict[str, Values]
+    stable: int
+    count: int
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Figures for the JSON line."""
+        return {
+            "fsm": [_short(v) for v in self.fsm],
+            "pma": [_short(v) for v in self.pma],
+            "noise_ape_arcsec_rms": _short(self.noise_ape / ARCSEC),
+            "noise_rpe_mas_rms": _short(1e3 * self.noise_rpe / ARCSEC),
+            "stable_samples": self.stable,
+            "samples": self.count,
+        }
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")
+
+
+def check_flown(
+    system: UncertainSystem,
+    parameters: Parameters,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    at: Iterable[Values],
+    tick: Callable[[], None] = lambda: None,
+) -> FlownCheck:
+    """Evaluate a pair of flown designs at the given parameter points."""
+    fsm: FloatArray = np.zeros(3)
+    pma: FloatArray = np.zeros(4)
+    worst: dict[str, Values] = {}
+    stable = count = 0
+    for values in at:
+        plant = system.data_at(values)
+        stages: dict[str, FlownFigures] = {
+            loop: flown_figures(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=FRAME_TICKS, noise=False)
+            for loop in ("fsm", "fsm+pma")
+        }
+        one, two = stages["fsm"], stages["fsm+pma"]
+        count += 1
+        stable += int(one.radius < 1.0 and two.radius < 1.0)
+        for name, new, old in (
+            ("fsm APE", one.ape, fsm[0]),
+            ("fsm RPE", one.rpe, fsm[1]),
+            ("pma APE", two.ape, pma[0]),
+            ("pma RPE", two.rpe_fine, pma[1]),
+        ):
+            if new > old:
+                worst[name] = dict(values)
+        fsm = np.maximum(fsm, [one.ape, one.rpe, one.mirror])
+        pma = np.maximum(pma, [two.ape, two.rpe_fine, 0.0, two.force])
+        tick()
+    nominal = system.data_at({})
+    final, base = (
+        flown_figures(nominal, k_fsm, k_pma, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS, sensors=sensors)
+        for sensors in (None, "platform")
+    )
+    pma[2] = base.noise_ape / parameters["weights"]["ape_limit"]
+    return FlownCheck(fsm.tolist(), pma.tolist(), final.noise_ape, final.noise_rpe, worst, stable, count)
+
+
+def check_paper(
+    telescope: Telescope, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, at: list[Values]
+) -> dict[str, list[float]]:
+    """Worst certified gammas of the continuous designs over the points, in the paper's order."""
+    observer, actuators = continuous(k_fsm), continuous(k_pma)
+    first = observer_plant(telescope, parameters)
+    second = actuator_plant(telescope, parameters, observer)
+    return {
+        "fsm": _certified(first, observer, FSM_MEASUREMENTS, observer_requirements(parameters, as_flown=False), at),
+        "pma": _certified(second, actuators, PMA_MEASUREMENTS, actuator_requirements(parameters, as_flown=False), at),
+    }
+
+
+def _certified(
+    plant: Any, controller: UncertainSystem, measured: tuple[str, ...], wanted: Any, at: list[Values]
+) -> list[float]:
+    data = controller.data_at({})
+    ports = tuple(plant.system.output_port(name) for name in measured)
+    K = Model(data.A, data.B, data.C, data.D, ports, data.outputs, "K")
+    found = certify([plant(values) for values in at], K, wanted, 0.0)
+    return [_short(float(v)) for v in np.max(found.values, axis=1)]
+
+
+def load(variant: str) -> tuple[SampledSystem, SampledSystem]:
+    """Stored K_FSM and K_PMA of a variant.
+
+    Raises
+    ------
+    ValueError
+        A file is missing; the message says which command makes it.
+    """
+    result = []
+    for kind in ("k-fsm", "k-pma"):
+        path = design_file(kind, variant)
+        if not path.exists():
+            flags = ("" if "flown" in variant else " --loop-delay 0") + (" --nominal" if "nominal" in variant else "")
+            raise ValueError(f"there is no {path.name}: make it with `los-testbed design {kind}{flags}`")
+        result.append(SampledSystem.from_file(path))
+    return result[0], result[1]

@@ -1,0 +1,221 @@
+"""Command group ``los-testbed design``: make, compare, draw and check the flown controllers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from los_testbed.design import DesignOptions
+    from uncertain_systems import SampledSystem
+
+MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
+
+**Examples**
+
+    los-testbed design {kind}                          # as flown, over the whole box of parameters
+
+    los-testbed design {kind} --loop-delay 0           # the paper's continuous problem
+
+    los-testbed design {kind} --nominal                # on the nominal model alone
+
+    los-testbed design {kind} --output mine.json --time-limit 60
+"""
+
+design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
+
+Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
+Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
+Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
+Seed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
+Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
+Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
+Json = Annotated[bool, typer.Option("--json", help="The output is one JSON object.")]
+
+
+@design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
+def k_fsm(
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 300.0, seed: Seed = 0,
+    starts: Starts = 0, output: Output = None, json_: Json = False,
+) -> None:  # fmt: skip
+    """See MAKE_EXAMPLES."""
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+
+
+@design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
+def k_pma(
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 300.0, seed: Seed = 0,
+    starts: Starts = 0, output: Output = None, json_: Json = False,
+) -> None:  # fmt: skip
+    """See MAKE_EXAMPLES."""
+    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+
+
+def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
+    from los_testbed.design import DesignOptions
+
+    for name, value, least in (("loop-delay", loop_delay, 0.0), ("seed", seed, 0), ("starts", starts, 0)):
+        if not value >= least:
+            raise ValueError(f"--{name} must not be negative, got {value}")
+    if not time_limit > 0.0:
+        raise ValueError(f"--time-limit must be positive, got {time_limit} s")
+    return DesignOptions(
+        nominal=nominal,
+        loop_delay=loop_delay,
+        wall_limit=time_limit,
+        seed=seed,
+        starts=starts,
+        progress=sys.stderr.isatty(),
+    )
+
+
+def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -> None:
+    from los_testbed.cores import one_thread
+    from los_testbed.design import design_actuators, design_file, design_observer
+    from titop_plant.simulation import telescope
+    from titop_plant.telescope.parameters import load_parameters
+    from uncertain_systems import SampledSystem
+
+    parameters, assembled = load_parameters(), telescope()
+    with one_thread():
+        if kind == "k-fsm":
+            system = design_observer(assembled, parameters, options)
+        else:
+            observer = SampledSystem.from_file(design_file("k-fsm", options.variant))
+            system = design_actuators(assembled, parameters, observer, options)
+    path = output or design_file(kind, options.variant)
+    system.to_file(path)
+    _show_design(system, path, json_)
+
+
+def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
+    provenance = system.provenance
+    if json_:
+        wanted = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
+        sys.stdout.write(json.dumps({"file": str(path), **wanted}) + "\n")
+        return
+    table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
+    for column in ("requirement", "tuned", "worst found", "at [rad/s]"):
+        table.add_column(column, justify="left" if column == "requirement" else "right")
+    worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
+    for name, value in provenance["tuned_values"].items():
+        found = worst.get(name)
+        row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
+        table.add_row(name, f"{value:.4f}", *row)
+    console = Console()
+    console.print(table)
+    console.print(f"written to {path}", soft_wrap=True)
+
+
+@design_app.command()
+def table(json_: Json = False) -> None:
+    """The gammas of the stored designs beside the paper's, with the worst-case parameters."""
+    from los_testbed.design import ROOMS, VARIANTS, design_file
+    from los_testbed.design_check import PAPER_NOMINAL, PAPER_ROBUST
+    from uncertain_systems import SampledSystem
+
+    rows: list[dict[str, Any]] = []
+    for kind in ROOMS:
+        short = "fsm" if kind == "k-fsm" else "pma"
+        for variant in VARIANTS:
+            path = design_file(kind, variant)
+            if not path.exists():
+                continue
+            provenance = SampledSystem.from_file(path).provenance
+            worst = {w["requirement"]: w["value"] for w in provenance.get("worst_cases", [])}
+            values = {**provenance.get("tuned_values", {}), **worst}
+            rows.append({"design": kind, "variant": variant, "gammas": values, "status": provenance.get("status", "")})
+        rows.append({"design": kind, "variant": "published, robust", "gammas": PAPER_ROBUST[short]})
+        rows.append({"design": kind, "variant": "published, nominal", "gammas": PAPER_NOMINAL[short]})
+    if json_:
+        sys.stdout.write(json.dumps(rows) + "\n")
+        return
+    shown = Table(title="Gammas (1 is the limit)")
+    for column in ("design", "problem", "gammas", "status"):
+        shown.add_column(column)
+    for row in rows:
+        gammas = row["gammas"]
+        text = (
+            ", ".join(f"{name} {value:.4f}" for name, value in gammas.items())
+            if isinstance(gammas, dict)
+            else ", ".join(f"{value:.4f}" for value in gammas)
+        )
+        shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
+    Console().print(shown)
+
+
+@design_app.command()
+def verify(
+    samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    json_: Json = False,
+) -> None:
+    """Recompute all figures of the stored designs: certified norms, and the sampled loop as it flies."""
+    if samples < 0:
+        raise ValueError(f"--samples must not be negative, got {samples}")
+    from los_testbed.cores import one_thread
+
+    with one_thread():
+        result = _verified(samples)
+    if json_:
+        sys.stdout.write(json.dumps(result) + "\n")
+        return
+    for name, content in result.items():
+        Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
+
+
+def _verified(samples: int) -> dict[str, Any]:
+    from los_testbed.design_check import check_flown, check_paper, corners, flown_plant, load, points
+    from titop_plant.simulation import telescope
+    from titop_plant.telescope.parameters import load_parameters
+
+    parameters, assembled = load_parameters(), telescope()
+    system = flown_plant(assembled, parameters)
+    at = points(parameters, system, samples)
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    with bar:
+        task = bar.add_task("as flown", total=2 * len(at) + 1)
+
+        def tick() -> None:
+            bar.advance(task)
+
+        flown = check_flown(system, parameters, *load("flown"), at, tick)
+        nominal = load("flown_nominal")
+        alone = check_flown(system, parameters, *nominal, [{}], tick)
+        spread = check_flown(system, parameters, *nominal, at, tick)
+    paper_points: list[Any] = [{}, *corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
+    robust = load("paper")
+    for design in robust:
+        paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
+    return {
+        "paper": check_paper(assembled, parameters, *robust, paper_points),
+        "as_flown": flown.to_mapping(),
+        "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
+        "worst_parameters": {name: dict(values) for name, values in flown.worst.items()},
+    }
+
+
+def _rng() -> Any:
+    import numpy as np
+
+    return np.random.default_rng(1)
+
+
+@design_app.command()
+def figures(
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    samples: Annotated[int, typer.Option(help="Random parameter points in the clouds.")] = 12,
+) -> None:
+    """Draw the four stages over sampled parameters with their templates, and the controllers."""
+    from los_testbed.cores import one_thread
+    from los_testbed.design_figures import draw
+
+    with one_thread():
+        for path in draw(output, samples):
+            sys.stdout.write(f"{path}\n")
