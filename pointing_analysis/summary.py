@@ -224,6 +224,10 @@ def summarise(
             f"a run shorter than {SHORT_RUN:g} s: only {series.start:g} s of start-up is left out, the observer may "
             f"take {SETTLING:g} s to settle"
         )
+    if run.parameters.get("mode") == "replay":
+        problems.append(
+            "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
+        )
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),

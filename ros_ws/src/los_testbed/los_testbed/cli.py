@@ -1,4 +1,4 @@
-"""Command line: ``los-testbed run``, ``analyse``, ``bag``, ``plant`` and ``design``."""
+"""Command line: ``los-testbed run``, ``analyse``, ``report``, ``replay``, ``bag``, ``plant`` and ``design``."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from los_testbed.design_command import design_app
 from los_testbed.inprocess import LoopDivergedError
 from los_testbed.plant_command import plant_app
 from los_testbed.plant_members import check_member, chosen_member, layered
+from los_testbed.replay_command import REPLAY_EXAMPLES, replay
+from los_testbed.report_command import REPORT_EXAMPLES, report
 from los_testbed.runner import Results
 
 RESTARTED = 3
@@ -167,6 +169,8 @@ def analyse(
 
 
 bag_app = typer.Typer(help="Look after recorded runs.", no_args_is_help=True, rich_markup_mode="markdown")
+app.command(name="report", help=REPORT_EXAMPLES)(report)
+app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pointing_analysis.read import Run
-from pointing_analysis.report import write_report
+from pointing_analysis.report import digits, write_report
 from pointing_analysis.requirements import Verdict
 from pointing_analysis.summary import Summary, summarise
 
@@ -117,4 +117,4 @@ def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | No
         status = str(verdict.status) if judged else "below" if value < bound else "above"
         if status in ("not compliant", "above"):
             status = f"[red]{status}[/red]"
-    table.add_row(name, f"{value:.3g} {unit}", limit, status)
+    table.add_row(name, f"{digits(value)} {unit}", limit, status)

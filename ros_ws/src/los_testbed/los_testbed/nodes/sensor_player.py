@@ -1,0 +1,211 @@
+"""In the place of the plant: publishes the sensors of a bag at their own times and keeps what the nodes answer.
+
+The stamps are those of the bag, so the answers carry them too and can be compared with the recorded ones tick by tick.
+Nothing that is commanded changes what is sent.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.codecs import Codec, CodecError, codec_for, stamp_of
+from los_testbed.join import HOLD_STAMP
+from los_testbed.nodes.handshake import HOLD_PERIOD_S, refuse_second_plant
+from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.shell import Shell
+from los_testbed.runner import domain_lock
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TICK_NS, TRUTH_LOS, Topic
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.read import Run
+from pointing_analysis.replay import Replayed
+
+ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
+ANSWER_DEPTH = 1000
+DISCOVERY_S = 1.5
+"""A node that runs is discovered within this time; a topic without a writer then has none to wait for."""
+LAST_ANSWERS_S = 0.5
+SPIN_NS = 60_000
+
+Signal = tuple[NDArray[np.int64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Played:
+    """What was sent and what came back.
+
+    Parameters
+    ----------
+    sent : tuple of str
+        Topics that were published.
+    ticks, late : int
+        Ticks sent; those of them a tick or more behind their time.
+    answers : dict of str to (stamps, values)
+        Estimates and commands of the nodes.
+    warnings : tuple of str
+    """
+
+    sent: tuple[str, ...]
+    ticks: int
+    late: int
+    answers: dict[str, Signal]
+    warnings: tuple[str, ...]
+
+    def replayed(self) -> Replayed:
+        """The answers in the form of a replay; commands on the ticks that have both of them."""
+        nothing = np.empty(0, np.int64), np.empty((0, 2))
+        stamp, estimate = self.answers.get(LOS_ESTIMATE.name, nothing)
+        fsm = self.answers.get(FSM_COMMAND.name, nothing)
+        pma = self.answers.get(PMA_COMMAND.name, (np.empty(0, np.int64), np.empty((0, 6))))
+        both, i, j = np.intersect1d(fsm[0], pma[0], assume_unique=True, return_indices=True)
+        return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]))
+
+
+def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], None]) -> Played:
+    """Drive the nodes of a domain with the sensors of a bag.
+
+    Parameters
+    ----------
+    run : Run
+        With the sensor topics; the truth is sent too where the bag has it.
+    domain : int
+        ROS domain; -1 for that of the environment.
+    timeout : float
+        Wait for listeners at most this long [s].
+    progress : callable
+        Called with ticks done and all ticks.
+
+    Raises
+    ------
+    ValueError
+        No sensors in the bag, a plant on this domain, nobody who listens.
+    """
+    missing = [topic.name for topic in SENSORS if topic.name not in run]
+    if missing:
+        raise BagError(f"{run.path}: to drive nodes the bag needs {', '.join(missing)}; it has {', '.join(run.topics)}")
+    if domain >= 0:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+    os.environ.setdefault("ROS_LOG_DIR", "/tmp")
+    with domain_lock(os.environ.get("ROS_DOMAIN_ID", "0")):
+        shell = Shell("replay", [])
+        try:
+            refuse_second_plant(shell)
+            return _Player(shell, run).play(timeout, progress)
+        finally:
+            shell.close()
+
+
+class _Player:
+    """Publishers of the sensors, subscriptions of the answers."""
+
+    def __init__(self, shell: Shell, run: Run) -> None:
+        topics = [topic for topic in (*SENSORS, TRUTH_LOS) if topic.name in run]
+        self.shell = shell
+        self.sent = tuple(topic.name for topic in topics)
+        self.stamps: NDArray[np.int64] = np.unique(np.concatenate([run[t.name].stamp for t in topics]))
+        self._outputs = [self._output(topic, run) for topic in topics]
+        node = shell.node
+        self._inputs = {t: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
+        self._taken: dict[Topic, list[bytes]] = {topic: [] for topic in ANSWERS}
+
+    def _output(self, topic: Topic, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], NDArray[np.float64]]:
+        """Publisher, codec, row of the topic on each tick (-1: nothing is due), values."""
+        rows = np.full(len(self.stamps), -1)
+        rows[np.searchsorted(self.stamps, run[topic.name].stamp)] = np.arange(len(run[topic.name]))
+        values = np.ascontiguousarray(run[topic.name].values[:, : topic.size])
+        return RawPublisher(self.shell.node, topic.name, topic.type_name), codec_for(topic), rows, values
+
+    def play(self, timeout: float, progress: Callable[[int, int], None]) -> Played:
+        warnings = self._handshake(timeout)
+        late, total, first = 0, len(self.stamps), int(self.stamps[0])
+        began = time.monotonic_ns() + 20_000_000
+        done = 0
+        for k, stamp in enumerate(self.stamps.tolist()):
+            if self.shell.stop:
+                raise KeyboardInterrupt
+            behind = _wait(began + stamp - first)
+            if behind >= TICK_NS:  # never caught up by hurrying: the nodes would see another sampling rate
+                began += behind
+                late += 1
+            for publisher, codec, rows, values in self._outputs:
+                if rows[k] >= 0:
+                    publisher.publish(codec.encode(stamp, values[rows[k]]))
+            self._drain()
+            done += 1
+            if k % 200 == 0:
+                progress(k, total)
+        end = time.monotonic() + LAST_ANSWERS_S
+        while time.monotonic() < end:
+            self._drain()
+            time.sleep(0.01)
+        progress(total, total)
+        return Played(self.sent, done, late, self._answers(), warnings)
+
+    def _handshake(self, timeout: float) -> tuple[str, ...]:
+        """Send hold ticks (stamp zero) until every answering node has answered; they reset the nodes."""
+        node, began = self.shell.node, time.monotonic()
+        pending = set(ANSWERS)
+        while not self.shell.stop:
+            for publisher, codec, _, values in self._outputs:
+                publisher.publish(codec.encode(HOLD_STAMP, np.zeros(values.shape[1])))
+            time.sleep(HOLD_PERIOD_S)
+            for topic, subscription in self._inputs.items():
+                while (taken := subscription.take()) is not None:
+                    if len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
+                        pending.discard(topic)
+            waited = time.monotonic() - began
+            expected = {t for t in pending if node.count_publishers(node.resolve_topic_name(t.name))}
+            if not pending or (waited > DISCOVERY_S and len(pending) < len(ANSWERS) and not expected):
+                break
+            if waited > timeout:
+                return self._gave_up(timeout)
+        time.sleep(HOLD_PERIOD_S)
+        for subscription in self._inputs.values():
+            while subscription.take() is not None:
+                pass
+        return ()
+
+    def _gave_up(self, timeout: float) -> tuple[str, ...]:
+        """Go on without an answer if somebody listens at all."""
+        node = self.shell.node
+        if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
+            raise BagError(f"expected a node that listens to {NAMESPACE}/... within {timeout:g} s; there is none")
+        return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
+
+    def _drain(self) -> None:
+        for topic, subscription in self._inputs.items():
+            while (taken := subscription.take()) is not None:
+                self._taken[topic].append(bytes(taken[0]))
+
+    def _answers(self) -> dict[str, Signal]:
+        """Answers by topic, sorted by stamp; hold ticks and unreadable messages are left out."""
+        found = {}
+        for topic, messages in self._taken.items():
+            codec, out = codec_for(topic), np.zeros(topic.size)
+            rows: dict[int, NDArray[np.float64]] = {}
+            for data in messages:
+                try:
+                    stamp = codec.decode(data, out)
+                except CodecError:
+                    continue
+                if stamp != HOLD_STAMP:
+                    rows[stamp] = out.copy()
+            if rows:
+                stamps = np.array(sorted(rows), np.int64)
+                found[topic.name] = stamps, np.array([rows[s] for s in stamps.tolist()])
+        return found
+
+
+def _wait(deadline: int) -> int:
+    """Return at the deadline (steady clock [ns]), with the lateness."""
+    rest = deadline - time.monotonic_ns() - SPIN_NS
+    if rest > 0:
+        time.sleep(rest * 1e-9)
+    while (now := time.monotonic_ns()) < deadline:
+        pass
+    return now - deadline
