@@ -18,7 +18,7 @@ from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
-from uncertain_systems import StateSpaceData
+from uncertain_systems import StateSpaceData, UncertainSystem
 
 DT = 1e-3
 RAMP_STEP = 0.25
@@ -149,8 +149,7 @@ def build_plant(config: PlantConfig) -> SampledPlant:
         A value out of its range; the message names the parameter.
     """
     parameters = load_parameters(config.parameters or REFERENCE)
-    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
-    plant = whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
+    plant = _plant(config, parameters)
     times = [0.0]
     if config.ramps:
         times = [RAMP_STEP * i for i in range(math.ceil(config.ramp_duration / RAMP_STEP) + 1)]
@@ -169,6 +168,28 @@ def build_plant(config: PlantConfig) -> SampledPlant:
         tones=np.unique(tones.frequency),
         parameters_hash=_hash(config, parameters),
     )
+
+
+def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
+    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
+    return whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
+
+
+def plant_and_tones(config: PlantConfig) -> tuple[StateSpaceData, Tones]:
+    """The continuous plant at the start of a run, and the disturbance that acts on it.
+
+    What the run samples, for comparisons with its record.
+
+    Returns
+    -------
+    plant : StateSpaceData
+        Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
+    tones : Tones
+        On the 22 disturbance inputs.
+    """
+    parameters = load_parameters(config.parameters or REFERENCE)
+    values = parameter_values(config, parameters)
+    return _plant(config, parameters).data_at(values), _tones(config, parameters, values)
 
 
 def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
@@ -240,4 +261,13 @@ def _hash(config: PlantConfig, parameters: Parameters) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-__all__ = ["DT", "MEASURED", "MEASUREMENTS", "PlantConfig", "build_plant", "frame_ticks", "parameter_values"]
+__all__ = [
+    "DT",
+    "MEASURED",
+    "MEASUREMENTS",
+    "PlantConfig",
+    "build_plant",
+    "frame_ticks",
+    "parameter_values",
+    "plant_and_tones",
+]

@@ -110,8 +110,8 @@ class _Player:
         self.stamps: NDArray[np.int64] = np.unique(np.concatenate([run[t.name].stamp for t in topics]))
         self._outputs = [self._output(topic, run) for topic in topics]
         node = shell.node
-        self._inputs = {t: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
-        self._taken: dict[Topic, list[bytes]] = {topic: [] for topic in ANSWERS}
+        self._inputs = {t.name: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
+        self._taken: dict[str, list[bytes]] = {topic.name: [] for topic in ANSWERS}
 
     def _output(self, topic: Topic, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], NDArray[np.float64]]:
         """Publisher, codec, row of the topic on each tick (-1: nothing is due), values."""
@@ -149,17 +149,17 @@ class _Player:
     def _handshake(self, timeout: float) -> tuple[str, ...]:
         """Send hold ticks (stamp zero) until every answering node has answered; they reset the nodes."""
         node, began = self.shell.node, time.monotonic()
-        pending = set(ANSWERS)
+        pending = {topic.name for topic in ANSWERS}
         while not self.shell.stop:
             for publisher, codec, _, values in self._outputs:
                 publisher.publish(codec.encode(HOLD_STAMP, np.zeros(values.shape[1])))
             time.sleep(HOLD_PERIOD_S)
-            for topic, subscription in self._inputs.items():
+            for name, subscription in self._inputs.items():
                 while (taken := subscription.take()) is not None:
                     if len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
-                        pending.discard(topic)
+                        pending.discard(name)
             waited = time.monotonic() - began
-            expected = {t for t in pending if node.count_publishers(node.resolve_topic_name(t.name))}
+            expected = {name for name in pending if node.count_publishers(node.resolve_topic_name(name))}
             if not pending or (waited > DISCOVERY_S and len(pending) < len(ANSWERS) and not expected):
                 break
             if waited > timeout:
@@ -178,17 +178,17 @@ class _Player:
         return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
 
     def _drain(self) -> None:
-        for topic, subscription in self._inputs.items():
+        for name, subscription in self._inputs.items():
             while (taken := subscription.take()) is not None:
-                self._taken[topic].append(bytes(taken[0]))
+                self._taken[name].append(bytes(taken[0]))
 
     def _answers(self) -> dict[str, Signal]:
         """Answers by topic, sorted by stamp; hold ticks and unreadable messages are left out."""
         found = {}
-        for topic, messages in self._taken.items():
+        for topic in ANSWERS:
             codec, out = codec_for(topic), np.zeros(topic.size)
             rows: dict[int, NDArray[np.float64]] = {}
-            for data in messages:
+            for data in self._taken[topic.name]:
                 try:
                     stamp = codec.decode(data, out)
                 except CodecError:

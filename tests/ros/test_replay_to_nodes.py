@@ -1,0 +1,112 @@
+"""Replay of bags of real runs: bit by bit, in this process and through live nodes that the bag drives."""
+
+import contextlib
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from los_testbed.nodes import follower
+from los_testbed.runner import Runner, environment, node_command, parameter_file
+from ros_runs import PLANT, config_for
+
+from pointing_analysis import replay
+from pointing_analysis.read import Run
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module", params=["realtime", "lockstep"])
+def recorded(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param)
+    config = config_for(folder, mode=request.param, duration=2.0, seed=5, camera_dropout=0.2)
+    results = Runner(config, commands={"plant": PLANT}).run()
+    return config, results.bag
+
+
+def call(config, folder, *arguments):
+    """The command line as a user starts it: exit code, last line as JSON, error output."""
+    variables = environment(config, folder)
+    variables.pop("LOS_TESTBED_EVENTS")
+    command = [sys.executable, "-m", "los_testbed.cli", "replay", *map(str, arguments)]
+    done = subprocess.run(command, env=variables, cwd=folder, capture_output=True, text=True, timeout=90)
+    lines = done.stdout.strip().splitlines()
+    return done.returncode, json.loads(lines[-1]) if lines else {}, done.stderr
+
+
+@contextlib.contextmanager
+def nodes(config, folder, *names):
+    """Live nodes under test, ended at the end."""
+    parameter_file(config, folder / "nodes.yaml")
+    variables = environment(config, folder)
+    started = [
+        subprocess.Popen(
+            [*node_command(name), "--ros-args", "--params-file", str(folder / "nodes.yaml")],
+            env=variables,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for name in names
+    ]
+    try:
+        yield
+    finally:
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.wait(20)
+
+
+def test_the_replay_leaves_gaps_as_the_nodes_do():
+    assert replay.GAP_LIMIT == follower.GAP_LIMIT
+
+
+def test_a_recorded_run_comes_out_again_bit_by_bit(recorded, tmp_path):
+    config, bag = recorded
+    code, found, errors = call(config, tmp_path, bag, "--json")
+    assert code == 0, errors
+    assert found["as_flown"] and found["identical"]
+    assert {d["topic"] for d in found["differences"]} == {"los_estimate", "fsm/command", "pma/command"}
+    assert min(d["compared"] for d in found["differences"]) >= 1900
+    assert found["recorded"] == found["replayed"]
+
+
+def test_live_nodes_driven_by_a_bag_answer_as_recorded(recorded, tmp_path):
+    """Estimator and controller, fresh processes: a tick that a busy machine lets them miss is the only difference."""
+    config, bag = recorded
+    with nodes(config, tmp_path, "estimator", "controller"):
+        code, found, errors = call(
+            config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--output", tmp_path / "answers", "--json"
+        )
+    assert code == 0, errors
+    assert found["ticks"] == len(Run.open(bag)["truth/los"])
+    assert min(found["answers"].values()) > 0.95 * found["ticks"]
+    answers, original = Run.open(tmp_path / "answers"), Run.open(bag)
+    assert answers["isolator/accel"].values.tobytes() == original["isolator/accel"].values.tobytes()
+    same = answers["los_estimate"].values[:100, :2] == original["los_estimate"].values[:100, :2]
+    assert np.all(same), "the nodes did not start from their zero state"
+    missed = found["ticks"] - min(found["answers"].values())
+    assert found["identical"] or missed or found["late"], errors
+
+
+def test_an_observer_alone_can_be_driven(recorded, tmp_path):
+    config, bag = recorded
+    if config.mode == "lockstep":
+        pytest.skip("one bag is enough")
+    with nodes(config, tmp_path, "estimator"):
+        code, found, errors = call(config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--json")
+    assert code == 0, errors
+    assert set(found["answers"]) == {"los_estimate"}
+
+
+def test_nobody_listens(recorded, tmp_path):
+    config, bag = recorded
+    if config.mode == "lockstep":
+        pytest.skip("one bag is enough")
+    code, _, errors = call(config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--timeout=1")
+    assert code == 2
+    assert "expected a node that listens" in errors
+    assert errors.count("\n") == 1
