@@ -278,7 +278,8 @@ class _Walk:
                 self._summary()
                 break
             if op == OP_CHUNK and len(body) > 40:
-                chunk = _unpack(self.info, body, self.where, cut=not whole)
+                place = self.stream.tell() - len(body) - RECORD.size
+                chunk = _unpack(self.info, body, f"{self.where}, byte {place}", cut=not whole)
             elif op == OP_MESSAGE and whole:
                 self.plain += RECORD.pack(op, len(body)) + body
                 if len(self.plain) > PLAIN_BLOCK:

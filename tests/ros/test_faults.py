@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+from bystander import Bystander
 from los_testbed.bag_repair import repair_bag
-from los_testbed.codecs import codec_for, stamp_of
-from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
-from los_testbed.nodes.shell import PROFILE, TRANSPORT
+from los_testbed.codecs import codec_for
 from los_testbed.runner import RunError, Runner
-from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, M1_ACCEL, PMA_COMMAND
-from rclpy.context import Context
-from rclpy.node import Node
+from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, M1_ACCEL, PMA_COMMAND, TRUTH_LOS
 from ros_runs import PLANT, config_for
 
 from pointing_analysis.read import Run
@@ -27,9 +24,12 @@ pytestmark = pytest.mark.ros
 MS = 1_000_000
 
 
-def run_with_fault(folder, at, fault, duration=4.0, **values):
-    """Run, and call `fault(runner)` once in a thread when `at` ticks are done."""
-    done, errors = [], []
+def run_with_fault(folder, at, fault, duration=None, after=500, **values):
+    """Run, and call `fault(runner)` once in a thread when `at` ticks are done.
+
+    The run goes on for `duration`; without one it is ended `after` ticks after the fault returned.
+    """
+    state, errors = {}, []
 
     def act():
         try:
@@ -38,21 +38,24 @@ def run_with_fault(folder, at, fault, duration=4.0, **values):
             errors.append(error)
 
     def progress(ticks):
-        if ticks >= at and not done:
-            done.append(threading.Thread(target=act))
-            done[0].start()
+        if ticks >= at and "thread" not in state:
+            state["thread"] = threading.Thread(target=act)
+            state["thread"].start()
+        over = duration is None and "thread" in state and not state["thread"].is_alive()
+        if over and ticks - state.setdefault("end", ticks) >= after:
+            raise KeyboardInterrupt
 
-    runner = Runner(config_for(folder, duration=duration, **values), progress, {"plant": PLANT})
+    runner = Runner(config_for(folder, duration=duration or 60.0, **values), progress, {"plant": PLANT})
     try:
         return runner.run()
     finally:
-        if done:
-            done[0].join()
+        if "thread" in state:
+            state["thread"].join()
         assert not errors, errors
 
 
 def diagnostics(bag, name):
-    """Levels and messages of one node, in order."""
+    """Times of arrival [ns], levels and messages of one node, in order."""
     from diagnostic_msgs.msg import DiagnosticArray
     from mcap.reader import make_reader
     from rclpy.serialization import deserialize_message
@@ -61,7 +64,27 @@ def diagnostics(bag, name):
         for _, _, message in make_reader(stream).iter_messages(topics=["/diagnostics"]):
             for status in deserialize_message(message.data, DiagnosticArray).status:
                 if status.name == f"telescope: {name}":
-                    yield status.level[0], status.message, {v.key: v.value for v in status.values}
+                    yield message.log_time, status.level[0], status.message
+
+
+def assert_replay_gives_the_commands(config, run):
+    """The recorded sensors through the same cores, from their zero state: every estimate and command, bit by bit."""
+    from los_testbed.cores import build_controller, build_estimator
+
+    count = len(run["truth/los"])
+    y = np.full((count, 22), np.nan)
+    for name, columns in (("isolator/accel", slice(0, 6)), ("m1/accel", slice(6, 12)), ("m2/accel", slice(12, 18))):
+        y[:, columns] = run[name].values
+    frames = np.searchsorted(run["truth/los"].stamp, run["camera/los"].stamp)
+    y[frames, 18:20] = run["camera/los"].values[:, :2]
+    y[:, 20:] = run["fsm/strain_gauge"].values[:, :2]
+    estimator, controller = build_estimator(config), build_controller(config)
+    los, u = np.zeros(2), np.zeros(8)
+    for k in range(count):
+        estimator.step(y[k], los)
+        controller.step(los, y[k, :6], u)
+        assert los.tolist() == run["los_estimate"].values[k, :2].tolist()
+        assert u.tolist() == [*run["fsm/command"].values[k, :2], *run["pma/command"].values[k]]
 
 
 def mirror_angle(bag):
@@ -71,42 +94,65 @@ def mirror_angle(bag):
 
 @pytest.mark.parametrize("name", ["estimator", "controller"])
 def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
-    results = run_with_fault(tmp_path, 1000, lambda r: os.kill(r.processes[name], signal.SIGKILL), 6.0)
+    killed = []
+
+    def kill(runner):
+        seen = Bystander(runner.domain, hears=[TRUTH_LOS, FSM_COMMAND])
+        try:
+            killed.append(seen.next(TRUTH_LOS))
+            os.kill(runner.processes[name], signal.SIGKILL)
+            seen.next(FSM_COMMAND, killed[0] + 60 * MS)
+        finally:
+            seen.close()
+
+    results = run_with_fault(tmp_path, 500, kill)
     assert len(results.failures) == 1
     assert f"{name} ended unexpectedly (signal 9)" in results.failures[0]
     run = Run.open(results.bag)
-    assert len(run["truth/los"]) == len(run["m1/accel"]) == 6000
-    commands = run["fsm/command"]
-    gap = np.max(np.diff(commands.stamp)) / MS
-    assert 50 < gap < 4000, "commands stopped, and came back"
-    assert commands.stamp[-1] == run["truth/los"].stamp[-1]
-    assert int(results.statistics["plant"]["missed_ticks"]) >= gap - 10
+    truth, commands = run["truth/los"], run["fsm/command"]
+    assert len(truth) == int(results.statistics["plant"]["ticks"]) > 500
+    assert np.all(np.diff(truth.stamp) == MS)
+    assert np.array_equal(run["m1/accel"].stamp, truth.stamp)
+    gaps = np.diff(commands.stamp)
+    widest = int(np.argmax(gaps))
+    assert gaps[widest] > 50 * MS, "commands stopped"
+    assert abs(commands.stamp[widest] - killed[0]) < 100 * MS, "when the node was killed"
+    assert commands.stamp[-1] == truth.stamp[-1], "and came back"
+    assert int(results.statistics["plant"]["missed_ticks"]) >= gaps[widest] // MS - 10
+    silent = (truth.stamp > commands.stamp[widest] + 30 * MS) & (truth.stamp <= commands.stamp[widest + 1])
+    assert np.abs(mirror_angle(results.bag)[silent]).max() < 1e-7, "without commands the mirror is at zero"
 
 
 def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_path):
+    stopped = []
+
     def stop_for_a_while(runner):
         pid = runner.processes["controller"]
+        stopped.append(time.time_ns())
         os.kill(pid, signal.SIGSTOP)
         time.sleep(0.5)
+        stopped.append(time.time_ns())
         os.kill(pid, signal.SIGCONT)
 
-    results = run_with_fault(tmp_path, 1500, stop_for_a_while)
+    results = run_with_fault(tmp_path, 1000, stop_for_a_while, after=1500)
     assert not results.failures
-    angle = mirror_angle(results.bag)
-    assert len(angle) == 4000
-    quiet = np.flatnonzero(np.all(np.abs(angle[1000:]) < 1e-7, axis=1))
-    assert 350 < quiet.size < 1000, "about 475 ms at zero"
-    assert np.all(np.diff(quiet) == 1), "one stretch"
-    commands = Run.open(results.bag)["fsm/command"]
-    assert commands.stamp[-1] == Run.open(results.bag)["truth/los"].stamp[-1], "commands came back"
-    assert np.abs(angle[-500:]).max() > 5e-5, "and are obeyed"
+    run = Run.open(results.bag)
+    angle, stamp = mirror_angle(results.bag), run["truth/los"].stamp
+    assert np.all(np.diff(stamp) == MS)
+    inside = (stamp > stopped[0] + 100 * MS) & (stamp < stopped[1])
+    assert inside.sum() > 350
+    assert np.abs(angle[inside]).max() < 1e-7, "at zero while there are no commands"
+    assert run["fsm/command"].stamp[-1] == stamp[-1], "commands came back"
+    assert np.abs(angle[-300:]).max() > 5e-5, "and are obeyed"
     # the mirror turns at most by 3 Hz * 1e-4 rad in normal motion, and by pi/40 of 1e-4 rad while fading
     steps = np.abs(np.diff(angle[600:], axis=0)).max()
     assert steps < 1e-4 * (np.pi / 40) * 1.5
-    levels = {level for level, _, _ in diagnostics(results.bag, "plant")}
-    assert min(levels) <= 1, "the first report is from before the fault"
-    assert any("no valid commands" in m for level, m, _ in diagnostics(results.bag, "plant") if level == 2)
-    assert Run.open(results.bag)["truth/los"].integrity.missing == 0
+    reports = list(diagnostics(results.bag, "plant"))
+    told = [time for time, level, text in reports if level == 2 and "no valid commands" in text]
+    assert any(stopped[0] < time < stopped[1] for time in told), "it is said while it lasts"
+    assert not any(time < stopped[0] for time in told)
+    assert not any(time > stopped[1] + 1000 * MS for time in told)
+    assert "no valid commands" not in reports[-1][2]
 
 
 def test_a_killed_recorder_loses_at_most_the_last_second(tmp_path):
@@ -116,7 +162,12 @@ def test_a_killed_recorder_loses_at_most_the_last_second(tmp_path):
         told.append(time.time_ns())
         os.kill(runner.processes["recorder"], signal.SIGKILL)
 
-    results = run_with_fault(tmp_path, 2500, kill, 9.0)
+        end = time.monotonic() + 30
+        while not (tmp_path / "bag-2").exists():
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
+    results = run_with_fault(tmp_path, 2500, kill, after=1200)
     assert "recorder ended unexpectedly (signal 9)" in results.failures[0]
     salvage = repair_bag(tmp_path / "bag", tmp_path / "saved")
     run = Run.open(tmp_path / "saved")
@@ -126,89 +177,93 @@ def test_a_killed_recorder_loses_at_most_the_last_second(tmp_path):
     second = Run.open(results.bag)
     assert results.bag.name == "bag-2"
     assert len(second["truth/los"]) > 1000
-    assert len(run["truth/los"]) + len(second["truth/los"]) < 9000
-    assert int(results.statistics["plant"]["ticks"]) == 9000
+    ticks = int(results.statistics["plant"]["ticks"])
+    assert len(run["truth/los"]) + len(second["truth/los"]) < ticks
+    stamps = np.concatenate([run["truth/los"].stamp, second["truth/los"].stamp])
+    assert (stamps[-1] - stamps[0]) // MS + 1 == ticks, "the plant went on all the time"
 
 
-def test_a_killed_plant_ends_the_run_and_the_bag_is_whole(tmp_path):
-    with pytest.raises(RunError, match=r"plant ended unexpectedly \(signal 9\)"):
-        run_with_fault(tmp_path, 1500, lambda r: os.kill(r.processes["plant"], signal.SIGKILL))
-    run = Run.open(tmp_path / "bag")
-    assert not run.problems
-    assert len(run["truth/los"]) >= 1400
+def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost(tmp_path):
+    results = run_with_fault(tmp_path, 1500, lambda r: os.kill(r.processes["plant"], signal.SIGKILL), 4.0)
+    assert "plant ended unexpectedly (signal 9)" in results.failures[0]
+    assert str(tmp_path / "bag") in results.failures[1]
+    assert len(results.failures) == 2, "estimator, controller and recorder are the same processes"
+    assert results.earlier == [tmp_path / "bag"]
+    assert results.bag == tmp_path / "bag-2"
+    before, after = Run.open(results.earlier[0]), Run.open(results.bag)
+    for run in (before, after):
+        assert not run.problems
+        for name in run.topics:
+            assert run[name].integrity.missing == run[name].integrity.conflicts == 0, name
+    assert len(before["truth/los"]) >= 1500
+    flown = int(results.statistics["plant"]["ticks"])
+    assert len(after["truth/los"]) == len(after["fsm/command"]) == flown
+    assert 0 <= len(before["truth/los"]) + flown - 4000 < 500, "the run ends when it was to end"
+    assert after["truth/los"].stamp[0] > before["truth/los"].stamp[-1]
+    # all three start anew with the plant: the replay of the second part from zero gives its commands, bit by bit
+    assert_replay_gives_the_commands(config_for(tmp_path), after)
+    assert results.statistics["recorder"]["samples_lost"] == "0"
 
 
-class Rogue:
-    """A node that does not belong: it sends what it should not."""
+def test_a_plant_that_dies_again_and_again_ends_the_run_with_whole_bags(tmp_path):
+    def kill_for_ever(runner):
+        killed = set()
+        while len(killed) < 4:
+            pid = runner.processes["plant"]
+            if pid not in killed and runner.flown > 300 * (len(killed) + 1):
+                os.kill(pid, signal.SIGKILL)
+                killed.add(pid)
+            time.sleep(0.02)
 
-    def __init__(self, domain):
-        os.environ.update(
-            FASTRTPS_DEFAULT_PROFILES_FILE=str(PROFILE),
-            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
-            FASTDDS_BUILTIN_TRANSPORTS=TRANSPORT,
-        )
-        self.context = Context()
-        self.context.init(domain_id=domain)
-        self.node = Node("rogue", context=self.context)
-        self.topics = {
-            t.name: RawPublisher(self.node, t.path, t.type_name) for t in (FSM_COMMAND, PMA_COMMAND, M1_ACCEL)
-        }
-        self.sensor = RawSubscription(self.node, ISOLATOR_ACCEL.path, ISOLATOR_ACCEL.type_name)
-        time.sleep(1.0)
-
-    def tick(self):
-        """Stamp of the newest sample; its command is not there yet."""
-        while self.sensor.take() is not None:
-            pass
-        while (taken := self.sensor.take()) is None:
-            time.sleep(5e-5)
-        return stamp_of(taken[0])
-
-    def send(self, topic, data):
-        self.topics[topic.name].publish(data)
-
-    def close(self):
-        self.node.destroy_node()
-        self.context.shutdown()
+    with pytest.raises(RunError, match=r"plant ended unexpectedly \(signal 9\)") as error:
+        run_with_fault(tmp_path, 300, kill_for_ever, 20.0)
+    assert error.value.code == 1
+    for name in ("bag", "bag-2", "bag-3", "bag-4"):
+        run = Run.open(tmp_path / name)
+        assert not run.problems
+        assert len(run["truth/los"]) > 200
 
 
 def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
+    """Exact counts: what the rogue sends is wrong whenever it arrives."""
+    fsm, pma, m1 = codec_for(FSM_COMMAND), codec_for(PMA_COMMAND), codec_for(M1_ACCEL)
+
     def intrude(runner):
-        rogue = Rogue(runner.domain)
+        rogue = Bystander(runner.domain, (FSM_COMMAND, PMA_COMMAND, M1_ACCEL), [ISOLATOR_ACCEL])
         try:
-            fsm, pma, m1 = codec_for(FSM_COMMAND), codec_for(PMA_COMMAND), codec_for(M1_ACCEL)
             for _ in range(200):
-                now = rogue.tick()
-                soon, past = now + 20 * MS, now - 500 * MS
+                now = rogue.next(ISOLATOR_ACCEL)
+                soon, past = now + 10_000 * MS, now - 500 * MS
                 rogue.send(PMA_COMMAND, pma.encode(now, np.full(6, 316.0)))
                 rogue.send(PMA_COMMAND, pma.encode(now, np.full(6, np.inf)))
+                rogue.send(FSM_COMMAND, fsm.encode(now, np.full(2, -5.3e-2)))
+                rogue.send(FSM_COMMAND, fsm.encode(now, np.full(2, np.nan)))
                 rogue.send(FSM_COMMAND, fsm.encode(soon, np.full(2, 1e-3)))
                 rogue.send(FSM_COMMAND, fsm.encode(past, np.full(2, 1e-3)))
                 rogue.send(FSM_COMMAND, fsm.encode(now + 1, np.full(2, 1e-3)))
-                rogue.send(FSM_COMMAND, fsm.encode(now, np.full(2, np.nan)))
                 rogue.send(FSM_COMMAND, bytes(fsm.encode(now, np.zeros(2)))[:32])
                 rogue.send(FSM_COMMAND, b"\x00\x00" + bytes(fsm.encode(now, np.zeros(2)))[2:])
-                rogue.send(M1_ACCEL, m1.encode(now, np.full(6, np.nan)))
-                rogue.send(M1_ACCEL, m1.encode(now + 10_000 * MS, np.zeros(6)))
-                time.sleep(0.004)
+                rogue.send(M1_ACCEL, m1.encode(now + 1, np.zeros(6)))
+                rogue.send(M1_ACCEL, m1.encode(soon, np.zeros(6)))
+                time.sleep(0.002)
+            rogue.settle()
         finally:
             rogue.close()
 
-    results = run_with_fault(tmp_path, 300, intrude, 6.0)
+    results = run_with_fault(tmp_path, 300, intrude, after=1200)
     plant, estimator = results.statistics["plant"], results.statistics["estimator"]
-    for reason in ("future", "late", "off_grid", "size", "encoding"):
-        assert int(plant.get(f"rejected_fsm_{reason}", 0)) >= 150, (reason, plant)
-    # those that come before the controller's; later ones are duplicates before they are anything else
-    assert int(plant.get("rejected_pma_limit", 0)) > 0
-    assert int(plant.get("rejected_pma_not_finite", 0)) > 0
-    assert int(estimator.get("rejected_future", 0)) >= 150
-    assert int(plant["ticks"]) == 6000
-    assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) >= 300
+    for reason in ("limit", "not_finite", "future", "off_grid", "size", "encoding"):
+        assert plant[f"rejected_fsm_{reason}"] == "200", (reason, plant)
+    assert int(plant["rejected_fsm_late"]) >= 200, "the controller's own may be late, too, on a busy machine"
+    for reason in ("limit", "not_finite"):
+        assert plant[f"rejected_pma_{reason}"] == "200", (reason, plant)
+    assert estimator["rejected_off_grid"] == estimator["rejected_future"] == "200"
+    assert results.statistics["recorder"]["unreadable_/telescope/fsm/command"] == "400"
+    assert len(Run.open(results.bag)["truth/los"]) == int(plant["ticks"])
     angle = mirror_angle(results.bag)
     assert np.isfinite(angle).all()
     assert np.abs(angle).max() < 3e-4, "1e-3 was asked for by the rogue, 1e-4 by the controller"
-    warned = [m for level, m, _ in diagnostics(results.bag, "plant") if level == 1]
-    assert any("commands rejected" in m for m in warned)
+    assert any("commands rejected" in text for _, level, text in diagnostics(results.bag, "plant") if level == 1)
 
 
 def test_dropped_camera_frames_do_not_stop_the_estimator(tmp_path):
@@ -255,7 +310,11 @@ def test_busy_processors_do_not_stop_the_loop(tmp_path):
         for hog in hogs:
             hog.kill()
             hog.wait()
+    assert results.statistics["plant"]["ticks"] == "4000"
+    run = Run.open(results.bag)
+    assert len(run["truth/los"]) == 4000
     if results.warnings:
         pytest.skip(f"real time is not permitted here: {results.warnings}")
-    assert int(results.statistics["plant"]["missed_ticks"]) <= 40  # 1 %; a tenth of what it is without priorities
+    # without priorities a third of the ticks is missed; the bound of 0.5 % is the benchmark's, on a quiet machine
+    assert int(results.statistics["plant"]["missed_ticks"]) <= 400
     assert results.statistics["recorder"]["samples_lost"] == "0"

@@ -56,13 +56,14 @@ def test_all_topics_share_the_stamps(real_time):
     assert np.array_equal(run["camera/los"].stamp, stamps[::20])
 
 
-def test_few_ticks_are_missed(real_time):
+def test_the_plant_tells_its_timing(real_time):
+    """Only that the figures fit one another: how good they are is for the benchmark on a quiet machine."""
     statistics = real_time[1].statistics["plant"]
     assert statistics["ticks"] == "2000"
-    if real_time[1].warnings:
-        pytest.skip(f"real time is not permitted here: {real_time[1].warnings}")
-    assert int(statistics["missed_ticks"]) <= 100  # the bound of 0.5 % is the benchmark's, on a quiet machine
-    assert 30 < float(statistics["latency_median_us"]) < 1000
+    figures = [float(statistics[f"latency_{name}_us"]) for name in ("median", "p99", "p999", "max")]
+    assert 30 < figures[0] <= figures[1] <= figures[2] <= figures[3] + 1
+    skipped = int(statistics["skipped_periods"])
+    assert float(statistics["period_mean_us"]) == pytest.approx(1000 * (2000 + skipped) / 2000, rel=0.01)
 
 
 def test_commands_follow_from_the_recorded_samples(real_time):

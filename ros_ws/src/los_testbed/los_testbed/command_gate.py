@@ -21,7 +21,8 @@ class CommandGate:
     """Gate of one command topic.
 
     A command is accepted if it can be read, is finite, within the actuator's limit and stamped with a
-    tick that is newer than the last accepted one, not in the future and not older than the hold time.
+    tick that is newer than the last accepted one, not in the future and not older than the hold time. Reasons are
+    looked for in this order, and the first one counts.
     Without a valid command the last one is held for `hold_ticks` and then faded to zero along a raised
     cosine of `fade_ticks`; when commands return they fade in along the same ramp, so there is no jump.
 
@@ -72,6 +73,10 @@ class CommandGate:
         return True
 
     def _fault(self, stamp: int, now_ns: int) -> str:
+        """Reason to reject the candidate: its values are judged before its stamp."""
+        largest = float(np.max(np.abs(self._candidate, out=self._magnitude)))
+        if not largest <= self.limit:
+            return "limit" if math.isfinite(largest) else "not_finite"
         if stamp % TICK_NS:
             return "off_grid"
         if stamp >= now_ns:
@@ -80,10 +85,7 @@ class CommandGate:
             return "duplicate"
         if stamp < self.last_stamp or stamp < now_ns - (self.hold_ticks + 1) * TICK_NS:
             return "late"
-        largest = float(np.max(np.abs(self._candidate, out=self._magnitude)))
-        if largest <= self.limit:
-            return ""
-        return "limit" if math.isfinite(largest) else "not_finite"
+        return ""
 
     def fresh(self, now_ns: int) -> bool:
         """Whether the held command is the one computed from the tick before `now_ns`."""

@@ -74,9 +74,10 @@ class SampleJoin:
         self.gap = 0
         self.horizon = 1 << 62
         self._newest = HOLD_STAMP
-        self._stamps = [-1] * self.SLOTS
-        self._seen = [0] * self.SLOTS
-        self._rows = [np.full(size, np.nan) for _ in range(self.SLOTS)]
+        slots = self.SLOTS + 1  # the last one is for hold ticks: a stray one disturbs no tick under way
+        self._stamps = [-1] * slots
+        self._seen = [0] * slots
+        self._rows = [np.full(size, np.nan) for _ in range(slots)]
         self._views = [[row[part.columns] for part in self.parts] for row in self._rows]
         self._all = (1 << len(self.parts)) - 1
 
@@ -93,7 +94,7 @@ class SampleJoin:
         part = self.parts[index]
         try:
             stamp = stamp_of(data) if len(data) >= 12 else -1
-            slot = (stamp // TICK_NS) % self.SLOTS
+            slot = (stamp // TICK_NS) % self.SLOTS if stamp else self.SLOTS
             if stamp < 0 or stamp % TICK_NS:
                 self.rejected["off_grid" if stamp >= 0 else "size"] += 1
                 return None
@@ -123,7 +124,7 @@ class SampleJoin:
             return None
         self._seen[slot] = 0
         if stamp == HOLD_STAMP:  # the plant holds: what came before belongs to another run
-            self._stamps = [-1] * self.SLOTS
+            self._stamps = [-1] * len(self._stamps)
             self._newest = HOLD_STAMP
         self.gap = (stamp - self.last) // TICK_NS - 1 if self.last and stamp else 0
         self.gaps += self.gap

@@ -22,7 +22,7 @@ from typing import IO, Any
 import yaml
 
 from los_testbed.bag import check_new_bag
-from los_testbed.config import RunConfig
+from los_testbed.config import RATE, RunConfig
 from los_testbed.cores import build_controller, build_estimator
 
 RESTARTS = 3
@@ -43,12 +43,22 @@ class RunError(RuntimeError):
 
 @dataclass
 class Results:
-    """What the nodes said at the end."""
+    """What the nodes said at the end.
+
+    Attributes
+    ----------
+    statistics : last figures of each node
+    bag : folder of the bag; None if nothing was recorded
+    warnings, failures : what was not permitted; which nodes died, one line each
+    earlier : bags of the same run from before its plant was started again
+    interrupted : whether the run was ended before its time
+    """
 
     statistics: dict[str, dict[str, str]] = field(default_factory=dict)
     bag: Path | None = None
     warnings: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    earlier: list[Path] = field(default_factory=list)
     interrupted: bool = False
 
 
@@ -216,6 +226,8 @@ class Runner:
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
         self._errors: list[tuple[str, str]] = []
         self._restarts = 0
+        self._flown = 0
+        self._before = 0
         self._parameters = Path()
         self._variables: Mapping[str, str] = {}
         self.results = Results()
@@ -224,6 +236,11 @@ class Runner:
     def processes(self) -> dict[str, int]:
         """Process numbers of the nodes that run."""
         return {name: node.process.pid for name, node in self._nodes.items()}
+
+    @property
+    def flown(self) -> int:
+        """Ticks done as far as the plant told, those before a restart included."""
+        return self._flown
 
     @property
     def domain(self) -> int:
@@ -282,12 +299,17 @@ class Runner:
         for name in NODES:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
         bag = self._seen[("recorder", "done")].get("bag")
-        self.results.bag = Path(bag) if bag else None
+        bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
+        self.results.bag = bags[-1] if bags else None
+        for path in bags[:-1]:
+            self.results.failures.append(f"what came before the plant was started again is in {path}")
 
     def _start(self, name: str) -> None:
         command = [*self._commands[name], "--ros-args", "--params-file", str(self._parameters)]
         if name == "recorder" and self._restarts:  # what the first one wrote is left alone
             command += ["-p", f"output:={self._config.output}-{self._restarts + 1}"]
+        if name == "plant" and self._before:  # the run ends when it was to end
+            command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
         node = self._nodes[name] = NodeProcess(name, command, self._variables)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
@@ -317,11 +339,14 @@ class Runner:
     def _handle(self, name: str, event: dict[str, Any]) -> None:
         kind = str(event["event"])
         if kind == "progress":
-            self._progress(int(event["tick"]))
+            self._flown = self._before + int(event["tick"])
+            self._progress(self._flown)
         elif kind == "warning":
             message = str(event["message"])
             if message not in self.results.warnings:
                 self.results.warnings.append(message)
+        elif kind == "bag":
+            self.results.earlier.append(Path(event["path"]))
         elif kind == "error":
             self._errors.append((name, str(event["message"])))
         self._seen[(name, kind)] = event
@@ -342,12 +367,19 @@ class Runner:
             return
 
     def _replace(self, node: NodeProcess, what: str) -> None:
-        """The plant goes on: start the node again, or give up if it was the plant or happens too often."""
+        """The others go on: start the node again, or give up if it happens too often.
+
+        A plant starts anew from its initial state: estimator and controller start anew with it when it holds, the
+        recorder ends its bag and begins another, and the run ends when it was to end.
+        """
         # in lockstep the tick that waits for the node can no longer be answered
         running = ("plant", "running") in self._seen and self._config.mode == "realtime"
-        if node.name == "plant" or not running or self._restarts >= RESTARTS:
+        rest = self._config.ticks - self._flown
+        if not running or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
         self._restarts += 1
+        if node.name == "plant":
+            self._before = self._flown
         self.results.failures.append(f"{what}; it was started again")
         for stream in node.streams:
             with contextlib.suppress(KeyError):

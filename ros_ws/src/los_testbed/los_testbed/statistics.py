@@ -26,6 +26,8 @@ class Durations:
         self.count = 0
         self.total_ns = 0
         self.maximum_ns = 0
+        self._window = (0, 0)
+        self._window_maximum_ns = 0
 
     def add(self, duration_ns: int) -> None:
         """Count one duration [ns]; negative ones (a stepped clock) count as zero."""
@@ -35,6 +37,24 @@ class Durations:
         self.total_ns += duration_ns
         if duration_ns > self.maximum_ns:
             self.maximum_ns = duration_ns
+        if duration_ns > self._window_maximum_ns:
+            self._window_maximum_ns = duration_ns
+
+    def window(self, name: str) -> dict[str, float]:
+        """Mean and longest [us] of those that were added since the last call, NaN if there were none.
+
+        Examples
+        --------
+        >>> durations = Durations()
+        >>> durations.add(3000), durations.window("execution")
+        (None, {'execution_mean_us': 3.0, 'execution_max_us': 3.0})
+        >>> durations.window("execution")
+        {'execution_mean_us': nan, 'execution_max_us': nan}
+        """
+        count, total = self.count - self._window[0], self.total_ns - self._window[1]
+        longest = self._window_maximum_ns / 1000 if count else float("nan")
+        self._window, self._window_maximum_ns = (self.count, self.total_ns), 0
+        return {f"{name}_mean_us": total / count / 1000 if count else float("nan"), f"{name}_max_us": longest}
 
     @property
     def maximum_us(self) -> float:

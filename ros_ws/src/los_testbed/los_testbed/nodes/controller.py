@@ -14,7 +14,7 @@ from los_testbed.config import RunConfig
 from los_testbed.cores import build_controller
 from los_testbed.join import HOLD_STAMP, Part, SampleJoin
 from los_testbed.nodes.follower import Follower
-from los_testbed.nodes.raw_topics import RawPublisher
+from los_testbed.nodes.raw_topics import RawPublisher, settle
 from los_testbed.nodes.shell import Shell, run_node
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
 
@@ -56,7 +56,9 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
             held[:] = sample
 
         follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), SampleJoin(parts, 8), tick)
-        return follower.run()
+        code = follower.run()
+        settle([publisher for publisher, _, _ in outputs])
+        return code
 
     return run_node("controller", arguments, body)
 

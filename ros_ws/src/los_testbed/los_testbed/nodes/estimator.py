@@ -14,7 +14,7 @@ from los_testbed.config import RunConfig
 from los_testbed.cores import build_estimator
 from los_testbed.join import HOLD_STAMP, Part, SampleJoin
 from los_testbed.nodes.follower import Follower
-from los_testbed.nodes.raw_topics import RawPublisher
+from los_testbed.nodes.raw_topics import RawPublisher, settle
 from los_testbed.nodes.shell import Shell, run_node
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
 
@@ -54,7 +54,9 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
             held[20:] = measurement[20:]
 
         follower = Follower(shell, SENSORS, SampleJoin(parts, 22), tick)
-        return follower.run()
+        code = follower.run()
+        settle([publisher])
+        return code
 
     return run_node("estimator", arguments, body)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from los_testbed.codecs import stamp_of
 from los_testbed.health import OK, WARN, LoopHealth
 from los_testbed.join import HOLD_STAMP, SampleJoin
-from los_testbed.nodes.raw_topics import RawSubscription, Waiter
+from los_testbed.nodes.raw_topics import READER_DEPTH, RawSubscription, Waiter
 from los_testbed.nodes.shell import Shell
 from los_testbed.statistics import Durations
 from los_testbed.topics import Topic
@@ -45,10 +45,11 @@ class Follower:
         self._shell = shell
         self._join = join
         self._tick = tick
-        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name) for t in topics]
+        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name, READER_DEPTH) for t in topics]
         self._on_trigger = Waiter(shell.node, self._subscriptions[-1:])
         self._on_any = Waiter(shell.node, self._subscriptions)
         self._execution = Durations()
+        self._period = Durations()
         self._health = LoopHealth(shell.config.mode == "realtime")
         self._troubles = (0, 0)
         self._ahead = 0
@@ -60,7 +61,7 @@ class Follower:
         shell.become_real_time()
         shell.event("ready")
         paced = shell.config.mode == "realtime"  # in lockstep no time is too early
-        next_report, next_service = time.monotonic_ns(), 0
+        next_report, next_service, last = time.monotonic_ns(), 0, 0
         while not shell.stop:
             (self._on_any if join.waiting else self._on_trigger).wait(WAIT_NS)
             before = time.monotonic_ns()
@@ -71,6 +72,9 @@ class Follower:
                 join.horizon = before + self._ahead + HORIZON_NS
             if self._drain():
                 self._execution.add(time.monotonic_ns() - before)
+                if last:
+                    self._period.add(before - last)
+                last = before
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 shell.service()
@@ -137,5 +141,16 @@ class Follower:
         troubles = (self._join.gaps, self._join.rejected.total())
         if level == OK and troubles != self._troubles:
             level, message = WARN, "samples missing or rejected"
+        news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
-        self._shell.diagnose(level, message, {**figures, **self.statistics()}, self._join.stamp)
+        period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}
+        self._shell.diagnose(level, message, {**figures, **period, **self.statistics()}, self._join.stamp)
+        self._shell.plot(
+            {
+                **self._period.window("period"),
+                **self._execution.window("execution"),
+                "ticks": self.ticks,
+                "gap_ticks": news[0],
+                "rejected_samples": news[1],
+            }
+        )

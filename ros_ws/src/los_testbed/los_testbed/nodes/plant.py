@@ -65,12 +65,14 @@ class PlantLoop:
         self.lateness = Durations()
         self.latency = Durations()
         self.execution = Durations()
+        self.period = Durations()
         self.health = LoopHealth(shell.config.mode == "realtime")
         self._woke = [0] * RING
         self._command = np.zeros(8)
         self._measurement = np.zeros(22)
         self._truth = np.zeros(2)
         self._reported: tuple[int, int] = (0, 0)
+        self._faded = False
 
     def run(self) -> int:
         """Handshake, the ticks of the run, the last report."""
@@ -78,6 +80,7 @@ class PlantLoop:
         shell.become_real_time()
         wait_for_followers(shell, self.io)
         if shell.stop:
+            shell.event("done", statistics={})
             return 0
         self.core.reset()
         if config.mode == "lockstep":
@@ -91,6 +94,7 @@ class PlantLoop:
             self._lockstep(start)
         else:
             self._real_time(start)
+        self.io.settle()
         self._report(start + self.ticks * TICK_NS, last=True)
         shell.event("done", statistics=self.statistics())
         if not np.isfinite(self._truth).all():
@@ -104,11 +108,14 @@ class PlantLoop:
 
     def _real_time(self, start: int) -> None:
         shell, clock = self.shell, self.clock
-        total = shell.config.ticks
+        total, last = shell.config.ticks, 0
         for k in range(total + 1):
             self.lateness.add(clock.wait())
             now = start + k * TICK_NS
             began = time.monotonic_ns()
+            if last:
+                self.period.add(began - last)
+            last = began
             self._woke[k % RING] = time.time_ns()
             self._take_commands(now)
             if k == total or shell.stop:  # one more wake-up, for the commands of the last tick
@@ -146,6 +153,8 @@ class PlantLoop:
             self.shell.event("progress", tick=self.ticks)
         elif phase == 100:
             self.shell.service()
+        elif phase % 50 == 25 and self.io.fading() != self._faded:
+            self._report(now)  # said at once, not at the end of the second
         elif k == 0:
             self.health.assess(1, time.monotonic_ns(), self.execution)
         elif k % 1000 == 0:
@@ -176,6 +185,8 @@ class PlantLoop:
             "skipped_periods": str(self.clock.skipped),
             **(self.latency.summary("turnaround" if lockstep else "latency")),
             **({} if lockstep else self.lateness.summary("lateness")),
+            **({} if lockstep else {"period_mean_us": f"{self.period.mean_us:.3f}"}),
+            **({} if lockstep else {"period_max_us": f"{self.period.maximum_us:g}"}),
             **self.execution.summary("execution"),
             **self.io.rejections(),
             **plant_notes(self.core),
@@ -187,7 +198,8 @@ class PlantLoop:
         news = (self.missed - self._reported[0], rejected - self._reported[1])
         self._reported = (self.missed, rejected)
         level, message, figures = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
-        if self.io.fading():
+        self._faded = self.io.fading()
+        if self._faded:
             level, message = ERROR, "no valid commands: actuators brought to zero"
         elif news[1]:
             level, message = WARN, f"{news[1]} commands rejected"
@@ -198,6 +210,20 @@ class PlantLoop:
         elif last:
             level, message = OK, "finished"
         self.shell.diagnose(level, message, {**figures, **self.statistics()}, now)
+        self.shell.plot(self._plotted(news))
+
+    def _plotted(self, news: tuple[int, int]) -> dict[str, float]:
+        """Figures since the last report: `news` are missed ticks and rejected commands."""
+        return {
+            **self.period.window("period"),
+            **self.lateness.window("lateness"),
+            **self.latency.window("latency"),
+            **self.execution.window("execution"),
+            "ticks": self.ticks,
+            "missed_ticks": news[0],
+            "rejected_commands": news[1],
+            "actuators_faded": float(self._faded),
+        }
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from los_testbed.codecs import codec_for
 from los_testbed.command_gate import CommandGate
-from los_testbed.nodes.raw_topics import DEPTH, RawPublisher, RawSubscription
+from los_testbed.nodes.raw_topics import DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.shell import Shell
 from los_testbed.topics import (
     FSM_COMMAND,
@@ -26,10 +26,6 @@ LOCKSTEP_DEPTH = 1000
 """In lockstep a reader may fall behind by many ticks: the writers keep that many for it."""
 
 
-COMMAND_DEPTH = 200
-"""Messages of an intruder must not push those of the controller out of the queue within a tick."""
-
-
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
@@ -43,8 +39,8 @@ class PlantIo:
         self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
         self._frame_ns = config.frame_ticks * TICK_NS
-        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, COMMAND_DEPTH)
-        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, COMMAND_DEPTH)
+        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, READER_DEPTH)
+        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH)
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
         hold = config.hold_ticks, config.fade_ticks
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), config.fsm_authority, *hold)
@@ -58,6 +54,10 @@ class PlantIo:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
+
+    def settle(self) -> None:
+        """Let the readers take in what was sent last."""
+        settle([publisher for _, publisher, _ in self._sensors] + [self._truth[0]])
 
     def begin(self, start: int) -> None:
         """Drop what is left of the handshake; the run begins at `start`."""

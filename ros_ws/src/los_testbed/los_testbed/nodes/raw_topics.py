@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import AccelStamped, Vector3Stamped
 from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -17,6 +19,12 @@ from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
 DEPTH = 10
+
+READER_DEPTH = 200
+"""Messages of an intruder must not push the right ones out of a reader's queue within some ticks."""
+
+SETTLE_S = 1.0
+"""Readers get this much time for the last messages of a node that leaves; a dead reader costs all of it."""
 
 
 class _HandsOff(CallbackGroup):  # type: ignore[misc, unused-ignore]
@@ -41,9 +49,25 @@ class RawPublisher:
         self._handle.__enter__()  # keeps it alive; entered once instead of at every message
         self.publish = self._handle.publish_raw
 
+    def settle(self, deadline: float) -> bool:
+        """Wait until every reader has what was sent, at most until `deadline` (steady clock [s]); whether it has."""
+        rest = max(0.0, deadline - time.monotonic())
+        return bool(self._publisher.wait_for_all_acked(Duration(nanoseconds=int(rest * 1e9))))
+
     def close(self) -> None:
         """Release the handle."""
         self._handle.__exit__(None, None, None)
+
+
+def settle(publishers: Sequence[RawPublisher]) -> bool:
+    """Wait until what these sent last has arrived, at most :data:`SETTLE_S`; whether all of it has.
+
+    A process that leaves at once may be faster than its last messages: readers drop what they did not yet take
+    in when its farewell comes, which travels on another port.
+    """
+    deadline = time.monotonic() + SETTLE_S
+    arrived = [publisher.settle(deadline) for publisher in publishers]
+    return all(arrived)
 
 
 class RawSubscription:

@@ -52,7 +52,7 @@ class Track:
         self.data: list[bytes] = []
         self.received: list[int] = []
         self.sent: list[int] = []
-        self.seen_hold = False
+        self.held = False
         self.first = 0
         self.last = 0
         self.distinct = 0
@@ -66,8 +66,9 @@ class Track:
             if not self._readable(message):
                 continue
             if len(message) >= 12 and stamp_of(message) == HOLD_STAMP and self.period_ns:
-                self.seen_hold = True
+                self.held = True
                 continue
+            self.held = False
             data(message)
             received(times["received_timestamp"])
             sent(times["source_timestamp"])
@@ -94,6 +95,10 @@ class Track:
                 self.last = stamp
                 self.distinct += 1
 
+    def begin_again(self) -> None:
+        """Another run begins: what is known of the last one is forgotten."""
+        self.first = self.last = self.distinct = self.unreadable = 0
+
     def lost(self, first: int, last: int) -> int:
         """Samples that should lie in this span of stamps and did not come."""
         expected = last // self.period_ns - (first - 1) // self.period_ns
@@ -108,6 +113,8 @@ class Recorder:
         self.shell = shell
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
+        self._base = self.path
+        self._reported: dict[str, int] = {}
         frame_ns = config.frame_ticks * TICK_NS
         self.tracks = [
             Track(
@@ -118,11 +125,13 @@ class Recorder:
             )
             for topic in TOPICS
         ]
+        self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
         self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
         self._header = HeaderCodec()
         self.simulated = config.mode == "lockstep"
         self.bag: BagWriter | None = None
+        self.finished = 0
         self.statistics: dict[str, dict[str, str]] = {}
 
     def run(self) -> int:
@@ -137,6 +146,8 @@ class Recorder:
             now = time.monotonic()
             if count:
                 quiet_since = now
+            if self._another_run():
+                self._begin_again()
             self._tell_progress()
             if now >= next_chunk or sum(len(track.data) for track in self.tracks) > 20_000:
                 next_chunk = now + CHUNK_S
@@ -158,11 +169,29 @@ class Recorder:
             stamp = min(ticks)
             if not self.simulated:
                 return
-        elif all(track.seen_hold for track in self.tracks):
+        elif all(track.held for track in self.tracks):
             stamp = HOLD_STAMP
         else:
             return
         self.progress.publish(self._header.encode(stamp))
+
+    def _another_run(self) -> bool:
+        """Whether the plant holds after a run: it was started again, and what comes now is another run.
+
+        One topic is not enough: a message with stamp zero from an intruder must not end the bag.
+        """
+        return any(track.first for track in self.tracks) and all(track.held for track in self._from_plant)
+
+    def _begin_again(self) -> None:
+        """Close the bag of the run that broke off; the next one gets a name of its own."""
+        self._write_chunk()
+        self._finish_bag()
+        self.finished += 1
+        self.shell.event("bag", path=str(self.path))
+        self.path = _free_name(self._base)
+        self.bag, self.statistics = None, {}
+        for track in self.tracks:
+            track.begin_again()
 
     def _write_chunk(self) -> None:
         if self.bag is None:
@@ -218,22 +247,33 @@ class Recorder:
 
     def _report(self) -> None:
         values = self.own_statistics()
+        news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
+        self._reported = {name: int(values[name]) for name in news}
+        self.shell.plot(dict(news))
         if self.bag is None:
             level, message = STALE, "no samples yet"
         else:
             level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
         self.shell.diagnose(level, message, values, self.tracks[0].last)
 
+    def _finish_bag(self) -> None:
+        """Results into the head of the bag, and its index."""
+        if self.bag is not None:
+            final = {**self.statistics, "recorder": self.own_statistics()}
+            self.bag.close({METADATA_NAME: final_metadata(self.shell.config, final)})
+
     def _close(self) -> None:
         self._write_chunk()
-        values = self.own_statistics()
-        if self.bag is not None:
-            final = {**self.statistics, "recorder": values}
-            self.bag.close({METADATA_NAME: final_metadata(self.shell.config, final)})
+        self._finish_bag()
         path = str(self.path) if self.bag is not None else None
-        self.shell.event("done", statistics=values, bag=path, nodes=self.statistics)
-        if self.bag is None:
+        self.shell.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
+        if self.bag is None and not self.finished:
             raise ValueError("nothing came to be recorded: expected a plant on this domain")
+
+
+def _free_name(base: Path) -> Path:
+    """Name of another bag beside `base`."""
+    return next(path for n in itertools.count(2) if not (path := base.with_name(f"{base.name}-{n}")).exists())
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -16,6 +16,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from los_testbed.nodes.parameters import declare_config
 from los_testbed.nodes.security import refuse_missing_security
@@ -67,6 +68,7 @@ class Shell:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10))
+        self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True
@@ -100,6 +102,16 @@ class Shell:
             )
         ]
         self._diagnostics.publish(array)
+
+    def plot(self, values: Mapping[str, float]) -> None:
+        """Publish figures since the last report on ``~/statistics``.
+
+        The numbers are in ``data``; ``layout.dim[0].label`` holds their names in the same order, with commas.
+        """
+        message = Float64MultiArray(data=[float(value) for value in values.values()])
+        size = len(values)
+        message.layout.dim = [MultiArrayDimension(label=",".join(values), size=size, stride=size)]
+        self._statistics.publish(message)
 
     def event(self, kind: str, **content: Any) -> None:
         """Tell the runner, if one listens."""

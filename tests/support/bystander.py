@@ -1,0 +1,64 @@
+"""A node beside a run, in the process of the test: it sends what it likes and sees what is sent."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+
+from los_testbed.codecs import stamp_of
+from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.shell import PROFILE, TRANSPORT
+from los_testbed.topics import Topic
+from rclpy.context import Context
+from rclpy.node import Node
+
+
+class Bystander:
+    """Node with publishers on `sends` and subscriptions on `hears`, matched with the run's nodes."""
+
+    def __init__(self, domain: int, sends: Sequence[Topic] = (), hears: Sequence[Topic] = ()) -> None:
+        os.environ.update(
+            FASTRTPS_DEFAULT_PROFILES_FILE=str(PROFILE),
+            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+            FASTDDS_BUILTIN_TRANSPORTS=TRANSPORT,
+        )
+        self.context = Context()
+        self.context.init(domain_id=domain)
+        self.node = Node("bystander", context=self.context)
+        # deep enough that nothing is pushed out before its reader has it
+        self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
+        self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}
+        end = time.monotonic() + 10.0
+        while not self._matched() and time.monotonic() < end:
+            time.sleep(0.05)
+        time.sleep(0.3)  # the other side may see the match a little later
+
+    def _matched(self) -> bool:
+        node, topics = self.node, [*self._outputs, *self._inputs]
+        return all(node.count_subscribers(f"/telescope/{n}") > (n in self._inputs) for n in topics)
+
+    def next(self, topic: Topic, newer_than: int = 0, timeout: float = 30.0) -> int:
+        """Stamp of a message on `topic` that comes after this call and is newer than a stamp."""
+        source = self._inputs[topic.name]
+        while source.take() is not None:
+            pass
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            while (taken := source.take()) is not None:
+                if (stamp := stamp_of(taken[0])) > newer_than:
+                    return stamp
+            time.sleep(1e-3)
+        raise TimeoutError(f"nothing newer than {newer_than} on {topic.path} within {timeout:g} s")
+
+    def send(self, topic: Topic, data: bytes | bytearray) -> None:
+        self._outputs[topic.name].publish(data)
+
+    def settle(self) -> None:
+        """Wait until every reader has what was sent."""
+        deadline = time.monotonic() + 20.0
+        assert all(publisher.settle(deadline) for publisher in self._outputs.values())
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.shutdown()
