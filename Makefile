@@ -2,12 +2,27 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+PACKAGES := uncertain_systems titop_plant robust_design los_estimator fsm_pma_controller pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: run test test-fast test-slow lint bench lock clean
+.DEFAULT_GOAL := help
+.PHONY: help run test test-slow lint stages bench docs lock clean
+
+help:
+	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
+	@echo "make test       style, types, all tests of ordinary length"
+	@echo "make test-slow  the long ones"
+	@echo "make stages     the four stages of control side by side"
+	@echo "make bench      benchmarks with short settings, one JSON object each"
+	@echo "make docs       figures and tables of README.md and docs/ from the model and the stored designs"
+	@echo "make lint       style and types alone"
+	@echo "make lock       new requirements.lock (needs the network)"
+	@echo "make clean      remove everything that was made, except bags"
 
 $(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 10) <= v <= (3, 13) else \
+	    "expected Python 3.10 to 3.13, $(PYTHON) is %d.%d: name another, for example make run PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
@@ -22,11 +37,25 @@ lint: $(READY)
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/pytest -n 2 -m "not slow and not ros" --doctest-modules --ignore=ros_ws --ignore=examples --ignore=benchmarks
+	$(BIN)/pytest -n 2 -m "not slow and not ros" --doctest-modules tests $(PACKAGES)
 	$(BIN)/pytest -m "ros and not slow" tests
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow tests
+
+stages: $(READY)
+	$(BIN)/los-testbed stages
+
+bench: $(READY)
+	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
+	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
+	$(BIN)/python benchmarks/tuning.py --quick --json
+	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
+
+docs: $(READY)
+	$(BIN)/los-testbed plant figures --output docs/figures
+	$(BIN)/los-testbed design figures --output docs/figures
+	$(BIN)/los-testbed design table
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
@@ -35,4 +64,5 @@ lock:
 	    --override .venv-lock/override.txt pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache ros_ws/build ros_ws/install ros_ws/log
+	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf ros_ws/build ros_ws/install ros_ws/log
