@@ -63,7 +63,7 @@ def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> Uncerta
     >>> np.round(fsm["fsm_angle", "fsm_command"].nominal()(0).real, 12).tolist()
     [[1.0, 0.0], [0.0, 1.0]]
     """
-    mass = from_inertia(data.mass, data.inertia, data.center_of_mass)
+    mass = from_inertia(data.mass, data.inertia, data.center_of_mass, "fast steering mirror")
     block = rigid_body("mirror", point, mass)
     for name, axis in (("y", (0.0, 1.0, 0.0)), ("x", (1.0, 0.0, 0.0))):
         block = on_revolute_joint(

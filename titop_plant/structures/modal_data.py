@@ -261,7 +261,7 @@ class ModalData:
         )
 
 
-def from_inertia(mass: float, inertia_at_cg: ArrayLike, cg: ArrayLike) -> FloatArray:
+def from_inertia(mass: float, inertia_at_cg: ArrayLike, cg: ArrayLike, name: str = "") -> FloatArray:
     """Rigid mass matrix at a point P from mass, inertia and centre of mass.
 
     Parameters
@@ -273,6 +273,8 @@ def from_inertia(mass: float, inertia_at_cg: ArrayLike, cg: ArrayLike) -> FloatA
         i.e. minus the integral of x y dm), kg m2.
     cg : array_like, shape (3,)
         Vector from P to the centre of mass, m.
+    name : str
+        Name of the body for error messages.
 
     Returns
     -------
@@ -289,14 +291,15 @@ def from_inertia(mass: float, inertia_at_cg: ArrayLike, cg: ArrayLike) -> FloatA
     >>> float(from_inertia(2.0, np.zeros((3, 3)), [3.0, 0.0, 0.0])[5, 5])
     18.0
     """
-    inertia = read_only(inertia_at_cg, (3, 3), "inertia_at_cg")
-    lever = read_only(cg, (3,), "cg")
+    body = f"{name}: " if name else ""
+    inertia = read_only(inertia_at_cg, (3, 3), f"{body}inertia_at_cg")
+    lever = read_only(cg, (3,), f"{body}cg")
     if not np.isfinite(mass) or mass <= 0:
-        raise ValueError(f"mass must be positive, got {mass:.6g} kg")
+        raise ValueError(f"{body}mass must be positive, got {mass:.6g} kg")
     if np.abs(inertia - inertia.T).max() > 1e-9 * max(1.0, float(np.abs(inertia).max())):
-        raise ValueError(f"inertia_at_cg must be symmetric, got {inertia.tolist()}")
+        raise ValueError(f"{body}inertia_at_cg must be symmetric, got {inertia.tolist()}")
     if eigvalsh(inertia)[0] < -1e-9 * max(1e-9, float(np.abs(inertia).max())):
-        raise ValueError(f"inertia_at_cg must be positive semidefinite, got {inertia.tolist()}")
+        raise ValueError(f"{body}inertia_at_cg must be positive semidefinite, got {inertia.tolist()}")
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = mass * np.eye(3)
     matrix[:3, 3:] = -mass * skew(lever)

@@ -20,8 +20,14 @@ from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel, pyram
 from titop_plant.blocks.solar_array import SolarArray
 from titop_plant.structures.kinematics import AXES, FloatArray
 from titop_plant.structures.modal_data import ModalData, from_inertia
-from titop_plant.structures.residual_mass import ResidualMode, add_residual_modes, repair_residual_mass
+from titop_plant.structures.residual_mass import (
+    ResidualMode,
+    add_residual_modes,
+    check_residual_mass,
+    repair_residual_mass,
+)
 from titop_plant.telescope.optics import TwoMirrorTelescope
+from titop_plant.telescope.parameter_check import ParameterFile
 from uncertain_systems import RealParameter
 
 if sys.version_info >= (3, 11):
@@ -33,6 +39,7 @@ Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
 _OWN_BODIES = ("body", "payload")
+_ROUNDING = 1e-3
 
 
 def load_parameters(path: str | Path = REFERENCE) -> Parameters:
@@ -48,12 +55,14 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     Raises
     ------
     ValueError
-        File missing, not TOML, or with a table or key that the reference does not have.
+        File missing or not TOML; a key that the reference does not have, or a value of another kind, length or
+        sign than the one in its place. The message names the file, the line and the key.
     """
-    reference = _read(REFERENCE)
+    reference, _ = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return MappingProxyType(reference)
-    merged = _merged(reference, _read(Path(path)), str(path), "")
+    own, text = _read(Path(path))
+    merged = ParameterFile(str(path), text).merged(reference, own)
     for name in _OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
@@ -61,29 +70,17 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     return MappingProxyType(merged)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> tuple[dict[str, Any], str]:
+    """Content of a TOML file, and its text."""
     try:
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-        return content
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text), text
     except OSError as error:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path} is not a TOML file: {error}") from None
-
-
-def _merged(base: dict[str, Any], over: Mapping[str, Any], where: str, prefix: str) -> dict[str, Any]:
-    result = dict(base)
-    for key, value in over.items():
-        if key not in base:
-            raise ValueError(f"{where}: unknown parameter {prefix + key!r}, expected one of: {', '.join(base)}")
-        if isinstance(base[key], dict):
-            if not isinstance(value, dict):
-                raise ValueError(f"{where}: {prefix + key!r} must be a table, got {value!r}")
-            value = _merged(base[key], value, where, f"{prefix}{key}.")
-        elif isinstance(value, dict):
-            raise ValueError(f"{where}: {prefix + key!r} must be a value, got a table")
-        result[key] = value
-    return result
 
 
 def parameters_hash(parameters: Parameters) -> str:
@@ -126,13 +123,19 @@ def array_modes(parameters: Parameters) -> ModalData:
 
     The printed participation of two modes takes more than the rigid mass by rounding: it is scaled by
     the smallest factor that leaves none negative. Then come the further modes.
+
+    Raises
+    ------
+    ValueError
+        More is missing than rounding explains (a thousandth of the rigid mass); names axis and amount.
     """
     table = parameters["solar_array"]
-    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"])
+    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], "solar array")
     damping = np.full(2, table["damping"])
     printed = ModalData(
         "solar array", "A", np.zeros(3), mass, table["frequencies"], damping, np.array(table["participation"])
     )
+    check_residual_mass(printed, tolerance=_ROUNDING)
     modes = [
         ResidualMode(m["frequency"], table["damping"], np.eye(6)[AXES.index(m["direction"])], m["share"])
         for m in table["further_modes"]
@@ -173,7 +176,7 @@ def wheel_components(parameters: Parameters) -> list[MountedWheel]:
 def platform_mass(parameters: Parameters) -> FloatArray:
     """Mass matrix of the isolator's platform at I_p, shape (6, 6)."""
     table = parameters["isolator"]
-    return from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"])
+    return from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], "isolator platform")
 
 
 def isolator_component(parameters: Parameters) -> Isolator:

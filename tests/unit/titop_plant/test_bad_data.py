@@ -1,0 +1,242 @@
+"""Bad data, wherever they come from: one line that names the body, the port or the line of the file.
+
+NASTRAN files: ``test_structures_nastran.py``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from titop_plant import ports
+from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
+from titop_plant.blocks.flexible_body import flexible_body, rigid_body
+from titop_plant.blocks.mounting import mounted
+from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
+from titop_plant.blocks.reaction_wheel import ReactionWheel
+from titop_plant.blocks.revolute_joint import on_revolute_joint
+from titop_plant.simulation import telescope
+from titop_plant.structures import (
+    ChildPort,
+    ModalData,
+    check_residual_mass,
+    from_inertia,
+    read_modal_data,
+    write_modal_data,
+)
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters
+from uncertain_systems import Port, connect, invert, static_gain
+
+MASS = from_inertia(5.0, np.eye(3), [0.1, 0.0, 0.0])
+TURNED = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+MIRRORED = np.diag([1.0, 1.0, -1.0])
+
+
+def panel(**changes: Any) -> ModalData:
+    L = np.zeros((1, 6))
+    L[0, 2] = 1.5
+    data = ModalData("panel", "P", np.zeros(3), MASS, [3.0], [0.01], L, (ChildPort("tip", [1, 0, 0], 0.3 * L.T),))
+    return dataclasses.replace(data, **changes)
+
+
+def heavy_modes() -> ModalData:
+    L = np.zeros((1, 6))
+    L[0, 2] = 2.4  # takes 5.76 of the 5 kg
+    return panel(participation=L)
+
+
+def panel_block() -> Any:
+    return flexible_body(panel())
+
+
+def wired(*extra: tuple[str, str], target: str = "panel.wrench_tip", unit: str = ports.WRENCH_UNIT) -> Any:
+    load = Port("load", 6, unit)
+    return connect(
+        {"panel": panel_block()},
+        [("accel_P", "panel.accel_P"), ("load", target), *extra],
+        inputs=[ports.accel("P"), load],
+        outputs={"wrench": "panel.wrench_P"},
+    )
+
+
+OBJECTS: dict[str, tuple[Callable[[], Any], list[str]]] = {
+    "residual mass": (
+        lambda: check_residual_mass(heavy_modes()),
+        ["panel", "residual mass", "z translation", "-0.76 kg of 5"],
+    ),
+    "negative mass, body": (lambda: panel(mass_matrix=-MASS), ["panel", "mass must be positive", "-5 kg"]),
+    "negative mass, inertia": (lambda: from_inertia(-2.0, np.eye(3), [0, 0, 0], "tank"), ["tank", "mass", "-2 kg"]),
+    "negative mass, wheel": (lambda: ReactionWheel(-1.0, 0.1, 0.05), ["reaction wheel", "mass", "-1.0"]),
+    "negative mass, actuator": (
+        lambda: ProofMassActuator(-2.5, 3.5, np.eye(3), 70.0, 10.0),
+        ["proof-mass actuator", "moving_mass", "-2.5"],
+    ),
+    "negative mass, mirror": (
+        lambda: fast_steering_mirror(FastSteeringMirror(-0.05, np.eye(3), 77.0, 0.0)),
+        ["fast steering mirror", "-0.05 kg"],
+    ),
+    "inertia": (lambda: from_inertia(1.0, -np.eye(3), [0, 0, 0], "tank"), ["tank", "inertia_at_cg", "semidefinite"]),
+    "direction cosines": (
+        lambda: mounted(panel_block(), "P", "A1", dcm=TURNED),
+        ["mounting of P at A1", "orthonormal", "0.1"],
+    ),
+    "mirrored axes": (
+        lambda: mounted(panel_block(), "P", "A1", dcm=MIRRORED),
+        ["mounting of P at A1", "right-handed", "-1"],
+    ),
+    "rotated body": (lambda: panel().rotated(TURNED), ["panel", "dcm", "orthonormal"]),
+    "frequency": (lambda: panel(frequencies=[-3.0]), ["panel", "frequenc", "-3"]),
+    "two points of one name": (lambda: panel(parent="tip"), ["panel", "'tip' twice"]),
+    "unknown child": (lambda: flexible_body(panel(), deflections=["rim"]), ["panel", "'rim'", "tip"]),
+    "unknown mode": (lambda: flexible_body(panel(), frequencies={4: None}), ["panel", "mode index", "4"]),  # type: ignore[dict-item]
+    "joint": (
+        lambda: on_revolute_joint(panel_block(), "P", [0, 0, 1], stiffness=-1.0, damping=0.0),
+        ["revolute joint at P", "stiffness", "-1.0"],
+    ),
+    "joint without inertia": (
+        lambda: on_revolute_joint(
+            rigid_body("ball", "P", np.diag([2.0] * 3 + [0.0] * 3)), "P", [1, 0, 0], stiffness=1.0, damping=0.0
+        ),
+        ["revolute joint at P", "no inertia about the axis"],
+    ),
+    "unknown port": (lambda: wired(target="panel.wrench_rim"), ["'panel.wrench_rim'", "panel.wrench_tip"]),
+    "two drivers": (lambda: wired(("load", "panel.wrench_tip")), ["'panel.wrench_tip'", "two drivers", "load"]),
+    "other unit": (lambda: wired(unit=ports.TWIST_UNIT), ["load -> panel.wrench_tip", "units differ", "m/s2", "Nm"]),
+    "other size": (
+        lambda: connect(
+            {"panel": panel_block()},
+            [("f", "panel.wrench_tip"), ("f", "panel.accel_P")],
+            inputs=[Port("f", 3, "N")],
+            outputs={"w": "panel.wrench_P"},
+        ),
+        ["f -> panel.", "sizes differ, 3 and 6"],
+    ),
+    "open input": (
+        lambda: connect(
+            {"panel": panel_block()},
+            [("accel_P", "panel.accel_P")],
+            inputs=[ports.accel("P")],
+            outputs={"w": "panel.wrench_P"},
+        ),
+        ["unconnected input", "panel.wrench_tip"],
+    ),
+    "channel not invertible": (
+        lambda: invert(static_gain(np.zeros((1, 1)), [Port("u", 1)], [Port("y", 1)]), {"u": "y"}),
+        ["u -> y", "not invertible"],
+    ),
+    "port of the telescope": (
+        lambda: telescope().system["los", "wheel_imbalanse"],
+        ["unknown input port 'wheel_imbalanse'", "wheel_imbalance"],
+    ),
+    "value beyond its range": (
+        lambda: telescope().system.data_at({"wheel_2.speed": 2000.0}),
+        ["'wheel_2.speed'", "[-1047.2, 1047.2] rad/s", "2000"],
+    ),
+    "unknown parameter": (
+        lambda: telescope().system.data_at({"wheel_5.speed": 1.0}),
+        ["'wheel_5.speed'", "wheel_1.speed"],
+    ),
+}
+
+
+def one_line(error: BaseException, words: list[str]) -> None:
+    message = str(error)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_the_message_names_the_body_or_the_port(name: str) -> None:
+    make, words = OBJECTS[name]
+    with pytest.raises(ValueError) as caught:
+        make()
+    one_line(caught.value, words)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("frequency = 3.0", "frequency = -3.0", ["panel", "frequenc", "-3"]),
+        (
+            "participation = [0.0, 0.0, 1.5",
+            "participation = [0.0, 1.5",
+            [", line {at}: panel: mode 1", "shape (6,)", "(5,)"],
+        ),
+        (
+            "participation = [0.0, 0.0, 1.5",
+            "participation = [0.0, 0.0, 2.4",
+            ["panel", "residual mass", "z translation"],
+        ),
+        ('parent = "P"', "parent = 3", [", line {at}: panel: parent", "name in quotes", "3"]),
+        ("damping = 0.01", "dampling = 0.01", [", line {at}: panel: mode 1", "unknown key 'dampling'"]),
+        ("[mode.shapes]", "[mode.shape]", [", line {at}: panel: mode 1", "unknown key 'shape'"]),
+        ("version = 1", "version = 9", [", line", "version = 1", "9"]),
+        ("mass_matrix = [", "mass_matrix = [[", ["not a TOML file", "line"]),
+    ],
+)
+def test_a_modal_file_says_line_and_body(tmp_path: Path, old: str, new: str, words: list[str]) -> None:
+    path = tmp_path / "panel.toml"
+    write_modal_data(panel(), path)
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    at = next(i for i, line in enumerate(path.read_text().splitlines(), start=1) if new in line)
+    with pytest.raises(ValueError) as caught:
+        read_modal_data(path)
+    one_line(caught.value, ["panel.toml", *(word.format(at=at) for word in words)])
+
+
+ARRAY, MODES = "[solar_array]\n", "[[solar_array.further_modes]]\n"
+PARAMETERS = [
+    (ARRAY + "mass = -59.0", ["line 2", "'solar_array.mass' must be positive", "-59.0"]),
+    ("\n\n[pma]\n\nmoving_mass = 0", ["line 5", "'pma.moving_mass' must be positive", "0"]),
+    ("[fsm]\nmass = -0.05", ["line 2", "'fsm.mass'", "-0.05"]),
+    ("[fsm]\nstiffness = 'stiff'", ["line 2", "'fsm.stiffness' must be a number", "'stiff'"]),
+    ("[fsm]\nstiffness = nan", ["line 2", "'fsm.stiffness' must be a number", "nan"]),
+    ("[isolator]\nstiffness = [1e6, 1e6]", ["line 2", "'isolator.stiffness' must have 6 entries, got 2"]),
+    ("[isolator]\ndamping = [1.0, 1.0, 1.0, -1.0, 1.0, 1.0]", ["line 2", "'isolator.damping[3]'", "negative"]),
+    (ARRAY + "dcm_A1 = [[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]", ["at A1", "orthonormal", "0.1"]),
+    (ARRAY + "inertia_at_cg = [[-1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]", ["solar array", "inertia_at_cg"]),
+    (
+        ARRAY + "participation = [[0, 0, 6.5, -57.0, 0, 0], [6.8, 0, 0, 0, 0, 47.0]]",
+        ["solar array", "residual mass", "x rotation"],
+    ),
+    (ARRAY + "frequencies = [0.743]", ["line 2", "'solar_array.frequencies' must have 2 entries"]),
+    (ARRAY + "relative_uncertainty = 1.5", ["line 2", "'solar_array.relative_uncertainty'", "1.5"]),
+    (ARRAY + "theta_range = [-7.0, 1.0]", ["line 2", "'solar_array.theta_range[0]'", "-7.0"]),
+    (ARRAY + "theta_range = [1.0, 2.0]", ["'solar_array.tau'", "lower <= nominal <= upper"]),
+    (MODES + 'frequency = 1.0\nshare = 0.1\ndirection = "up"', ["line 4", "[0].direction'", "'up'", "z translation"]),
+    (MODES + "frequency = 1.0\nshare = 0.1", ["line 1", "further_modes[0]' has no 'direction'"]),
+    (MODES + 'direction = "z translation"\nfrequency = 1.0\nshare = 1.4', ["line 4", "further_modes[0].share'", "1.4"]),
+    ("[payload]\nequipment = 3", ["line 2", "'payload.equipment' must be tables"]),
+    ('[[payload.equipment]]\nname = "x"\nmass = 1.0\nsize = [1, 1, 1]', ["'position' or a 'node'"]),
+    ('[[body.equipment]]\nname = "x"\nmass = -1.0\nsize = [1, 1, 1]\nnode = "G"', ["line 3", "equipment[0].mass'"]),
+    ("[payload]\nmodes = 2.5", ["line 2", "'payload.modes' must be a whole number", "2.5"]),
+    ("[payload]\nmodes = 4000", ["payload", "modes", "4000"]),
+    ('[payload]\nmodal_data = "none.toml"', ["payload.modal_data", "none.toml", "No such file"]),
+    ("[optics]\nmirror_distance = 3.0", ["mirror distance", "1.8 m", "3.0"]),
+    ("[attitude_control]\nbandwidth = -0.06", ["line 2", "'attitude_control.bandwidth'", "-0.06"]),
+    ("[reaction_wheel]\ncant_deg = 0.0", ["attitude control", "spin axes", "rank 3"]),
+    ("[materials.cfrp]\nE = -1.0", ["line 2", "'materials.cfrp.E'", "-1.0"]),
+    ("[wheels]\nmass = 1.0", ["line 1", "unknown parameter 'wheels'", "reaction_wheel"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), PARAMETERS, ids=lambda value: value.split("\n")[-1] if isinstance(value, str) else ""
+)
+def test_a_parameter_file_says_line_and_key_or_the_body(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError) as caught:
+        build_telescope(load_parameters(path))
+    one_line(caught.value, words)
+    if "line" in words[0]:
+        assert "mine.toml" in str(caught.value)

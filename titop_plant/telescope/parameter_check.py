@@ -1,0 +1,155 @@
+"""Checks of a user's parameter file against the reference file: names, kinds, lengths, signs."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from titop_plant.structures.kinematics import AXES
+
+POSITIVE = {
+    "mass", "moving_mass", "casing_mass", "axial_inertia", "radial_inertia", "stiffness", "frequencies", "frequency",
+    "maximum_speed", "authority", "bandwidth", "los_sensitivity", "primary_focal_length", "mirror_distance",
+    "back_focal_distance", "step_frequency", "ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window", "washout",
+    "E", "G", "density", "size", "diameter", "thickness", "height", "width", "share",
+}  # fmt: skip
+"""Keys whose numbers must be above zero, in whatever table they stand."""
+
+NOT_NEGATIVE = {
+    "damping", "gearbox_stiffness", "gearbox_damping", "torque_bound", "accelerometer_noise", "camera_noise",
+    "strain_gauge_noise", "radial_force", "axial_force", "radial_torque", "modes", "tones", "wheel_imbalance",
+}  # fmt: skip
+
+FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99}
+"""Keys between 0 and this."""
+
+ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_ratios", "step_harmonics"}
+"""Lists that may be longer or shorter than those of the reference."""
+
+REQUIRED = {"equipment": {"name", "mass", "size"}, "further_modes": {"frequency", "direction", "share"}}
+OPTIONAL = {"equipment": {"position", "node"}, "further_modes": set[str]()}
+
+
+class ParameterFile:
+    """One user's file: finds the line of a key for the message about it.
+
+    Parameters
+    ----------
+    path : str
+        For the messages.
+    text : str
+        Content of the file.
+    """
+
+    def __init__(self, path: str, text: str) -> None:
+        self.path = path
+        self.lines = dict(_keys(text))
+
+    def error(self, key: str, problem: str) -> ValueError:
+        """A ValueError that names the file, the line and the key."""
+        known = key
+        while known not in self.lines and "[" in known:
+            known = known.rpartition("[")[0]
+        line = self.lines.get(known)
+        about = f"unknown parameter {key!r}, {problem}" if problem.startswith("expected") else f"{key!r} {problem}"
+        return ValueError(f"{self.path}{f', line {line}' if line else ''}: {about}")
+
+    def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+        """The reference's table with the user's values in the place of its own.
+
+        Raises
+        ------
+        ValueError
+            An unknown key, a value of another kind, length or sign than the reference's.
+        """
+        result = dict(base)
+        for key, value in over.items():
+            name = f"{prefix}{key}"
+            if key not in base:
+                raise self.error(name, f"expected one of: {', '.join(base)}")
+            if isinstance(base[key], dict):
+                if not isinstance(value, dict):
+                    raise self.error(name, f"must be a table, got {value!r}")
+                result[key] = self.merged(base[key], value, f"{name}.")
+            else:
+                self.check(name, key, base[key], value)
+                result[key] = value
+        return result
+
+    def check(self, name: str, key: str, base: Any, value: Any) -> None:
+        """Refuse a value that the reference's value in its place could not be."""
+        if key in REQUIRED:
+            self._check_tables(name, key, value)
+        elif isinstance(base, str):
+            if not isinstance(value, str):
+                raise self.error(name, f"must be a text in quotes, got {value!r}")
+        elif isinstance(base, list):
+            self._check_list(name, key, base, value)
+        else:
+            self._check_number(name, key, value, isinstance(base, int))
+
+    def _check_list(self, name: str, key: str, base: list[Any], value: Any) -> None:
+        if not isinstance(value, list):
+            raise self.error(name, f"must be a list of {len(base)}, got {value!r}")
+        if key not in ANY_LENGTH and len(value) != len(base):
+            raise self.error(name, f"must have {len(base)} entries, got {len(value)}")
+        for i, item in enumerate(value):
+            self.check(f"{name}[{i}]", key, base[min(i, len(base) - 1)], item)
+
+    def _check_number(self, name: str, key: str, value: Any, whole: bool) -> None:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.error(name, f"must be a number, got {value!r}")
+        if whole and not isinstance(value, int):
+            raise self.error(name, f"must be a whole number, got {value!r}")
+        if key in POSITIVE and not value > 0:
+            raise self.error(name, f"must be positive, got {value!r}")
+        if key in NOT_NEGATIVE and not value >= 0:
+            raise self.error(name, f"must not be negative, got {value!r}")
+        if key in FRACTIONS and not 0 <= value <= FRACTIONS[key]:
+            raise self.error(name, f"must be between 0 and {FRACTIONS[key]:g}, got {value!r}")
+        if key == "theta_range" and not abs(value) < 2.0 * math.pi:
+            raise self.error(
+                name, f"must be between -2 pi and 2 pi rad, where tau = tan(theta/4) is regular, got {value!r}"
+            )
+
+    def _check_tables(self, name: str, key: str, value: Any) -> None:
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self.error(name, f"must be tables [[{name}]], got {value!r}")
+        for i, item in enumerate(value):
+            for missing in sorted(REQUIRED[key] - set(item)):
+                raise self.error(f"{name}[{i}]", f"has no {missing!r}")
+            for unknown in sorted(set(item) - REQUIRED[key] - OPTIONAL[key]):
+                known = ", ".join(sorted(REQUIRED[key] | OPTIONAL[key]))
+                raise self.error(f"{name}[{i}].{unknown}", f"expected one of: {known}")
+            if key == "equipment" and not {"position", "node"} & set(item):
+                raise self.error(f"{name}[{i}]", "needs a 'position' or a 'node'")
+            for part, entry in item.items():
+                like: Any = [0.0] * 3 if part in ("size", "position") else "" if part in _TEXTS else 0.0
+                self.check(f"{name}[{i}].{part}", part, like, entry)
+            if key == "further_modes" and item["direction"] not in AXES:
+                raise self.error(
+                    f"{name}[{i}].direction", f"must be one of {', '.join(AXES)}, got {item['direction']!r}"
+                )
+
+
+_TEXTS = ("name", "node", "direction")
+
+
+def _keys(text: str) -> Iterator[tuple[str, int]]:
+    """Full name and line of every key and table; tables of a list have their number, ``name[0]``."""
+    prefix, count = "", Counter[str]()
+    for number, line in enumerate(text.splitlines(), start=1):
+        head = re.match(r"\s*(\[\[?)\s*([\w.]+)\s*\]", line)
+        entry = re.match(r"\s*([\w.]+)\s*=", line)
+        if head:
+            name = head[2]
+            if head[1] == "[[":
+                count[name] += 1
+                name = f"{name}[{count[name] - 1}]"
+            prefix = f"{name}."
+            yield name, number
+        elif entry:
+            yield f"{prefix}{entry[1]}", number
