@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed import cli
+from los_testbed.plant_members import check_member
 from scipy import linalg
 
 from pointing_analysis.read import Run
+from titop_plant.simulation import telescope
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 
@@ -112,3 +116,54 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
         peaks.append(np.abs(truth.values).max())
     assert peaks[1] == pytest.approx(2e-5, rel=1e-3)
     assert peaks[0] < 0.35 * peaks[1]
+
+
+def printed_and_shown(page: str) -> tuple[str, str]:
+    text = PAGE.with_name(page).read_text("utf-8")
+    found = io.StringIO()
+    with contextlib.redirect_stdout(found):
+        exec("\n".join(code(text)), {})
+    return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
+
+
+def test_the_page_on_uncertain_systems_shows_what_comes_out() -> None:
+    printed, shown = printed_and_shown("uncertain_systems.md")
+    assert printed == shown
+
+
+def test_the_table_of_the_telescope_is_the_telescope() -> None:
+    """States and occurrences add up to those of the assembled model."""
+    text = PAGE.with_name("telescope.md").read_text("utf-8")
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("| ")]
+    rows = [row for row in rows if len(row) == 6 and row[1].isdigit()]
+    assembled = telescope()
+    assert sum(int(row[1]) for row in rows) == assembled.system.order == 204
+    modes = {"arrays": 2, "central body": 0, "payload": 1}
+    for name, body in modes.items():
+        row = next(row for row in rows if row[0].startswith(name))
+        n = int(re.findall(r"(\d+) modes", row[0])[0])
+        assert n == assembled.bodies[body].n_modes and int(row[1]) == 2 * n * (2 if name == "arrays" else 1)
+    occurrences = assembled.system.occurrences()
+    for row in rows:
+        for name in re.findall(r"`([\w.]+)`", row[3]):
+            assert occurrences[name] == int(row[4].split()[0])
+    assert sum(occurrences.values()) == 48
+
+
+def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Configurations only: nothing is started."""
+    (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "execute", lambda config, console: (_ for _ in ()).throw(Understood(config)))
+    lines = re.findall(
+        r"^    los-testbed (run .*?)(?:\s+#.*)?$", PAGE.with_name("telescope.md").read_text("utf-8"), re.M
+    )
+    assert len(lines) >= 6
+    for line in lines:
+        with pytest.raises(Understood) as caught:
+            cli.main(shlex.split(line))
+        check_member(caught.value.args[0])
+
+
+class Understood(Exception):
+    """The configuration of a command, in the place of a run."""
