@@ -1,4 +1,4 @@
-"""Command line: ``los-testbed run``, ``analyse``, ``report``, ``replay``, ``bag``, ``plant`` and ``design``."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, bag, plant, design."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from los_testbed.plant_members import check_member, chosen_member, layered
 from los_testbed.replay_command import REPLAY_EXAMPLES, replay
 from los_testbed.report_command import REPORT_EXAMPLES, report
 from los_testbed.runner import Results
+from los_testbed.stages_command import STAGES_EXAMPLES, stages
 
 RESTARTED = 3
 """Exit code of a run that was finished although a node died and had to be started again."""
@@ -171,6 +172,7 @@ def analyse(
 bag_app = typer.Typer(help="Look after recorded runs.", no_args_is_help=True, rich_markup_mode="markdown")
 app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
+app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig
 from los_testbed.plant_members import check_member
 from uncertain_systems.runtime import SampledSystem
+
+if TYPE_CHECKING:
+    from titop_plant.simulation import PlantConfig
 
 FloatArray = NDArray[np.float64]
 
@@ -82,15 +85,28 @@ def build_plant(config: RunConfig) -> Plant:
     """
     from titop_plant import simulation
 
+    with one_thread():
+        plant: Plant = simulation.build_plant(plant_config(config))
+    return plant
+
+
+def plant_config(config: RunConfig) -> PlantConfig:
+    """Physical settings of a run.
+
+    Raises
+    ------
+    ValueError
+        A parameter outside its range; the message names both.
+    """
+    from titop_plant.simulation import PlantConfig
+
     check_member(config)
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL}
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # the plant's own
         if not values[name]:
             del values[name]
-    with one_thread():
-        plant: Plant = simulation.build_plant(simulation.PlantConfig(**values))
-    return plant
+    return PlantConfig(**values)
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:
