@@ -40,7 +40,7 @@ ROS = {
 }  # fmt: skip
 STACKS = {
     "uncertain_systems/frequency_response.py", "robust_design/stacks.py", "los_testbed/as_flown.py",
-    "los_testbed/flown_norms.py",
+    "los_testbed/flown_norms.py", "los_testbed/transmissibility.py",
 }  # fmt: skip
 """Files that may use numpy.linalg, for what scipy.linalg lacks: stacks of matrices, powers of a matrix."""
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in folder.rglob("*.py"))
