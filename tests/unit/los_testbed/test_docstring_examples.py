@@ -7,7 +7,7 @@ import pytest
 
 MODULES = (
     "bag", "bag_repair", "codecs", "command_gate", "config", "cores", "health", "inprocess", "join", "mcap_writer",
-    "real_time", "runner", "schemas", "statistics", "topics",
+    "plant_members", "real_time", "runner", "schemas", "statistics", "topics",
 )  # fmt: skip
 
 
