@@ -129,6 +129,6 @@ def actuator_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Re
 
 
 def actuator_structure(plant: ActuatorPlant, *, order: int = ORDER) -> AffineStructure:
-    """State space of fixed order from the platform's accelerations to the forces, no direct feedthrough."""
+    """State space of fixed order from the platform's accelerations to the forces, all entries free."""
     ports = [plant.system.output_port(name) for name in MEASUREMENTS]
-    return state_space(ports, [FORCE], order, feedthrough=False)
+    return state_space(ports, [FORCE], order)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.skyhook import flown_controller
 from los_estimator.kalman import flown_observer
@@ -31,6 +32,9 @@ from uncertain_systems import SampledSystem, UncertainSystem, state_space
 FLOWN_DELAY = 1.5e-3
 CAMERA_PERIOD = 0.02
 ROOMS = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
+START_SEEDS = (2, 1)
+START_POLES = (20.0, 400.0)
+START_GAIN = 100.0
 VARIANTS = ("flown", "flown_nominal", "paper", "paper_nominal")
 
 
@@ -137,8 +141,7 @@ def design_actuators(
     )
     requirements = actuator_requirements(parameters, as_flown=options.as_flown)
     structure = actuator_structure(plant)
-    rng = np.random.default_rng(options.seed)
-    starts = [1e-3 * structure.start(rng)]
+    starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
     result = _run(plant, requirements, structure, starts, parameters, options)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-pma")[0], _ports("k-pma")[1])
@@ -148,6 +151,16 @@ def design_actuators(
         name=f"K_PMA, {options.variant}",
         provenance=_certificate("k-pma", result, parameters, options),
     )
+
+
+def random_start(plant: UncertainSystem, seed: int) -> Model:
+    """A stable random K_PMA of order 4 that hardly does anything: poles spread over the isolator's band."""
+    rng = np.random.default_rng(seed)
+    poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
+    ports = [plant.output_port("accel_Ip")], [plant.input_port("pma_force")]
+    B = rng.standard_normal((ACTUATOR_ORDER, 6))
+    C = START_GAIN * rng.standard_normal((6, ACTUATOR_ORDER))
+    return Model(np.diag(poles), B, C, np.zeros((6, 6)), *ports, f"start {seed}")  # type: ignore[arg-type]
 
 
 def _ports(kind: str) -> tuple[Any, Any]:
@@ -171,7 +184,7 @@ def _run(
     if options.nominal:
         models: list[Model] = [plant(nominal)]
         return tune(models, requirements, structure, initial=starts, loop_delay=options.loop_delay, options=tuning)
-    search = WorstCaseOptions(samples=40, climbs=1, iterations=8, seed=options.seed, wall_limit=90.0)
+    search = WorstCaseOptions(samples=30, climbs=1, iterations=4, seed=options.seed, wall_limit=60.0)
     return tune_robust(
         plant,
         box_of(parameters),

@@ -1,0 +1,117 @@
+"""The flown designs: their problems, their files, their command."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed.cli import main
+from los_testbed.design import CAMERA_PERIOD, FLOWN_DELAY, continuous, design_file, random_start
+from los_testbed.design_check import flown_plant, load
+from los_testbed.flown_norms import flown_figures
+
+from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
+from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from robust_design.problem import Problem
+from titop_plant.simulation import telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from uncertain_systems import SampledSystem
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
+    """Accelerometer noise through it: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a sketch."""
+    assembled = telescope()
+    plant = observer_plant(assembled, parameters)
+    wanted = observer_requirements(parameters, as_flown=True)
+    problem = Problem([plant({})], wanted, observer_structure(plant))
+    start = kalman_start(plant, assembled, parameters)
+    found = dict(zip((r.name for r in wanted), problem.evaluate(start, gradients=False).values[:, 0]))
+    assert 0.85 < found["noise -> APE"] < 1.05
+    assert 1.3 < found["noise -> RPE"] < 1.6
+    assert found["mirror"] < 1.0
+
+
+def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
+    assembled = telescope()
+    plant = observer_plant(assembled, parameters, camera_period=CAMERA_PERIOD)
+    wanted = [r for r in observer_requirements(parameters, as_flown=True) if r.name in ("RPE", "noise -> RPE")]
+    problem = Problem([plant({})], wanted, observer_structure(plant), loop_delay=FLOWN_DELAY)
+    x = kalman_start(plant, assembled, parameters, lead=FLOWN_DELAY)
+    direction = np.random.default_rng(0).standard_normal(x.size) * (np.abs(x) + 1e-6)
+    pieces = problem.evaluate(x, band=0.01).pieces
+    h = 1e-3
+    ends = [problem.evaluate(x + s * h * direction, gradients=False).values[:, 0] for s in (-1.0, 1.0)]
+    slopes = (ends[1] - ends[0]) / (2.0 * h)
+    for i in range(len(wanted)):
+        best = max((p for p in pieces if p.requirement == i), key=lambda p: p.value)
+        assert best.gradient @ direction == pytest.approx(slopes[i], rel=1e-3)
+
+
+def test_a_random_start_is_stable_and_almost_nothing(parameters) -> None:
+    k_fsm, _ = load("flown")
+    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=FLOWN_DELAY)
+    start = random_start(plant.system, 0)
+    assert np.linalg.eigvals(start.A).real.max() < 0.0
+    structure = actuator_structure(plant)
+    problem = Problem([plant({})], actuator_requirements(parameters, as_flown=True), structure, loop_delay=FLOWN_DELAY)
+    assert problem.abscissa(structure.parameters_of(start)) < 0.0
+
+
+@pytest.mark.parametrize("variant", ["flown", "flown_nominal", "paper", "paper_nominal"])
+def test_stored_designs_have_a_birth_certificate_of_this_telescope(variant: str, parameters) -> None:
+    for system in load(variant):
+        provenance = system.provenance
+        assert provenance["parameters_hash"] == parameters_hash(parameters)
+        assert provenance["command"].startswith("los-testbed design k-")
+        assert continuous(system).order == 4
+
+
+def test_flown_designs_are_stable_and_within_the_templates_at_nominal(parameters) -> None:
+    k_fsm, k_pma = load("flown")
+    plant = flown_plant(telescope(), parameters).data_at({})
+    one, two = (
+        flown_figures(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
+    )
+    assert one.radius < 1.0 and two.radius < 1.0
+    assert max(one.ape, one.rpe, one.mirror) < 1.0
+    assert max(two.ape, two.rpe_fine, two.force) < 1.0
+    assert two.noise_ape < parameters["weights"]["ape_limit"]
+    assert two.noise_rpe < parameters["weights"]["rpe_limit"]
+
+
+def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:
+    system, _ = load("flown")
+    bare = SampledSystem(system.A, system.B, system.C, system.D, system.inputs, system.outputs, system.dt, "mine")
+    with pytest.raises(ValueError, match="mine: the file holds no continuous controller"):
+        continuous(bare)
+    with pytest.raises(ValueError, match="expected one of k-fsm, k-pma"):
+        design_file("k-xyz")
+
+
+def test_table_as_json(capsys) -> None:
+    assert main(["design", "table", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert {row["design"] for row in rows} == {"k-fsm", "k-pma"}
+    assert any(row["variant"] == "published, robust" for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["k-fsm", "--loop-delay", "-1"], "--loop-delay must not be negative, got -1.0"),
+        (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
+        (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments, message, capsys) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["design", *arguments])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error
