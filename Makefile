@@ -51,11 +51,16 @@ bench: $(READY)
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
 	$(BIN)/python benchmarks/tuning.py --quick --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
+	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json
+	$(BIN)/python benchmarks/soak.py --minutes 2 --json
 
 docs: $(READY)
 	$(BIN)/los-testbed plant figures --output docs/figures
 	$(BIN)/los-testbed design figures --output docs/figures
-	$(BIN)/los-testbed design table
+	$(BIN)/los-testbed design table --json | $(BIN)/python docs/fill_tables.py gammas
+	folder=$$(mktemp -d) && $(BIN)/los-testbed stages --output $$folder/stages \
+	    && $(BIN)/python docs/fill_tables.py stages < $$folder/stages/stages.md \
+	    && $(BIN)/python docs/fill_tables.py prediction < $$folder/stages/stages.md && rm -r $$folder
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv

@@ -1,0 +1,105 @@
+"""The tables of README.md are made by commands: the filler, the markers, the pages and commands that README names."""
+
+from __future__ import annotations
+
+import doctest
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/architecture.md")
+
+
+@pytest.fixture(scope="module")
+def filler():
+    spec = importlib.util.spec_from_file_location("fill_tables", ROOT / "docs" / "fill_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_examples(filler) -> None:
+    result = doctest.testmod(filler)
+    assert result.attempted >= 3
+    assert result.failed == 0
+
+
+def test_readme_has_the_markers_once(filler) -> None:
+    page = (ROOT / "README.md").read_text("utf-8")
+    for name in ("gammas", "stages", "prediction"):
+        assert filler.filled(page, name, "TABLE").count("TABLE") == 1
+
+
+def test_filling_twice_changes_nothing_more(filler) -> None:
+    page = (ROOT / "README.md").read_text("utf-8")
+    once = filler.filled(page, "stages", "| a |")
+    assert filler.filled(once, "stages", "| a |") == once
+
+
+def test_the_design_table_becomes_rows(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- gammas:begin -->\n<!-- gammas:end -->\n")
+    rows = [
+        {"design": "k-pma", "variant": "flown", "gammas": {"APE": 0.5, "force": 0.25}, "status": "converged"},
+        {"design": "k-pma", "variant": "published, robust", "gammas": [0.5768, 0.9835, 0.9835, 0.1185]},
+    ]
+    command = [sys.executable, str(ROOT / "docs" / "fill_tables.py"), "gammas", "--page", str(page)]
+    subprocess.run(command, input=json.dumps(rows), text=True, check=True, timeout=60)
+    lines = [line for line in page.read_text().splitlines() if line.startswith("|")]
+    assert lines[0] == "| design, problem | APE | RPE | force | noise → APE |"
+    assert lines[2] == "| K_PMA, as flown, robust | 0.5000 |  | 0.2500 |  |"
+    assert lines[3] == "| K_PMA, *the paper, robust* | 0.5768 | 0.9835 | 0.1185 | 0.9835 |"
+
+
+@pytest.mark.parametrize(("name", "text"), [("gammas", ""), ("stages", "nothing"), ("other", "| a |")])
+def test_mistakes_leave_the_page_alone(tmp_path: Path, name: str, text: str) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- gammas:begin -->\n<!-- gammas:end -->\n")
+    command = [sys.executable, str(ROOT / "docs" / "fill_tables.py"), name, "--page", str(page)]
+    done = subprocess.run(command, input=text, text=True, capture_output=True, timeout=60)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert page.read_text() == "<!-- gammas:begin -->\n<!-- gammas:end -->\n"
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text("utf-8"))
+    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    assert not missing
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_named_commands_exist(name: str) -> None:
+    from los_testbed.cli import app
+    from typer.main import get_command
+
+    commands = get_command(app).commands
+    text = (ROOT / name).read_text("utf-8")
+    for line in re.findall(r"los-testbed ([a-z][a-z0-9|-]*(?: [a-z0-9|-]+)?)", text):
+        first, _, second = line.partition(" ")
+        for word in first.split("|"):
+            assert word in commands, f"{name}: los-testbed {line}"
+            inner = getattr(commands[word], "commands", {})
+            for one in second.split("|") if inner and second and not second.startswith("-") else []:
+                assert one in inner, f"{name}: los-testbed {line}"
+
+
+def test_targets_of_make_exist() -> None:
+    text = (ROOT / "Makefile").read_text("utf-8")
+    targets = set(re.findall(r"^([a-z-]+):", text, flags=re.MULTILINE))
+    for name in PAGES:
+        named = set(
+            re.findall(
+                r"`?make ([a-z-]+)\b",
+                "\n".join(re.findall(r"`[^`]+`|^make .*$", (ROOT / name).read_text("utf-8"), flags=re.MULTILINE)),
+            )
+        )
+        assert named <= targets, name
