@@ -137,8 +137,8 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
         if "disturbance" in plan.parts:
             found, total = tone_rows(results, scenario)
             lines += [
-                "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model when "
-                f"settled, where it differs), {_of(found, total)}:",
+                "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
+                f"when settled, where it differs), {_of(found, total)}:",
                 "",
                 *_markdown_table(["Hz", *LOOPS], found),
                 "",
