@@ -1,0 +1,57 @@
+"""The plant node as a member of the uncertain family, by ROS parameters alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+from los_testbed.config import RunConfig
+from los_testbed.inprocess import run_in_process
+from los_testbed.plant_members import random_member
+from los_testbed.runner import Runner, environment
+from ros_runs import config_for, private_domain, topic_hashes
+
+pytestmark = pytest.mark.ros
+
+
+def start(logs: Path, *parameters: str) -> subprocess.CompletedProcess[str]:
+    given = [word for p in parameters for word in ("-p", p)]
+    return subprocess.run(
+        [sys.executable, "-m", "los_testbed.nodes.plant", "--ros-args", *given],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=environment(RunConfig(domain=private_domain()), logs),
+    )
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        (("omega_1:=0.9",), ["omega_1 must be between 0.70585 and 0.78015 rad/s", "got 0.9"]),
+        (("wheel_speed:=[0.0, 0.0, -2000.0, 0.0]",), ["wheel_speed (wheel 3)", "-1047.2 and 1047.2", "-2000"]),
+        (("theta:=0.5", "tau:=0.1"), ["theta or tau", "got both"]),
+    ],
+)
+def test_a_node_outside_the_family_says_so_and_ends(
+    tmp_path: Path, parameters: tuple[str, ...], words: list[str]
+) -> None:
+    done = start(tmp_path, *parameters)
+    last = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 2, done.stderr
+    assert all(word in last for word in words), last
+
+
+def test_a_random_member_in_lockstep_is_the_one_in_one_process(tmp_path: Path) -> None:
+    """Same bytes on every topic: the parameters reach the node whole."""
+    config = config_for(tmp_path, mode="lockstep", duration=0.5, **random_member(5))
+    results = Runner(config, lambda ticks: None).run()
+    run_in_process(config, tmp_path / "alone")
+    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
+    loop = [topic for topic in theirs if topic in ours]
+    assert len(loop) >= 8
+    assert {topic: ours[topic] for topic in loop} == {topic: theirs[topic] for topic in loop}
