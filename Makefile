@@ -7,13 +7,14 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow lint stages bench docs lock clean
+.PHONY: help run test test-slow lint stages reference-bag bench docs lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, all tests of ordinary length"
 	@echo "make test-slow  the long ones"
 	@echo "make stages     the four stages of control side by side"
+	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/ from the model and the stored designs"
 	@echo "make lint       style and types alone"
@@ -45,6 +46,10 @@ test-slow: $(READY)
 
 stages: $(READY)
 	$(BIN)/los-testbed stages
+
+reference-bag: $(READY)
+	rm -rf bags/reference
+	$(BIN)/los-testbed run --mode inprocess --duration 4.5 --seed 1 --output bags/reference --no-report
 
 bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json

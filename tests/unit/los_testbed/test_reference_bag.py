@@ -1,0 +1,35 @@
+"""The small bag of the repository: opens, is small, holds what a run holds."""
+
+from pathlib import Path
+
+import numpy as np
+from los_testbed import replay_core
+from los_testbed.topics import TOPICS
+
+from pointing_analysis.read import Run
+from pointing_analysis.replay import compare
+
+BAG = Path(__file__).parents[3] / "bags" / "reference"
+
+
+def test_it_is_small_and_whole() -> None:
+    assert sum(file.stat().st_size for file in BAG.iterdir()) <= 2_000_000
+    run = Run.open(BAG)
+    assert not run.problems
+    for topic in TOPICS:
+        found = run[topic.name]
+        assert len(found) == topic.expected_count(4500, 20), topic.name
+        assert found.integrity.missing == 0
+    assert run.parameters["mode"] == "inprocess"
+
+
+def test_its_controllers_give_its_commands_again() -> None:
+    """To rounding: another processor may add up in another order."""
+    run = Run.open(BAG)
+    chosen = replay_core.controllers(run)
+    assert chosen.as_flown
+    replayed = replay_core.drive(run, chosen, lambda done, total: None)
+    for difference in compare(run, replayed).differences:
+        scale = np.abs(run[difference.topic].values).max()
+        assert difference.missing == 0
+        assert difference.largest <= 1e-9 * scale
