@@ -203,7 +203,7 @@ class Run:
         namespace: str | None = None,
         start: float = 0.0,
         stop: float = float("inf"),
-        memory_limit: int = MEMORY_LIMIT,
+        memory_limit: int | None = None,
     ) -> Run:
         """Open a bag.
 
@@ -212,7 +212,8 @@ class Run:
         path : rosbag2 folder or ``.mcap`` file
         namespace : which plant, when the bag holds several
         start, stop : only this part of the run [s], counted from the first recorded message by recording time
-        memory_limit : bytes that the arrays may take; a larger bag is read topic by topic, or in parts
+        memory_limit : bytes that the arrays may take (None: `MEMORY_LIMIT`, 2 GB); a larger bag is read topic by topic,
+            or in parts
 
         Raises
         ------
@@ -221,7 +222,8 @@ class Run:
         """
         if not stop > start:
             raise BagError(f"expected stop after start; got start={start:g} s, stop={stop:g} s")
-        return cls(Path(path), namespace, float(start), float(stop), memory_limit)
+        limit = MEMORY_LIMIT if memory_limit is None else memory_limit
+        return cls(Path(path), namespace, float(start), float(stop), limit)
 
     # -- reading ------------------------------------------------------------------------------------------------
 

@@ -43,6 +43,7 @@ def report(
     transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out.")] = None,
     start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
+    namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
@@ -53,7 +54,7 @@ def report(
 
     wanted = None if requirements is None else texts.load(requirements)
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
-    runs = [Run.open(bag, start=start, stop=stop) for bag in bags]
+    runs = [Run.open(bag, namespace=namespace, start=start, stop=stop) for bag in bags]
     found = [summarise(run, transient=transient, wanted=wanted) for run in runs]
     write_report(runs, target, transient=transient, wanted=wanted)
     console = Console(stderr=json_)

@@ -1,0 +1,179 @@
+"""``los-testbed report``: what it writes, and that bad bags give one clear line or a stated partial answer."""
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed import cli
+
+from pointing_analysis import read
+from pointing_analysis.synthetic import write_bag
+
+MAS = np.pi / 648_000_000
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Run the command in an empty folder: exit code, output, error output."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+    def run(*arguments):
+        try:
+            code = cli.main(["report", *map(str, arguments)])
+        except SystemExit as stop:
+            code = stop.code
+        return code, *capsys.readouterr()
+
+    run.here = tmp_path / "here"
+    return run
+
+
+def los(seconds: float, scale: float = 5.0) -> np.ndarray:
+    return scale * MAS * RNG.standard_normal((round(1000 * seconds), 2))
+
+
+def refused(call, *arguments, words=()):
+    """One line, exit code 2, nothing written."""
+    code, out, err = call(*arguments)
+    assert code == 2, err
+    assert out == ""
+    assert err.startswith("los-testbed: ") and err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert not list(call.here.iterdir())
+
+
+def test_several_bags_side_by_side(call, tmp_path) -> None:
+    bags = [
+        write_bag(tmp_path / n, {"truth/los": los(10, s)}, parameters={"loop": n})
+        for n, s in (("isolator", 90.0), ("fsm", 9.0))
+    ]
+    code, out, _ = call(*bags, "--output", "two.html", "--json")
+    assert code == 0
+    content = json.loads(out.splitlines()[-1])
+    assert [run["loop"] for run in content["runs"]] == ["isolator", "fsm"]
+    assert all(run["transient_s"] == 3.0 for run in content["runs"])
+    page = (call.here / "two.html").read_text()
+    assert page.count('<article class="card') == 2
+    code, out, _ = call(bags[0])
+    assert (bags[0] / "report.html").exists()
+    assert "3 s" in out
+
+
+def test_requirements_of_ones_own_and_transient(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
+    own = tmp_path / "own.toml"
+    own.write_text('[[requirement]]\nname = "mine"\ntext = "prob(|APE_x| < 1 arcsec) >= 0.5 at 90 % confidence"\n')
+    code, out, _ = call(bag, "--requirements", own, "--transient", "0.5", "--json", "--output", "r.html")
+    assert code == 0
+    run = json.loads(out.splitlines()[-1])["runs"][0]
+    assert [r["name"] for r in run["requirements"]] == ["mine"]
+    assert run["requirements"][0]["status"] == "compliant"
+    assert run["transient_s"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[[requirement]]\nname="x"\ntext="prob(|XPE| < 1 mas) >= 0.9 at 95 % confidence"\n', ["XPE", "APE"]),
+        ("not a table", ["own.toml"]),
+        ("", ["own.toml", "requirement"]),
+    ],
+    ids=["unknown index", "no TOML", "empty"],
+)
+def test_requirements_that_cannot_be_understood(call, tmp_path, text, words) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)})
+    (tmp_path / "own.toml").write_text(text)
+    refused(call, bag, "--requirements", tmp_path / "own.toml", "--output", "r.html", words=words)
+
+
+def test_files_that_are_not_there(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)})
+    refused(call, tmp_path / "none", words=["none", "no such bag"])
+    refused(call, bag, "--requirements", tmp_path / "none.toml", "--output", "r.html", words=["none.toml"])
+    refused(call, bag, "--output", call.here / "no" / "r.html", words=["existing folder"])
+
+
+def test_not_a_bag(call, tmp_path) -> None:
+    (tmp_path / "text.mcap").write_text("this is no bag at all, whatever its name says")
+    refused(call, tmp_path / "text.mcap", words=["text.mcap", "expected"])
+    (tmp_path / "empty").mkdir()
+    refused(call, tmp_path / "empty", words=["rosbag2 folder"])
+
+
+def test_no_truth_topic(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"los_estimate": los(3)})
+    refused(call, bag, words=["truth/los", "los_estimate"])
+
+
+def test_zero_length_run(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": np.empty((0, 2)), "los_estimate": los(1)})
+    refused(call, bag, words=["truth/los"])
+
+
+def test_only_start_up(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(0.8)})
+    refused(call, bag, words=["only start-up transient", "0.8 s"])
+    refused(call, bag, "--transient", "-1", words=["transient of zero or more"])
+
+
+def test_mixed_sample_rates(call, tmp_path) -> None:
+    stamps = 10**9 + np.cumsum(10**6 * np.repeat([1, 2], [3000, 2000]))
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(5)}, stamps={"truth/los": stamps})
+    refused(call, bag, words=["expected one sampling rate"])
+
+
+def test_two_plants(call, tmp_path) -> None:
+    a = write_bag(tmp_path / "a", {"truth/los": los(3)}, namespace="/one")
+    b = write_bag(tmp_path / "b", {"truth/los": los(3)}, namespace="/two")
+    (b / "b_0.mcap").rename(a / "b_0.mcap")
+    (a / "metadata.yaml").unlink()
+    refused(call, a, words=["expected one plant", "/one", "/two"])
+    assert call(a, "--namespace", "/two", "--output", "two.html")[0] == 0
+
+
+def test_nan_in_the_truth_is_counted_and_never_a_verdict_of_zero(call, tmp_path) -> None:
+    values = los(10)
+    values[5000:5003] = np.nan
+    bag = write_bag(tmp_path / "bag", {"truth/los": values}, parameters={"loop": "fsm"})
+    code, out, _ = call(bag, "--json")
+    assert code == 0
+    run = json.loads(out.splitlines()[-1])["runs"][0]
+    assert run["windows_skipped"] == 1
+    assert any("truth/los: 3 messages with NaN" in p for p in run["problems"])
+    everything = write_bag(tmp_path / "nan", {"truth/los": np.full((4000, 2), np.nan)})
+    refused(call, everything, words=["NaN"])
+
+
+def test_a_window_longer_than_the_run_is_not_judged(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
+    own = tmp_path / "own.toml"
+    own.write_text('[[requirement]]\nname = "long"\ntext = "prob(|RPE(60 s)| < 1 arcsec) >= 0.9 at 95 % confidence"\n')
+    code, out, _ = call(bag, "--requirements", own, "--json")
+    assert code == 0
+    found = json.loads(out.splitlines()[-1])["runs"][0]["requirements"][0]
+    assert found["status"] == "not judged"
+    assert "longer than the window" in found["note"]
+    assert found["quantile"] is None
+
+
+def test_a_bag_larger_than_the_memory(call, tmp_path, monkeypatch) -> None:
+    """Read topic by topic; where one topic is too large, the answer is to take a part of the run."""
+    signals = {
+        "truth/los": los(10),
+        **{f"{n}/accel": RNG.standard_normal((10_000, 6)) for n in ("m1", "m2", "isolator")},
+    }
+    bag = write_bag(tmp_path / "bag", signals)
+    monkeypatch.setattr(read, "MEMORY_LIMIT", 1_200_000)
+    code, out, _ = call(bag, "--json")
+    assert code == 0
+    whole = json.loads(out.splitlines()[-1])["runs"][0]
+    assert whole["ticks"] == 10_000
+    (bag / "report.html").unlink()
+    monkeypatch.setattr(read, "MEMORY_LIMIT", 200_000)
+    refused(call, bag, words=["memory limit", "start", "stop"])
+    code, out, _ = call(bag, "--stop", "2.5", "--json")
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["runs"][0]["ticks"] == 2500
