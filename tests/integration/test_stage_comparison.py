@@ -1,0 +1,111 @@
+"""The four stages of the real telescope: superposition of the parts, transmissibility against the model, files."""
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed import cli
+from los_testbed.config import LOOPS, RunConfig
+from los_testbed.stages import Plan, perform, select
+from los_testbed.stages_tables import markdown
+
+from pointing_analysis.read import Run
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """Scenario imbalance: so small that no command saturates, and the loop is linear."""
+    plan = Plan(
+        RunConfig(duration=4.0, mode="inprocess"), tmp_path_factory.mktemp("s") / "new", ("imbalance",), 1, keep=True
+    )
+    return plan, perform(plan)
+
+
+def test_the_parts_add_up_to_the_whole(compared) -> None:
+    _, results = compared
+    for loop in LOOPS:
+        whole, alone, noise = (
+            Run.open(select(results, "imbalance", loop, part)["nominal"].bag)["truth/los"].values[:, :2]
+            for part in ("all", "disturbance", "noise")
+        )
+        scale = np.abs(whole).max()
+        assert np.abs(whole - alone - noise).max() < 1e-6 * scale, loop
+
+
+def test_every_stage_has_the_same_noise_and_disturbance(compared) -> None:
+    _, results = compared
+    bags = [select(results, "imbalance", loop, "noise")["nominal"].bag for loop in ("none", "isolator")]
+    first, second = (Run.open(bag)["m1/accel"].values for bag in bags)
+    assert np.array_equal(first, second)  # nothing moves: what is seen is the noise
+    tones = [Run.open(select(results, "imbalance", x, "all")["nominal"].bag).parameters["tones_rad_s"] for x in LOOPS]
+    assert all(t == tones[0] for t in tones)
+
+
+def test_open_stages_have_no_noise_in_the_line_of_sight(compared) -> None:
+    _, results = compared
+    for loop in ("none", "isolator"):
+        assert select(results, "imbalance", loop, "noise")["nominal"].figures["ape_max_arcsec"] == 0.0
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
+    """The record of the nodes' cores against matrices of the closed loop: another route to the same motion.
+
+    To 1e-5 of the strongest: tones beyond 500 Hz and pairs that 3 s do not separate leak into their neighbours.
+    """
+    tones = select(compared[1], "imbalance", loop, "disturbance")["nominal"].tones
+    assert len(tones) > 10
+    strongest = max(tone.expected for tone in tones)
+    for tone in tones:
+        assert tone.measured == pytest.approx(tone.expected, rel=1e-3, abs=1e-5 * strongest)
+        if loop in ("none", "isolator"):  # begins settled
+            assert tone.model == pytest.approx(tone.expected, rel=1e-3, abs=1e-5 * strongest)
+
+
+def test_the_tables_hold_all_stages(compared) -> None:
+    plan, results = compared
+    text = markdown(results, plan)
+    for loop in LOOPS:
+        assert f"| {loop} |" in text
+    assert "Transmissibility" in text and "imbalance" in text
+
+
+def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (
+        cli.main(["stages", "--scenario=design", "--samples=2", "--no-parts", "--duration=2", "--output=out", "--json"])
+        == 0
+    )
+    content = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert json.loads((tmp_path / "out" / "stages.json").read_text()) == content
+    runs = {(r["telescope"], r["loop"]): r for r in content["runs"]}
+    assert set(runs) == {(name, loop) for name in ("nominal", "sample-1") for loop in LOOPS}
+    assert all(r["rpe_rms_mas"] > 0 for r in runs.values())
+    assert runs["nominal", "fsm"]["rpe_rms_mas"] != runs["sample-1", "fsm"]["rpe_rms_mas"]
+    page = (tmp_path / "out" / "report-design.html").read_text()
+    assert page.count('<article class="card') == 4
+    kept = sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_dir())
+    assert kept == sorted(f"design-nominal-{loop}" for loop in LOOPS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--scenario=storm"], ["design", "both", "storm"]),
+        (["--samples=0"], ["samples"]),
+        (["--duration=-1"], ["duration"]),
+        (["--mode=fast"], ["mode", "fast"]),
+        (["--k-fsm=none.json"], ["none.json"]),
+        (["--output=."], ["exists already"]),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, capsys, arguments, words) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["stages", *arguments])
+    assert stop.value.code == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    for word in words:
+        assert word in errors
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,146 @@
+"""``los-testbed replay``: bit identity is proved or refuted, others are compared, mistakes are one line."""
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed import cli
+from los_testbed.bag import BagWriter
+from los_testbed.config import RunConfig
+from los_testbed.inprocess import run_in_process
+from los_testbed.replay_core import write_signals
+from simple_telescope import DT, SimpleTelescope, write_controllers
+
+from los_estimator import runtime as fsm
+from pointing_analysis.read import Run
+from pointing_analysis.synthetic import write_bag
+from uncertain_systems.runtime import SampledSystem
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    config = RunConfig(duration=4.0, mode="inprocess", **write_controllers(folder))
+    run_in_process(config, folder / "bag", SimpleTelescope(dropout=0.2))
+    return folder / "bag"
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Run the command in an empty folder: exit code, output, error output."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+    def run(*arguments):
+        try:
+            code = cli.main(["replay", *map(str, arguments)])
+        except SystemExit as stop:
+            code = stop.code
+        return code, *capsys.readouterr()
+
+    run.here = tmp_path / "here"
+    return run
+
+
+def other_observer(path, pole=0.9):
+    """Quicker than the one that flew."""
+    D, B = np.zeros((2, 22)), np.zeros((2, 22))
+    B[:, 18:20], B[:, 20:22] = 0.1 * np.eye(2), -0.01 * np.eye(2)
+    SampledSystem(pole * np.eye(2), B, np.eye(2), D, fsm.INPUTS, fsm.OUTPUTS, DT, "quick").to_file(path)
+    return path
+
+
+def test_as_flown_is_identical_and_says_so(call, recorded) -> None:
+    code, out, _ = call(recorded, "--json")
+    assert code == 0
+    found = json.loads(out.splitlines()[-1])
+    assert found["as_flown"] and found["identical"]
+    assert {d["compared"] for d in found["differences"]} == {4000}
+    code, out, _ = call(recorded)
+    assert "identical to the recording, bit by bit, on 4000 ticks" in out
+
+
+def test_one_bit_is_found(call, recorded, tmp_path) -> None:
+    run = Run.open(recorded)
+    signals = {name: (run[name].stamp, run[name].values.copy()) for name in run.topics}
+    signals["m1/accel"][1][1500, 2] = np.nextafter(signals["m1/accel"][1][1500, 2], 1.0)
+    signals["fsm/command"][1][3000, 0] = np.nextafter(signals["fsm/command"][1][3000, 0], 1.0)
+    given = {k: v if isinstance(v, str) else json.dumps(v) for k, v in run.parameters.items() if k != "statistics"}
+    files = {name: ("application/json", data) for name, data in run.attachments.items()}
+    with BagWriter(tmp_path / "bag", {"los_testbed": given}, files) as bag:
+        write_signals(bag, signals)
+    code, out, _ = call(tmp_path / "bag", "--json")
+    assert code == 1
+    found = {d["topic"]: d for d in json.loads(out.splitlines()[-1])["differences"]}
+    assert found["fsm/command"]["different"] == 1
+    assert found["fsm/command"]["first"] == pytest.approx(3.0)
+    assert found["los_estimate"]["different"] == 0  # this observer does not look at M1
+
+
+def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path) -> None:
+    new = other_observer(tmp_path / "quick.json")
+    code, out, _ = call(recorded, "--k-fsm", new, "--output", "replayed", "--json")
+    assert code == 0
+    found = json.loads(out.splitlines()[-1])
+    assert not found["as_flown"] and not found["identical"]
+    assert found["replayed"]["ake_rms_arcsec"] < 0.5 * found["recorded"]["ake_rms_arcsec"]
+    run, old = Run.open(call.here / "replayed"), Run.open(recorded)
+    assert not run.problems
+    for name in ("truth/los", "camera/los", "isolator/accel", "fsm/strain_gauge"):
+        assert run[name].values.tobytes() == old[name].values.tobytes()
+    assert run.attachments["k_fsm.json"] == new.read_bytes()
+    assert run.attachments["k_pma.json"] == old.attachments["k_pma.json"]
+    assert run.parameters["mode"] == "replay" and run.parameters["replay_of"] == "bag"
+    assert run.parameters["seed"] == old.parameters["seed"]
+    again, out, _ = call("replayed", "--json")  # the new bag is complete too
+    assert again == 0 and json.loads(out.splitlines()[-1])["identical"]
+    code, out, _ = call("replayed")
+    assert "identical" in out
+
+
+def test_another_stage_on_the_same_sensors(call, recorded) -> None:
+    code, out, _ = call(recorded, "--loop", "isolator", "--json", "--output", "open")
+    assert code == 0
+    found = json.loads(out.splitlines()[-1])
+    assert found["replayed"]["fsm_peak_rad"] == found["replayed"]["pma_peak_n"] == 0.0
+    run = Run.open(call.here / "open")
+    assert (run.parameters["loop"], run.parameters["replay_loop"]) == ("fsm+pma", "isolator")
+    cli.main(["report", "open", "--output", "r.html"])
+    assert "true line of sight is that of the recording" in (call.here / "r.html").read_text()
+
+
+def test_an_observer_that_diverges_is_said(call, recorded, tmp_path) -> None:
+    code, _, err = call(recorded, "--k-fsm", other_observer(tmp_path / "wild.json", pole=1.5))
+    assert code == 1
+    assert "diverges on the sensors" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--k-fsm", "none.json"], ["none.json", "No such file"]),
+        (["--k-pma", "{bag}/metadata.yaml"], ["metadata.yaml", "not a controller"]),
+        (["--loop", "everything"], ["isolator", "everything"]),
+        (["--output", "{bag}"], ["exists already"]),
+        (["--to-ros", "--loop", "fsm"], ["--to-ros", "--k-fsm"]),
+    ],
+)
+def test_a_mistake_is_one_line(call, recorded, arguments, words) -> None:
+    code, _, err = call(recorded, *(a.format(bag=recorded) for a in arguments))
+    assert code == 2
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert not list(call.here.iterdir())
+
+
+def test_a_bag_without_controllers_or_sensors(call, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}, parameters={"loop": "fsm"})
+    code, _, err = call(bag)
+    assert code == 2 and "k_fsm.json" in err and "--k-fsm FILE" in err
+    own = write_controllers(tmp_path)
+    code, _, err = call(bag, "--k-fsm", own["k_fsm"], "--k-pma", own["k_pma"])
+    assert code == 2 and "a replay needs the topic" in err
+    nameless = write_bag(tmp_path / "nameless", {"truth/los": np.zeros((10, 2))})
+    code, _, err = call(nameless)
+    assert code == 2 and "give --loop" in err
