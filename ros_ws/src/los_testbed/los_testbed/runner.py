@@ -50,6 +50,7 @@ class Results:
     statistics : last figures of each node
     bag : folder of the bag; None if nothing was recorded
     warnings, failures : what was not permitted; which nodes died, one line each
+    latency : histogram of the plant's latencies, whole microseconds and how often
     earlier : bags of the same run from before its plant was started again
     interrupted : whether the run was ended before its time
     """
@@ -58,6 +59,7 @@ class Results:
     bag: Path | None = None
     warnings: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    latency: dict[int, int] = field(default_factory=dict)
     earlier: list[Path] = field(default_factory=list)
     interrupted: bool = False
 
@@ -298,6 +300,8 @@ class Runner:
         self._await_exit(("recorder",))
         for name in NODES:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
+        histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
+        self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
         bag = self._seen[("recorder", "done")].get("bag")
         bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
         self.results.bag = bags[-1] if bags else None

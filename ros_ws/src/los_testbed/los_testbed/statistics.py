@@ -74,6 +74,10 @@ class Durations:
         cell = int(np.searchsorted(np.cumsum(self.cells), rank))
         return float(cell) if cell < self.CELLS - 1 else self.maximum_us
 
+    def histogram(self) -> dict[int, int]:
+        """Cells [us] that are not empty, and how many durations fell into each."""
+        return {int(cell): int(self.cells[cell]) for cell in np.flatnonzero(self.cells)}
+
     def summary(self, name: str) -> dict[str, str]:
         """Median, tail and extreme as diagnostic values."""
         return {

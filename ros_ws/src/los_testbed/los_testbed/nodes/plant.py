@@ -96,7 +96,7 @@ class PlantLoop:
             self._real_time(start)
         self.io.settle()
         self._report(start + self.ticks * TICK_NS, last=True)
-        shell.event("done", statistics=self.statistics())
+        shell.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if not np.isfinite(self._truth).all():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         return 0

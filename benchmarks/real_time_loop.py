@@ -1,0 +1,207 @@
+"""The 1 kHz loop of the testbed against the same cores on rclpy's executors, in one run.
+
+    python benchmarks/real_time_loop.py --seconds 60 --hogs 2 --json
+    python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/
+
+Each loop is four processes: plant, estimator, controller, and the testbed's recorder. `ours` has real-time scheduling,
+`ours_ordinary` is the same without any rights, `ours_hogs` with busy processes beside it. `events_executor` and
+`single_threaded` are benchmarks/executor_nodes.py: message objects, callbacks, a ROS timer.
+
+Latency: from the plant's wake-up to the arrival of the mirror command of the same tick at the plant's middleware.
+Lateness: from the deadline to the wake-up. A tick is missed if the plant had to hold an older command or lost a period.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from los_testbed.config import RunConfig
+from los_testbed.runner import NODES, Results, Runner
+
+HERE = Path(__file__).parent
+DOCS = HERE.parent / "docs"
+LABELS = {
+    "ours": "own clock, WaitSet, bytes, real-time scheduling",
+    "ours_hogs": "the same, with busy processes",
+    "ours_ordinary": "the same, ordinary scheduling",
+    "events_executor": "EventsExecutor, ROS timer, objects",
+    "single_threaded": "SingleThreadedExecutor, ROS timer, objects",
+}
+AS_IT_COMES = (f"FASTRTPS_DEFAULT_PROFILES_FILE={os.devnull}", "FASTDDS_BUILTIN_TRANSPORTS=DEFAULT")
+"""The testbed sets its own discovery profile and transport only where the environment names none."""
+
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each run (default 60)")
+    parser.add_argument("--hogs", type=int, default=2, help="busy processes of the run with load (default 2; 0: none)")
+    parser.add_argument("--loops", nargs="+", choices=LABELS, default=list(LABELS), help="which to run (default all)")
+    parser.add_argument("--domain", type=int, default=87, help="ROS domain (default 87)")
+    parser.add_argument("--docs", action="store_true", help="write docs/real_time_table.md and the histogram")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args()
+    loops = [name for name in args.loops if args.hogs or name != "ours_hogs"]
+    load = os.getloadavg()[0]
+    runs = {name: fly(name, args.seconds, args.hogs, args.domain) for name in loops}
+    result: dict[str, Any] = {name: figures(*run) for name, run in runs.items()}
+    result["seconds"], result["hogs"] = args.seconds, args.hogs
+    if "ours" in result:
+        result["miss_rate"] = result["ours"]["miss_rate"]
+        if "events_executor" in result:
+            medians = [result[name]["latency_us"]["median"] for name in ("events_executor", "ours")]
+            result["latency_ratio_events"] = medians[0] / medians[1]
+    if "ours_hogs" in result:
+        result["miss_rate_hogs"] = result["ours_hogs"]["miss_rate"]
+    result["machine"] = {**machine(), "load_before": load}
+    if args.docs:
+        (DOCS / "real_time_table.md").write_text(table(result), "utf-8")
+        histogram({name: run[0].latency for name, run in runs.items()}, DOCS / "figures" / "real_time_latency.png")
+    print(json.dumps(result) if args.json else table(result))
+
+
+def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dict[str, float]]:
+    """One run; what the nodes said, and the processor time of each process in per cent."""
+    commands = {}
+    if not name.startswith("ours"):
+        kind = "events" if name == "events_executor" else "single"
+        script = str(HERE / "executor_nodes.py")
+        commands = {
+            node: ["env", *AS_IT_COMES, sys.executable, script, node, kind] for node in NODES if node != "recorder"
+        }
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(hogs)] if "hogs" in name else []
+    seen: list[tuple[float, dict[str, float]]] = []
+
+    def progress(ticks: int) -> None:
+        if ticks >= 500 and (not seen or time.monotonic() - seen[-1][0] > 0.9):
+            seen.append((time.monotonic(), {n: cpu_seconds(pid) for n, pid in runner.processes.items()}))
+
+    try:
+        with tempfile.TemporaryDirectory(prefix="los_testbed_bench_") as folder:
+            config = RunConfig(
+                duration=seconds, output=f"{folder}/bag", domain=domain, wait_for_recorder=True,
+                priority=name != "ours_ordinary",
+            )  # fmt: skip
+            runner = Runner(config, progress, commands)
+            results = runner.run()
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    (began, first), (ended, last) = seen[0], seen[-1]
+    span = max(ended - began, 1e-9)
+    return results, {node: round(100 * (last[node] - first[node]) / span, 1) for node in first}
+
+
+def cpu_seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def figures(results: Results, cpu: dict[str, float]) -> dict[str, Any]:
+    plant, recorder = results.statistics["plant"], results.statistics["recorder"]
+
+    def quantiles(name: str) -> dict[str, float]:
+        return {key: float(plant[f"{name}_{key}_us"]) for key in ("median", "p99", "p999", "max")}
+
+    ticks, missed = int(plant["ticks"]), int(plant["missed_ticks"])
+    return {
+        "ticks": ticks,
+        "missed_ticks": missed,
+        "skipped_periods": int(plant["skipped_periods"]),
+        "miss_rate": missed / ticks,
+        "latency_us": quantiles("latency"),
+        "lateness_us": quantiles("lateness"),
+        "execution_us": quantiles("execution"),
+        "cpu_percent": cpu,
+        "messages": int(recorder["messages"]),
+        "messages_lost": int(recorder["samples_lost"]),
+        "warnings": results.warnings + results.failures,
+    }
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on; nothing that tells whose machine it is."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
+    virtual = any(line.startswith("flags") and " hypervisor" in line for line in lines)
+    import importlib.metadata
+
+    versions = {name: importlib.metadata.version(f"ros-jazzy-{name}") for name in ("rclpy", "rmw-fastrtps-cpp")}
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    kernel = platform.release().split("-")[0] + (" PREEMPT_RT" if "PREEMPT_RT" in platform.version() else "")
+    return {
+        "processor": model, "processors": len(os.sched_getaffinity(0)), "virtual": virtual,
+        "memory_GiB": round(memory, 1), "kernel": f"{platform.system()} {kernel}",
+        "python": platform.python_version(), **versions,
+    }  # fmt: skip
+
+
+def table(result: dict[str, Any]) -> str:
+    """Markdown table."""
+    rows = [
+        "| loop | missed ticks | latency median / 99 % / 99.9 % / max [µs] | lateness median / 99.9 % / max [µs] "
+        "| CPU plant/est./ctl./rec. [%] | messages lost |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, label in LABELS.items():
+        if name not in result:
+            continue
+        run = result[name]
+        latency, late, cpu = run["latency_us"], run["lateness_us"], run["cpu_percent"]
+        rows.append(
+            f"| {label} | {run['missed_ticks']} of {run['ticks']} ({100 * run['miss_rate']:.3g} %) "
+            f"| {latency['median']:.0f} / {latency['p99']:.0f} / {latency['p999']:.0f} / {latency['max']:.0f} "
+            f"| {late['median']:.0f} / {late['p999']:.0f} / {late['max']:.0f} "
+            f"| {'/'.join(f'{cpu[node]:.0f}' for node in NODES)} | {run['messages_lost']} of {run['messages']} |"
+        )
+    m = result["machine"]
+    rows += [
+        "",
+        f"{result['seconds']:g} s each, recorder included; {result['hogs']} busy processes where there are any. "
+        f"{m['processor']}{' (virtual machine)' if m['virtual'] else ''}, {m['processors']} processors, "
+        f"{m['memory_GiB']} GiB, {m['kernel']}, Python {m['python']}, rclpy {m['rclpy']}, rmw_fastrtps_cpp "
+        f"{m['rmw-fastrtps-cpp']}; load average before the first run {m['load_before']:.1f}.",
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:
+    """Share of ticks that took longer than so much, on logarithmic axes: the tail is what a loop is judged by."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4), constrained_layout=True)
+    edges = np.geomspace(50, 20_000, 90)
+    for name, counts in cells.items():
+        values, weights = np.array(list(counts)), np.array(list(counts.values()))
+        axes[0].hist(values + 0.5, edges, weights=weights / weights.sum(), histtype="step", label=LABELS[name])
+        order = np.argsort(values)
+        left = 1 - np.cumsum(weights[order]) / weights.sum()
+        axes[1].step(values[order] + 1, np.maximum(left, 0.5 / weights.sum()), where="post")
+    for ax in axes:
+        ax.set_xscale("log")
+        ax.axvline(1000, color="0.7", zorder=0)
+        ax.set_xlabel("wake-up of the plant to mirror command [µs]; grey: one period")
+    axes[0].set_ylabel("share of ticks")
+    axes[0].legend(fontsize=7)
+    axes[1].set(yscale="log", ylabel="share of ticks that took longer", xlim=(50, 20_000))
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""Somebody sets the wall clock during a run: nothing may happen to the loop."""
+
+import shutil
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from los_testbed.runner import Runner
+from ros_runs import PLANT, config_for
+
+from pointing_analysis.read import Run
+
+pytestmark = pytest.mark.ros
+SOURCE = Path(__file__).parents[1] / "support" / "clock_step.c"
+HOUR = 3600
+
+
+@pytest.fixture
+def steps(tmp_path, monkeypatch):
+    """File with the offset [s] of the wall clock of all processes that are started from now on."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler to build the clock with")
+    library, offset = tmp_path / "clock_step.so", tmp_path / "offset"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE), "-ldl"], check=True)
+    offset.write_bytes(struct.pack("<q", 0))
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    monkeypatch.setenv("CLOCK_STEP_FILE", str(offset))
+    return offset
+
+
+def set_offset(file, seconds):
+    with file.open("r+b") as stream:
+        stream.write(struct.pack("<q", seconds))
+
+
+def test_the_offset_reaches_processes(steps):
+    """Otherwise the test below would prove nothing."""
+    code = "import time, sys; print(time.time(), flush=True); sys.stdin.readline(); print(time.time())"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        before = float(child.stdout.readline())
+        set_offset(steps, -HOUR)
+        after = float(child.communicate(b"\n")[0])
+    assert after - before == pytest.approx(-HOUR, abs=5)
+
+
+def test_a_stepped_wall_clock_does_not_touch_the_loop(steps, tmp_path):
+    config = config_for(tmp_path, duration=3.0, start_timeout=15.0)
+    began = time.time()
+
+    def progress(ticks):
+        set_offset(steps, 0 if ticks < 700 else HOUR if ticks < 1700 else -HOUR)
+
+    results = Runner(config, progress, {"plant": PLANT}).run()
+    assert not results.failures
+    run = Run.open(results.bag)
+    stamps = run["truth/los"].stamp
+    assert len(stamps) == 3000
+    assert np.all(np.diff(stamps) == 1_000_000)
+    assert abs(stamps[-1] / 1e9 - began) < HOUR / 2, "stamps go on from the start of the run"
+    statistics = results.statistics
+    assert statistics["recorder"]["samples_lost"] == "0"
+    assert statistics["estimator"]["gap_ticks"] == statistics["controller"]["gap_ticks"] == "0"
+    assert int(statistics["plant"]["skipped_periods"]) < 500
+    assert len(run["fsm/command"]) == 3000
+    assert float(statistics["plant"]["latency_max_us"]) < 1e6, "an hour is no latency"
+    assert 30 < float(statistics["plant"]["latency_median_us"]) < 1e5
