@@ -338,4 +338,7 @@ def _solve(matrix: FloatArray, right: FloatArray, problem: str) -> FloatArray:
         smallest = np.min(np.abs(np.diag(lu)))
     if not smallest > 1e-14 * np.max(np.abs(matrix)):
         raise ValueError(f"{problem}: the algebraic loop is singular")
-    return np.asarray(linalg.lu_solve((lu, pivots), right, check_finite=False))
+    x = linalg.lu_solve((lu, pivots), right, check_finite=False)
+    # one step of refinement: rows of very different size then keep their own digits (Skeel 1980), which slow
+    # motion of a free spacecraft needs, a small difference of large forces
+    return np.asarray(x + linalg.lu_solve((lu, pivots), right - matrix @ x, check_finite=False))
