@@ -2,9 +2,10 @@
 
     python benchmarks/frequency_response.py --json
 
-Disturbances (22) and commands (8) to the line of sight and the accelerometers of the platform, 1000 points refined at
-the resonances, several parameter samples. The difference is relative to the norm of the block of each pair of ports at each
-frequency; paths that cancel to less than 1e-9 of their largest gain are left out (they have no digits in either).
+Disturbances (22) and commands (8) to the line of sight and the accelerometers of the platform, 1000 points refined
+at the resonances, several parameter samples. The difference is relative to the norm of the block of each pair of ports
+at each frequency; paths that cancel to less than 1e-9 of their largest gain are left out (they have no digits in
+either).
 """
 
 from __future__ import annotations
