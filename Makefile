@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow lint stages reference-bag bench docs lock clean
+.PHONY: help run test test-slow lint stages reference-bag report-picture bench docs lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -15,6 +15,7 @@ help:
 	@echo "make test-slow  the long ones"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
+	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/ from the model and the stored designs"
 	@echo "make lint       style and types alone"
@@ -50,6 +51,11 @@ stages: $(READY)
 reference-bag: $(READY)
 	rm -rf bags/reference
 	$(BIN)/los-testbed run --mode inprocess --duration 4.5 --seed 1 --output bags/reference --no-report
+
+report-picture: $(READY)
+	rm -rf build/stages
+	$(BIN)/los-testbed stages --scenario design --samples 1 --output build/stages
+	$(BIN)/python docs/report_picture.py build/stages/report-design.html docs/figures/report.png
 
 bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json

@@ -21,7 +21,7 @@ from pointing_analysis.spectra import Line, Spectrum
 Floats = NDArray[np.float64]
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
 LIMIT = "#b00020"
-WIDTH = 4.7  # [inch]; small, so that lettering stays readable on a telephone
+WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "pointing_analysis",
     "svg.fonttype": "path",
@@ -230,9 +230,9 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
             axis.loglog(hertz, rms, "os^Dvx"[i % 6], ms=7 - i % 4, mfc="none", color=COLOURS[i % 6], label=view.label)
             if view.label in model:
                 omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
-                axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "-", lw=0.8, color=COLOURS[i % 6])
+                axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "+", ms=11, mew=0.9, color=COLOURS[i % 6])
         if model:
-            axis.plot([], [], "-", lw=0.8, color="#555555", label="model")
+            axis.plot([], [], "+", ms=9, color="#555555", label="model")
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS rms at the line [mas]")
         _legend(figure, axis)
