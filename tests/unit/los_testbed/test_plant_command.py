@@ -12,11 +12,12 @@ from los_testbed import cli, cores
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.plant_members import CASES, check_member, named_cases, random_member
 
+from titop_plant.disturbances import rpe_weight
 from titop_plant.simulation import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope import figures
 from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.responses import Curve, scene
+from titop_plant.telescope.responses import ALL, Curve, scene
 
 
 @pytest.fixture
@@ -201,6 +202,22 @@ def test_every_named_case_is_a_member_and_can_be_flown(run) -> None:
         check_member(config)
     code, out, _ = run("plant", "cases")
     assert code == 0 and all(name in out for name in cases)
+
+
+def test_the_worst_case_is_worse_than_the_other_ones() -> None:
+    """Line of sight against the template of the relative error, isolator alone: named cases and random members."""
+    both, parameters = scene(), load_parameters()
+
+    def peak(config: RunConfig) -> float:
+        chosen = {"omega_1": config.omega_1 or None, "omega_2": config.omega_2 or None}
+        plant = PlantConfig(theta=config.array_angle, wheel_speed=config.wheel_speed or None, **chosen)
+        curve = both.weighted(both.isolated, parameter_values(plant, parameters), ALL, 1.0, 1e3)
+        return float(np.max(curve.size * rpe_weight(curve.omega, parameters["weights"]["rpe_window"])))
+
+    peaks = {name: peak(cli.configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
+    drawn = [peak(RunConfig.from_mapping(random_member(seed))) for seed in range(8)]
+    assert max(peaks, key=lambda name: peaks[name]) == "worst"
+    assert peaks["worst"] > max(drawn)
 
 
 def test_a_run_of_a_named_case_of_ones_own_is_recorded_as_such(run) -> None:
