@@ -11,6 +11,7 @@ import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -173,8 +174,8 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     for run in plan.runs():
         bag = plan.folder / run.name
         try:
-            record(replace(run.config, output=str(bag)), bag, lambda ticks, run=run: progress(run, ticks))  # type: ignore[misc]
-            results.append(judge(plan, run, bag))
+            note = record(replace(run.config, output=str(bag)), bag, partial(progress, run))
+            results.append(replace(judge(plan, run, bag), note=note))
         except LoopDivergedError as error:
             results.append(StageResult(run, dict.fromkeys(FIGURES, math.nan), 0.0, note=str(error)))
         if not (plan.keep or (run.member == "nominal" and run.part == "all")):
@@ -182,12 +183,15 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     return tuple(results)
 
 
-def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> None:
-    """One run in the mode of the configuration."""
+def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str:
+    """One run in the mode of the configuration; what went wrong and was mended."""
     if config.mode == "inprocess":
         run_in_process(config, bag, progress=progress)
-    else:
-        Runner(replace(config, wait_for_recorder=True), progress).run()
+        return ""
+    results = Runner(replace(config, wait_for_recorder=True), progress).run()
+    if results.interrupted or results.bag is None:
+        raise KeyboardInterrupt
+    return "; ".join([*results.warnings, *results.failures])
 
 
 def judge(plan: Plan, run: StageRun, bag: Path) -> StageResult:

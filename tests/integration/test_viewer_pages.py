@@ -1,0 +1,46 @@
+"""Pages about bags and viewers: their code runs, their commands exist, the files they name are there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+from los_testbed.cli import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("open_a_bag.md", "watch_it_live.md", "pointing_analysis.md")
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_commands_and_options_exist(name) -> None:
+    text = (ROOT / "docs" / name).read_text("utf-8")
+    commands = typer.main.get_command(app).commands
+    found = re.findall(r"^ {4}(los-testbed .*)$", text, re.M) + re.findall(r"`(los-testbed [^`]*)`", text)
+    assert found
+    for line in found:
+        words = shlex.split(re.sub(r"[\[\]|]", " ", line.split("#")[0]))
+        names = [w for w in words[1:] if w in commands]
+        assert names, line
+        known = {option for parameter in commands[names[0]].params for option in parameter.opts}
+        assert {w for w in words if w.startswith("--")} <= known, line
+
+
+def test_python_on_the_page_prints_what_it_says(monkeypatch, capsys) -> None:
+    monkeypatch.chdir(ROOT)
+    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "open_a_bag.md").read_text("utf-8"), re.S)[1]
+    exec(code, {})
+    shape = re.search(r"# (.*)$", code, re.M)[1]
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == shape
+    assert out[1] == "1 ['k_fsm.json', 'k_pma.json', 'run.yaml']"
+
+
+@pytest.mark.parametrize("name", PAGES[:2])
+def test_files_that_the_pages_name_are_there(name) -> None:
+    text = (ROOT / "docs" / name).read_text("utf-8")
+    for path in re.findall(r"(?:ros_ws|bags/reference|examples)/[\w./]+\.\w+", text):
+        made_by_the_command = path.endswith("report.html")
+        assert made_by_the_command or (ROOT / path).exists(), path
+    for link in re.findall(r"\]\((?!http)([^)]+)\)", text):
+        assert (ROOT / "docs" / link).exists(), link
