@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from pointing_analysis import metrics, weights
@@ -21,6 +22,7 @@ from pointing_analysis.spectra import Line, Spectrum
 Floats = NDArray[np.float64]
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
 LIMIT = "#b00020"
+LOADS = {"fsm/command": "mirror", "pma/command": "forces"}
 WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "pointing_analysis",
@@ -116,6 +118,15 @@ def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Ax
     return axes[:n]
 
 
+def _few_decades(axis: Axes) -> None:
+    """Readable ticks on a logarithmic x axis, also where it spans less than two decades."""
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_xlim()
+    if high < 100 * low:
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+
+
 def time_history(views: Sequence[RunView]) -> Picture:
     """Both axes of the line of sight over time, one panel per run."""
 
@@ -142,20 +153,24 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), columns=min(2, len(views)))
         for axis, view in zip(axes, views):
-            e = view.series.values / RAD_PER_ARCSEC
+            arcsec = float(np.nanmax(metrics.radial(view.series.values))) / RAD_PER_ARCSEC
+            unit, scale = ("arcsec", RAD_PER_ARCSEC) if arcsec >= 0.1 else ("mas", RAD_PER_MAS)
+            e = view.series.values / scale
             step = max(1, len(e) // 3000)
-            largest = float(np.nanmax(metrics.radial(e)))
+            largest = arcsec * RAD_PER_ARCSEC / scale
             axis.plot(e[::step, 0], e[::step, 1], color=COLOURS[0], linewidth=0.5)
             angle = np.linspace(0, 2 * np.pi, 181)
             axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label="largest error")
-            if limit is not None and limit < 4 * largest:
+            if limit is not None and limit < 4 * arcsec:
                 axis.plot(
                     limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g} arcsec"
                 )
             axis.set_aspect("equal", adjustable="datalim")
-            axis.set_title(f"{view.label}\nlargest {largest:.3g} arcsec")
-            axis.set_xlabel("LOS x [arcsec]")
-            axis.set_ylabel("LOS y [arcsec]")
+            axis.set_title(f"{view.label}\nlargest {largest:.3g} {unit}")
+            axis.set_xlabel(f"LOS x [{unit}]")
+            axis.set_ylabel(f"LOS y [{unit}]")
+            for one in (axis.xaxis, axis.yaxis):
+                one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         _legend(figure, max(axes, key=lambda a: len(a.get_lines())))
 
     alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
@@ -232,7 +247,7 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
                 omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
                 axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "+", ms=11, mew=0.9, color=COLOURS[i % 6])
         if model:
-            axis.plot([], [], "+", ms=9, color="#555555", label="model")
+            axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS rms at the line [mas]")
         _legend(figure, axis)
@@ -260,6 +275,7 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
+        _few_decades(axis)
         axis.set_xlabel(f"radial {kind} [{unit}]")
         axis.set_ylabel("share of time above")
         _legend(figure, axis)
@@ -287,7 +303,8 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
                 t, y = envelope(topic.time, load)
                 peak = float(np.nanmax(load))
                 peaks.append(f"{view.label} {name} peaks at {peak:.3g} %")
-                axis.plot(t, y, color=COLOURS[i], lw=0.8, label=f"{name}, peak {peak:.3g} %")
+                label = f"{LOADS.get(name, name)}, peak {peak:.3g} %"
+                axis.plot(t, y, color=COLOURS[i], lw=0.8, label=label)
             axis.axhline(100, color=LIMIT, ls="--", lw=0.9)
             axis.set_yscale("symlog", linthresh=1.0)
             axis.set_ylim(0, 700)
