@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from los_testbed import cli
 from los_testbed.config import LOOPS, RunConfig
+from los_testbed.inprocess import run_in_process
 from los_testbed.stages import Plan, perform, select
 from los_testbed.stages_tables import markdown
 
+from pointing_analysis.errors import SETTLING
 from pointing_analysis.read import Run
 
 
@@ -109,3 +111,13 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, cap
     for word in words:
         assert word in errors
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_left_of_the_start_lies_below_the_motion_that_stays(tmp_path) -> None:
+    """Why 3 s of start-up are left out: with the controllers that ship, disturbance alone, all loops closed."""
+    config = RunConfig(duration=10.0, mode="inprocess", noise=False)
+    run_in_process(config, tmp_path / "bag")
+    size = np.hypot(*Run.open(tmp_path / "bag")["truth/los"].values[:, :2].T)
+    settling = round(1000 * SETTLING)
+    assert size[settling : settling + 2000].max() < 2.0 * size[settling + 2000 :].max()
+    assert size[:500].max() > 2.0 * size[settling:].max()
