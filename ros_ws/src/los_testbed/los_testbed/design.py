@@ -12,9 +12,12 @@ import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.runtime import DT
 from fsm_pma_controller.skyhook import flown_controller
 from los_estimator.kalman import flown_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_testbed.as_flown import flown_loop
+from los_testbed.flown_norms import weighted_response
 from los_testbed.run_record import commit
 from robust_design import (
     Model,
@@ -32,6 +35,8 @@ from uncertain_systems import SampledSystem, UncertainSystem, state_space
 FLOWN_DELAY = 1.5e-3
 CAMERA_PERIOD = 0.02
 ROOMS = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
+SCREEN_POINTS = 60
+SCREEN_BANDS = (50.0, 300.0, 430.0, 520.0, 800.0)
 START_SEEDS = (2, 1)
 START_POLES = (20.0, 400.0)
 START_GAIN = 100.0
@@ -117,7 +122,8 @@ def design_observer(telescope: Telescope, parameters: Parameters, options: Desig
     plant = observer_plant(telescope, parameters, camera_period=CAMERA_PERIOD if options.as_flown else 0.0)
     start = kalman_start(plant, telescope, parameters, lead=options.loop_delay)
     requirements = observer_requirements(parameters, as_flown=options.as_flown)
-    result = _run(plant, requirements, observer_structure(plant), [start], parameters, options)
+    first = [] if options.nominal else screened(telescope, parameters, None, options.seed)
+    result = _run(plant, requirements, observer_structure(plant), [start], first, parameters, options)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-fsm")[0], _ports("k-fsm")[1])
     return flown_observer(
@@ -142,7 +148,8 @@ def design_actuators(
     requirements = actuator_requirements(parameters, as_flown=options.as_flown)
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
-    result = _run(plant, requirements, structure, starts, parameters, options)
+    first = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
+    result = _run(plant, requirements, structure, starts, first, parameters, options)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-pma")[0], _ports("k-pma")[1])
     return flown_controller(
@@ -151,6 +158,46 @@ def design_actuators(
         name=f"K_PMA, {options.variant}",
         provenance=_certificate("k-pma", result, parameters, options),
     )
+
+
+def screened(
+    telescope: Telescope, parameters: Parameters, observer: SampledSystem | None, seed: int
+) -> list[dict[str, float]]:
+    """Parameter points to begin a robust design with: the worst relative error in each band of peaks.
+
+    Of random points and corners, those where the stage before (the isolator alone, or with an observer the
+    mirror loop) has its largest peak in each of the bands :data:`SCREEN_BANDS`.
+    """
+    from los_testbed.design_check import corners, flown_plant
+
+    system, rng = flown_plant(telescope, parameters), np.random.default_rng(seed)
+    ends = corners(parameters)
+    chosen = [ends[i] for i in rng.choice(len(ends), SCREEN_POINTS // 3, replace=False)]
+    chosen += system.sample_values(rng, SCREEN_POINTS - len(chosen))
+    k_fsm, k_pma = observer or _zero_controller("k-fsm"), _zero_controller("k-pma")
+    loop, frame_ticks = "isolator" if observer is None else "fsm", round(CAMERA_PERIOD / DT)
+    worst: dict[int, tuple[float, dict[str, float]]] = {}
+    for values in chosen:
+        plant = system.data_at(values)
+        closed = flown_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+        omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
+        band = np.searchsorted(SCREEN_BANDS, omega)
+        for i in range(1, len(SCREEN_BANDS)):
+            peak = float(relative[band == i].max())
+            if peak > worst.get(i, (0.0, {}))[0]:
+                worst[i] = (peak, values)
+    unique: list[dict[str, float]] = []
+    for _, values in worst.values():
+        if values not in unique:
+            unique.append(values)
+    return unique
+
+
+def _zero_controller(kind: str) -> SampledSystem:
+    inputs, outputs = _ports(kind)
+    rows, columns = (sum(p.size for p in ports) for ports in (outputs, inputs))
+    none = np.zeros((0, 0))
+    return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
 
 
 def random_start(plant: UncertainSystem, seed: int) -> Model:
@@ -169,7 +216,13 @@ def _ports(kind: str) -> tuple[Any, Any]:
 
 
 def _run(
-    plant: Any, requirements: Any, structure: Any, starts: Sequence[Any], parameters: Parameters, options: DesignOptions
+    plant: Any,
+    requirements: Any,
+    structure: Any,
+    starts: Sequence[Any],
+    first: Sequence[Mapping[str, float]],
+    parameters: Parameters,
+    options: DesignOptions,
 ) -> RobustResult | TuningResult:
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     tuning = TuningOptions(
@@ -191,6 +244,7 @@ def _run(
         requirements,
         structure,
         nominal=nominal,
+        active=first,
         initial=starts,
         loop_delay=options.loop_delay,
         options=tuning,

@@ -87,11 +87,9 @@ def flown_figures(
         Noise of all sensors, or of the platform's accelerometers only.
     """
     closed = flown_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
-    omega = flown_grid(plant, closed.hold[:-2, :-2])
-    response = disturbance_response(closed, plant, omega) * weight_amplitudes(parameters, omega)[:, None, :]
+    omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
     los = singular_values(response[:, :2])[:, 0]
-    relative = los * rpe_weight(omega, table["rpe_window"])
     mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
     force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
     rms = _noise(_camera_every_tick(closed), parameters, sensors) if noise else (float("nan"), float("nan"))
@@ -105,6 +103,16 @@ def flown_figures(
         closed.spectral_radius(),
         float(omega[relative.argmax()]),
     )
+
+
+def weighted_response(
+    loop: FlownLoop, plant: StateSpaceData, parameters: Parameters, low: float = 1e-2
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad]."""
+    omega = flown_grid(plant, loop.hold[:-2, :-2], low)
+    response = disturbance_response(loop, plant, omega) * weight_amplitudes(parameters, omega)[:, None, :]
+    seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
+    return omega, response, singular_values(response[:, :2])[:, 0] * seen
 
 
 @dataclass(frozen=True)
