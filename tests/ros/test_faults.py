@@ -155,6 +155,25 @@ def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_pa
     assert "no valid commands" not in reports[-1][2]
 
 
+def test_a_stopped_recorder_does_not_touch_the_loop_and_its_losses_are_counted(tmp_path):
+    def stop_for_a_while(runner):
+        pid = runner.processes["recorder"]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.5)
+        os.kill(pid, signal.SIGCONT)
+
+    results = run_with_fault(tmp_path, 500, stop_for_a_while, after=1000)
+    assert not results.failures
+    run = Run.open(results.bag)
+    truth = run["truth/los"]
+    ticks = int(results.statistics["plant"]["ticks"])
+    assert (truth.stamp[-1] - truth.stamp[0]) // MS + 1 == ticks, "the plant went on, and the recorder came back"
+    lost = sum(ticks - len(run[name]) for name in run.topics if name != "camera/los")
+    lost += sum(-(-ticks // 20) - len(run[name]) for name in run.topics if name == "camera/los")
+    assert int(results.statistics["recorder"]["samples_lost"]) == lost
+    assert results.statistics["estimator"]["gap_ticks"] == "0", "the others did not notice"
+
+
 def test_a_killed_recorder_loses_at_most_the_last_second(tmp_path):
     told = []
 

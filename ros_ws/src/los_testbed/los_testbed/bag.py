@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from los_testbed.mcap_writer import McapBlockWriter
 from los_testbed.schemas import DEFINITIONS, TYPE_HASHES
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
+from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
 
 QOS = [
     {
         "history": "keep_last",
-        "depth": 10,
+        "depth": DEPTH,
         "reliability": "reliable",
         "durability": "volatile",
         "deadline": {"sec": 9223372036, "nsec": 854775807},

@@ -88,6 +88,11 @@ COMMANDS = (PMA_COMMAND, FSM_COMMAND)
 TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 """Every topic that a bag holds, in the order of its channels."""
 
+DEPTH = 100
+"""Messages that a writer keeps for readers that want every one: 0.1 s at the tick rate. A lost packet is asked for
+again after the next heartbeat, 20 ms later; with the usual depth of 10 it would be gone by then. With 1000, a recorder
+that was stopped for half a second made the plant send so much again that it missed 200 ticks."""
+
 DIAGNOSTICS_TOPIC = "/diagnostics"
 PROGRESS_TOPIC = "recorder/progress"
 """Header whose stamp is the newest tick the recorder has of every topic (0: ready, nothing yet)."""

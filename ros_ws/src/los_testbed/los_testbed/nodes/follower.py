@@ -45,7 +45,8 @@ class Follower:
         self._shell = shell
         self._join = join
         self._tick = tick
-        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name, READER_DEPTH) for t in topics]
+        every = shell.config.mode == "lockstep"
+        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name, READER_DEPTH, every) for t in topics]
         self._on_trigger = Waiter(shell.node, self._subscriptions[-1:])
         self._on_any = Waiter(shell.node, self._subscriptions)
         self._execution = Durations()

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from los_testbed.codecs import codec_for
 from los_testbed.command_gate import CommandGate
-from los_testbed.nodes.raw_topics import DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
+from los_testbed.nodes.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.shell import Shell
 from los_testbed.topics import (
+    DEPTH,
     FSM_COMMAND,
     HEADER,
     PMA_COMMAND,
@@ -22,6 +23,7 @@ from los_testbed.topics import (
 
 FloatArray = NDArray[np.float64]
 
+
 LOCKSTEP_DEPTH = 1000
 """In lockstep a reader may fall behind by many ticks: the writers keep that many for it."""
 
@@ -31,6 +33,7 @@ class PlantIo:
 
     def __init__(self, shell: Shell) -> None:
         config, node = shell.config, shell.node
+
         depth = LOCKSTEP_DEPTH if config.mode == "lockstep" else DEPTH
 
         def output(topic: Topic) -> tuple[Topic, RawPublisher]:
@@ -39,8 +42,9 @@ class PlantIo:
         self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
         self._frame_ns = config.frame_ticks * TICK_NS
-        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, READER_DEPTH)
-        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH)
+        every = config.mode == "lockstep"  # time stands still until a lost command was sent again
+        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, READER_DEPTH, every)
+        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH, every)
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
         hold = config.hold_ticks, config.fade_ticks
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), config.fsm_authority, *hold)

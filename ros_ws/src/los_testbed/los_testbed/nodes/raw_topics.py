@@ -11,15 +11,13 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, VECTOR3
+from los_testbed.topics import ACCEL, DEPTH, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
-DEPTH = 10
-
 READER_DEPTH = 200
 """Messages of an intruder must not push the right ones out of a reader's queue within some ticks."""
 
@@ -71,13 +69,20 @@ def settle(publishers: Sequence[RawPublisher]) -> bool:
 
 
 class RawSubscription:
-    """Subscription whose messages are taken as bytes."""
+    """Subscription whose messages are taken as bytes.
 
-    def __init__(self, node: Node, name: str, message: Any, depth: int = DEPTH) -> None:
+    A reliable reader hands on nothing until a lost message was sent again. That is right for a recorder; a loop
+    would rather miss one sample than get all the following ones late, so it reads without that (`reliable` False)
+    from the same reliable publishers.
+    """
+
+    def __init__(self, node: Node, name: str, message: Any, depth: int = DEPTH, reliable: bool = True) -> None:
         self.message = MESSAGES[message] if isinstance(message, str) else message
         self._node = node
+        how = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        quality = QoSProfile(depth=depth, reliability=how)
         self._subscription = node.create_subscription(
-            self.message, name, _ignore, QoSProfile(depth=depth), callback_group=_HandsOff(), raw=True
+            self.message, name, _ignore, quality, callback_group=_HandsOff(), raw=True
         )
         self.handle = self._subscription.handle
         self.handle.__enter__()

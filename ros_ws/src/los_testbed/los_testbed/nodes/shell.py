@@ -20,7 +20,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from los_testbed.nodes.parameters import declare_config
 from los_testbed.nodes.security import refuse_missing_security
-from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, sharpen_timers
+from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, keep_awake, sharpen_timers
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
 
 PROFILE = Path(__file__).parents[1] / "profiles" / "fastdds.xml"
@@ -77,6 +77,8 @@ class Shell:
         """Raise the process to real time, or say once what was not permitted."""
         if not self.config.priority or self.config.mode != "realtime":
             return
+        if self.name == "plant":
+            keep_awake()
         place = PLACES[self.name] if self.config.pin else None
         refused = become_real_time(PRIORITIES[self.name], place)
         if refused:
