@@ -1,7 +1,7 @@
 """The 1 kHz loop of the testbed against the same cores on rclpy's executors, in one run.
 
     python benchmarks/real_time_loop.py --seconds 60 --hogs 2 --json
-    python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/
+    python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/real_time.md
 
 Each loop is four processes: plant, estimator, controller, and the testbed's recorder. `ours` has real-time scheduling,
 `ours_ordinary` is the same without any rights, `ours_hogs` with busy processes beside it. `events_executor` and
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--hogs", type=int, default=2, help="busy processes of the run with load (default 2; 0: none)")
     parser.add_argument("--loops", nargs="+", choices=LABELS, default=list(LABELS), help="which to run (default all)")
     parser.add_argument("--domain", type=int, default=87, help="ROS domain (default 87)")
-    parser.add_argument("--docs", action="store_true", help="write docs/real_time_table.md and the histogram")
+    parser.add_argument("--docs", action="store_true", help="write table and histogram into docs/real_time.md")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args()
     loops = [name for name in args.loops if args.hogs or name != "ours_hogs"]
@@ -65,9 +65,16 @@ def main() -> None:
         result["miss_rate_hogs"] = result["ours_hogs"]["miss_rate"]
     result["machine"] = {**machine(), "load_before": load}
     if args.docs:
-        (DOCS / "real_time_table.md").write_text(table(result), "utf-8")
+        write_between(DOCS / "real_time.md", "real_time_loop", table(result))
         histogram({name: run[0].latency for name, run in runs.items()}, DOCS / "figures" / "real_time_latency.png")
     print(json.dumps(result) if args.json else table(result))
+
+
+def write_between(page: Path, name: str, text: str) -> None:
+    """Put `text` into a page between the marks of that name."""
+    start, end = f"<!-- {name} -->\n", "<!-- end -->"
+    head, _, rest = page.read_text("utf-8").partition(start)
+    page.write_text(head + start + text + end + rest.partition(end)[2], "utf-8")
 
 
 def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dict[str, float]]:

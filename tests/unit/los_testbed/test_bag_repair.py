@@ -73,3 +73,14 @@ def test_what_is_no_bag_is_refused(tmp_path, bag):
         assert not (tmp_path / "new").exists()
     with pytest.raises(ValueError, match="exists already"):
         repair_bag(bag, bag)
+
+
+def test_a_reader_names_the_place_of_a_damaged_chunk_and_reads_the_others(bag):
+    file = bag / "bag_0.mcap"
+    hurt = chunks(bag)[2]
+    data = bytearray(file.read_bytes())
+    data[hurt.chunk_start_offset + hurt.chunk_length // 2] ^= 0x10
+    file.write_bytes(data)
+    run = Run.open(bag)
+    assert any(f"byte {hurt.chunk_start_offset}:" in problem for problem in run.problems), run.problems
+    assert len(run["truth/los"]) == 3000

@@ -68,6 +68,14 @@ def test_an_invalid_command_is_counted_by_reason_and_changes_nothing(gate, data,
     assert output(gate, now).tolist() == [0, 0]
 
 
+def test_values_are_judged_before_stamps(gate):
+    """So a count tells what came, not when: NaN in a late message is NaN."""
+    for stamp in (START - 2 * MS, START + 50 * MS, START + 1):
+        assert not gate.offer(message(stamp, np.nan), START + MS)
+        assert not gate.offer(message(stamp, 10 * LIMIT), START + MS)
+    assert dict(gate.rejected) == {"not_finite": 3, "limit": 3}
+
+
 def test_the_limit_itself_is_allowed(gate):
     assert gate.offer(message(START, LIMIT, -LIMIT), START + MS)
 

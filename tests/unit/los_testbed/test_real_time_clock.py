@@ -78,6 +78,35 @@ def test_what_is_not_permitted_is_named_and_not_an_error():
     assert done.stdout.strip() == "['real-time scheduling', 'locked memory']"
 
 
+def test_a_window_holds_what_came_since_the_last_one():
+    durations = Durations()
+    for value in (9_000_000, 1_000_000):
+        durations.add(value)
+    assert durations.window("x") == {"x_mean_us": 5000.0, "x_max_us": 9000.0}
+    durations.add(2_000_000)
+    assert durations.window("x") == {"x_mean_us": 2000.0, "x_max_us": 2000.0}
+    assert durations.maximum_us == 9000.0
+    assert durations.histogram() == {1000: 1, 2000: 1, 9000: 1}
+
+
+def test_the_resending_thread_stands_behind_its_siblings():
+    """At the same priority and place a thread that polls would keep the others of its process from running."""
+    code = (
+        "import os, threading, time\n"
+        "from los_testbed.real_time import become_real_time\n"
+        "def work():\n"
+        "    open('/proc/thread-self/comm', 'w').write('dds.asyn.0.0')\n"
+        "    time.sleep(30)\n"
+        "thread = threading.Thread(target=work, daemon=True); thread.start(); time.sleep(0.2)\n"
+        "refused = become_real_time(70)\n"
+        "print(refused, os.sched_getparam(0).sched_priority, os.sched_getparam(thread.native_id).sched_priority)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    if "real-time scheduling" in done.stdout:
+        pytest.skip("real time is not permitted here")
+    assert done.stdout.split("]")[1].split() == ["70", "69"]
+
+
 @pytest.mark.parametrize(
     ("ticks", "mean_us", "level"),
     [

@@ -111,3 +111,13 @@ def test_holding_starts_anew_even_with_older_stamps():
     join.put(0, sample(3 * MS, 1.0))
     assert join.put(2, sample(3 * MS, 1.0)) is not None
     assert join.gap == 0
+
+
+def test_a_stray_hold_message_disturbs_no_tick_under_way():
+    """Tick 64 and the hold tick would share a place if places were counted modulo 64 alone."""
+    join = make()
+    join.put(0, sample(64 * MS, 1.0))
+    join.put(1, sample(HOLD_STAMP, 0.0))
+    join.put(1, sample(64 * MS, 2.0))
+    assert join.put(2, sample(64 * MS, 3.0)).tolist() == [1, -1, 2, -2, 3, -3]
+    assert join.stamp == 64 * MS
