@@ -16,10 +16,9 @@ Floats = NDArray[np.float64]
 RAD_PER_ARCSEC = math.pi / 648_000
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: [s] the observer starts from zero beside a telescope in full motion: its washout and the camera need this long until
-#: what is left of the start is small beside the motion that stays (docs/pointing_analysis.md has the figures)
-SETTLING = 3.0
-SHORT_RUN = 8.0  # [s]; a run shorter than this would lose too much of itself and drops `SHORT_TRANSIENT` only
-SHORT_TRANSIENT = 1.0  # [s]
+#: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
+SETTLING = 5.0
+LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 FSM_TO_LOS = 0.1  # LOS rotation per FSM tilt, used where the bag does not give ``fsm_to_los``
 
 
@@ -54,12 +53,14 @@ class ErrorSeries:
 def default_transient(duration: float) -> float:
     """Start-up transient [s] dropped from a run of `duration` [s] that does not say how much is to be dropped.
 
+    `SETTLING`, from short runs their first half, and never less than `LEAST`.
+
     Examples
     --------
-    >>> default_transient(10.0), default_transient(5.0)
-    (3.0, 1.0)
+    >>> default_transient(60.0), default_transient(10.0), default_transient(6.0), default_transient(1.5)
+    (5.0, 5.0, 3.0, 1.0)
     """
-    return SETTLING if duration >= SHORT_RUN - 1e-9 else SHORT_TRANSIENT
+    return max(LEAST, min(SETTLING, duration / 2))
 
 
 def transient_of(run: Run, transient: float | None, duration: float) -> float:

@@ -16,7 +16,6 @@ from pointing_analysis.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
     SETTLING,
-    SHORT_RUN,
     knowledge_error,
     performance_error,
 )
@@ -198,8 +197,8 @@ def summarise(
     Parameters
     ----------
     run : an opened bag
-    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 3 s,
-        from runs shorter than 8 s only 1 s (:func:`pointing_analysis.errors.default_transient`)
+    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 5 s,
+        from runs shorter than 10 s their first half (:func:`pointing_analysis.errors.default_transient`)
     wanted : requirements; by default those of the reference telescope
 
     Raises
@@ -221,7 +220,7 @@ def summarise(
     lost, problems, dropped = _integrity(run)
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
-            f"a run shorter than {SHORT_RUN:g} s: only {series.start:g} s of start-up is left out, the observer may "
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, the observer may "
             f"take {SETTLING:g} s to settle"
         )
     if run.parameters.get("mode") == "replay":

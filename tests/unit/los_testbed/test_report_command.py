@@ -54,12 +54,12 @@ def test_several_bags_side_by_side(call, tmp_path) -> None:
     assert code == 0
     content = json.loads(out.splitlines()[-1])
     assert [run["loop"] for run in content["runs"]] == ["isolator", "fsm"]
-    assert all(run["transient_s"] == 3.0 for run in content["runs"])
+    assert all(run["transient_s"] == 5.0 for run in content["runs"])
     page = (call.here / "two.html").read_text()
     assert page.count('<article class="card') == 2
     code, out, _ = call(bags[0])
     assert (bags[0] / "report.html").exists()
-    assert "3 s" in out
+    assert "5 s" in out
 
 
 def test_requirements_of_ones_own_and_transient(call, tmp_path) -> None:
@@ -136,7 +136,7 @@ def test_two_plants(call, tmp_path) -> None:
 
 def test_nan_in_the_truth_is_counted_and_never_a_verdict_of_zero(call, tmp_path) -> None:
     values = los(10)
-    values[5000:5003] = np.nan
+    values[6000:6003] = np.nan
     bag = write_bag(tmp_path / "bag", {"truth/los": values}, parameters={"loop": "fsm"})
     code, out, _ = call(bag, "--json")
     assert code == 0

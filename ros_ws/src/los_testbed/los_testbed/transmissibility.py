@@ -97,14 +97,14 @@ class LoopModel:
 
     @classmethod
     def of(cls, config: RunConfig) -> LoopModel:
-        """Model of a run. Tones of the same frequency are added up as phasors; those beyond 500 Hz are left out."""
+        """Model of a run. Tones of the same frequency are added up as phasors."""
         plant, tones = plant_and_tones(plant_config(config))
         files = controller_files(config)
         k_fsm, k_pma = (SampledSystem.from_file(files[name]) for name in ("k_fsm", "k_pma"))
         loop = flown_loop(plant, k_fsm, k_pma, loop=config.loop, frame_ticks=config.frame_ticks)
         omega = np.unique(tones.frequency)
         amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
-        seen = (omega > 0) & (omega < np.pi / DT) & (np.linalg.norm(amplitude, axis=0) > 0)
+        seen = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
         return cls(loop, plant, np.asarray(omega[seen]), np.asarray(amplitude[:, seen]))
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -160,7 +160,10 @@ class LoopModel:
 
 
 def tone_responses(run: Run, config: RunConfig, transient: float | None = None) -> tuple[ToneResponse, ...]:
-    """Measured and modelled response at each tone of a run; tones that the run cannot tell apart are left out."""
+    """Measured and modelled response at each tone of a run.
+
+    Tones that the run cannot tell apart are left out, and those beyond half the sampling rate.
+    """
     series = performance_error(run, transient)
     with one_thread():
         model = LoopModel.of(config)
