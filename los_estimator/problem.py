@@ -103,14 +103,26 @@ def observer_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Re
     return paper + noise if as_flown else paper
 
 
-def observer_structure(plant: ObserverPlant, *, order: int = ORDER) -> AffineStructure:
-    """State space of fixed order from the 22 measurements to the estimate, all entries free."""
-    return state_space([plant.system.output_port(name) for name in MEASUREMENTS], [ESTIMATE], order)
+def observer_structure(plant: ObserverPlant, *, order: int = ORDER, held_camera: bool = False) -> AffineStructure:
+    """State space of fixed order from the 22 measurements to the estimate.
+
+    Parameters
+    ----------
+    plant : ObserverPlant
+    order : int
+    held_camera : bool
+        No direct path from the camera to the estimate: the steps of a value that is held between frames would
+        shake the mirror at the frame rate. Otherwise all entries are free.
+    """
+    free = state_space([plant.system.output_port(name) for name in MEASUREMENTS], [ESTIMATE], order)
+    if not held_camera:
+        return free
+    return free.with_fixed({(order + i, order + 18 + j): 0.0 for i in range(2) for j in range(2)})
 
 
 def kalman_start(
-    plant: ObserverPlant, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
+    structure: AffineStructure, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
 ) -> FloatArray:
     """The Kalman observer as a start of the tuner."""
     guess = Model.from_data(kalman_observer(parameters, telescope.bodies[1], lead=lead).data_at({}), "K_est")
-    return np.asarray(observer_structure(plant).parameters_of(guess))
+    return np.asarray(structure.parameters_of(guess))

@@ -120,10 +120,11 @@ def box_of(parameters: Parameters) -> dict[str, tuple[float, float]]:
 def design_observer(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> SampledSystem:
     """Tune K_FSM, started from the Kalman observer."""
     plant = observer_plant(telescope, parameters, camera_period=CAMERA_PERIOD if options.as_flown else 0.0)
-    start = kalman_start(plant, telescope, parameters, lead=options.loop_delay)
+    structure = observer_structure(plant, held_camera=options.as_flown)
+    start = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
     requirements = observer_requirements(parameters, as_flown=options.as_flown)
     first = [] if options.nominal else screened(telescope, parameters, None, options.seed)
-    result = _run(plant, requirements, observer_structure(plant), [start], first, parameters, options)
+    result = _run(plant, requirements, structure, [start], first, parameters, options)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-fsm")[0], _ports("k-fsm")[1])
     return flown_observer(

@@ -2,8 +2,9 @@
 
 Route of its own, apart from the tuner: the plant is sampled exactly, commands act one tick late, controllers are the
 sampled files. A disturbance tone is not held but integrated over each tick, so its response at the ticks is exact at
-every frequency. Stability counts the camera's frames exactly (product of the one-tick matrices over a frame period);
-gains and noise take the held camera value as a camera at every tick that is half a frame late.
+every frequency. The camera's value is held between its frames, which makes the loop periodic: a tone at w answers also
+at w + k w_frame. Gains count the power of these sidebands, noise is the mean variance over a frame period, and
+stability is that of the product of the one-tick matrices over a period.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from uncertain_systems.sampling import sampled
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 DT = 1e-3
+SIDEBANDS = 4
+"""Sidebands of the camera's frame rate that are counted to each side."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def flown_figures(
     los = singular_values(response[:, :2])[:, 0]
     mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
     force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
-    rms = _noise(_camera_every_tick(closed), parameters, sensors) if noise else (float("nan"), float("nan"))
+    rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
     return FlownFigures(
         float(los.max()) / table["ape_limit"],
         float(relative.max()) / table["rpe_limit"],
@@ -108,37 +111,27 @@ def flown_figures(
 def weighted_response(
     loop: FlownLoop, plant: StateSpaceData, parameters: Parameters, low: float = 1e-2
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad]."""
+    """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad].
+
+    The gain is the largest root mean square of the weighted line of sight over the frame period, times the square
+    root of 2: the amplitude of a tone of that power.
+    """
     omega = flown_grid(plant, loop.hold[:-2, :-2], low)
-    response = disturbance_response(loop, plant, omega) * weight_amplitudes(parameters, omega)[:, None, :]
-    seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
-    return omega, response, singular_values(response[:, :2])[:, 0] * seen
-
-
-@dataclass(frozen=True)
-class EveryTick:
-    """Time-invariant loop: ``x+ = A x + N n``; rows of `C` give the line of sight."""
-
-    A: FloatArray
-    N: FloatArray
-    C: FloatArray
-
-
-def _camera_every_tick(loop: FlownLoop) -> EveryTick:
-    """The camera is read at every tick but half a frame late: a chain of delays instead of the hold."""
-    n, late = loop.frame.shape[0], max(1, loop.frame_ticks // 2)
-    held, chain = slice(n - 2, n), 2 * (late - 1)
-    A, N = np.zeros((n + chain, n + chain)), np.zeros((n + chain, MEASUREMENTS))
-    A[:n, :n], N[:n] = (loop.frame, loop.noise_frame) if loop.frame_ticks == 1 else (loop.hold, loop.noise_hold)
-    if loop.frame_ticks > 1:
-        A[held], N[held] = 0.0, 0.0
-        last = slice(n + chain - 2, n + chain)  # the camera value goes down the chain to the held state
-        A[last, :n], N[last] = loop.frame[held], loop.noise_frame[held]
-        for i in range(late - 1):
-            A[n - 2 + 2 * i : n + 2 * i, n + 2 * i : n + 2 * i + 2] = np.eye(2)
-    C = np.zeros((2, n + chain))
-    C[:, :n] = loop.truth
-    return EveryTick(A, N, C)
+    tone = tone_response(loop, plant, omega)
+    size = weight_amplitudes(parameters, omega)[:, None, :]
+    window = parameters["weights"]["rpe_window"]
+    seen = rpe_weight(omega, window)[:, None, None]
+    stack = [seen * tone.fundamental[:, :2] * size]
+    if tone.camera is not None:
+        power = np.zeros((omega.size, 2, 2), complex)
+        for shift, gain in tone.sidebands:
+            weighted = rpe_weight(np.abs(omega + shift), window)[:, None, None] * gain
+            power += weighted.conj().swapaxes(1, 2) @ weighted
+        values, vectors = np.linalg.eigh(power)
+        root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.conj().swapaxes(1, 2)
+        stack.append(root @ tone.camera * size)
+    relative = np.linalg.norm(np.concatenate(stack, axis=1), ord=2, axis=(1, 2))
+    return omega, tone.fundamental * size, np.asarray(relative)
 
 
 def flown_grid(plant: StateSpaceData, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
@@ -147,42 +140,75 @@ def flown_grid(plant: StateSpaceData, A: FloatArray, low: float = 1e-2, high: fl
     return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, per_mode=3)
 
 
-def disturbance_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> ComplexArray:
-    """Response at the ticks to tones on the 22 disturbance inputs: line of sight (2) and commands (8).
+@dataclass(frozen=True)
+class ToneResponse:
+    """Answer to tones ``exp(i w t)`` on the 22 disturbance inputs.
 
-    The delay of the camera is closed around the rest of the loop at each frequency.
-
-    Returns
-    -------
-    ndarray, shape (k, 10, 22), complex
-        A tone ``exp(i w t)`` gives ``H exp(i w t)`` at the ticks.
+    Parameters
+    ----------
+    fundamental : ndarray, shape (k, 10, 22)
+        Line of sight (2) and commands (8) at w.
+    camera : ndarray, shape (k, 2, 22), or None
+        Camera value at its frames; None where every tick has a frame.
+    sidebands : list of (shift, gain)
+        Line of sight at w + shift [rad/s] by the camera value, gains of shape (k, 2, 2).
     """
-    n, size = loop.plant_order, loop.hold.shape[0] - 2
-    values, vectors = _eigenvectors(plant.A)
-    drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
-    z = np.exp(1j * omega * DT)
-    flow, s = np.exp(values * DT), 1j * omega[:, None]
-    near = np.abs(s - values) < 1e-9
-    kick = np.where(near, DT * flow, (z[:, None] - flow) / np.where(near, 1.0, s - values))
-    # Sensors feel the disturbance of the tick itself through the plant's feedthrough.
-    felt = plant.D[:MEASUREMENTS, COMMANDS:]
-    with_camera = loop.frame_ticks == 1
-    A = loop.frame[:size, :size] if with_camera else loop.hold[:size, :size]
-    N = loop.noise_frame[:size] if with_camera else loop.noise_hold[:size]
-    enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
+
+    fundamental: ComplexArray
+    camera: ComplexArray | None
+    sidebands: list[tuple[float, ComplexArray]]
+
+
+def disturbance_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> ComplexArray:
+    """Line of sight (2) and commands (8) at the frequency of tones on the 22 inputs, shape (k, 10, 22), complex."""
+    return tone_response(loop, plant, omega).fundamental
+
+
+def tone_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> ToneResponse:
+    """Exact response at the ticks, the held camera value closed around the rest of the loop.
+
+    Sidebands beyond the :data:`SIDEBANDS`-th to each side are left out; the hold attenuates them.
+    """
+    n, size, ticks = loop.plant_order, loop.hold.shape[0] - 2, loop.frame_ticks
+    A, N = loop.hold[:size, :size], loop.noise_hold[:size]
+    if ticks == 1:
+        A, N = loop.frame[:size, :size], loop.noise_frame[:size]
     wanted = np.zeros((10, size))
     wanted[:2], wanted[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+    enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
     mu, W = _eigenvectors(A)
     right, left = linalg.inv(W), np.vstack([wanted, read]) @ W
+    z = np.exp(1j * omega * DT)
     rows = (left[None] / (z[:, None, None] - mu)) @ right  # (k, 12, size)
-    pushed = (rows[:, :, :n] @ vectors * kick[:, None, :]) @ drive + rows @ (N @ felt)
-    if with_camera:
-        return np.asarray(pushed[:, :10])
+    # Sensors feel the disturbance of the tick itself through the plant's feedthrough.
+    felt = plant.D[:MEASUREMENTS, COMMANDS:]
+    pushed = _pushed(plant, omega, rows[:, :, :n]) + rows @ (N @ felt)
+    if ticks == 1:
+        return ToneResponse(pushed[:, :10], None, [])
     pushed[:, 10:] += loop.noise_frame[size:] @ felt
-    late = z ** -(loop.frame_ticks // 2)
-    fed = rows @ enter  # (k, 12, 2)
-    inner = np.linalg.solve(np.eye(2) - late[:, None, None] * fed[:, 10:], late[:, None, None] * pushed[:, 10:])
-    return np.asarray(pushed[:, :10] + fed[:, :10] @ inner)
+    entry, ends = right @ enter, np.vstack([left[:2], left[10:]])
+    loop_gain, sidebands = np.zeros((omega.size, 2, 2), complex), []
+    for k in range(-SIDEBANDS, SIDEBANDS + 1):
+        shift = 2.0 * np.pi * k / (ticks * DT)
+        zk = np.exp(1j * (omega + shift) * DT)
+        held = np.mean(zk[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+        answer = (ends[None] / (zk[:, None, None] - mu)) @ entry * held
+        loop_gain += answer[:, 2:]
+        if k:
+            sidebands.append((shift, answer[:, :2]))
+    camera = np.linalg.solve(np.eye(2) - loop_gain, pushed[:, 10:])
+    held = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+    return ToneResponse(pushed[:, :10] + rows[:, :10] @ enter @ (held * camera), camera, sidebands)
+
+
+def _pushed(plant: StateSpaceData, omega: FloatArray, rows: ComplexArray) -> ComplexArray:
+    """What a tone adds to the plant's state over a tick, seen through `rows` (k, p, n)."""
+    values, vectors = _eigenvectors(plant.A)
+    drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
+    z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
+    near = np.abs(s - values) < 1e-9
+    kick = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
+    return np.asarray((rows @ vectors * kick[:, None, :]) @ drive)
 
 
 def _eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -190,8 +216,8 @@ def _eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return np.asarray(values, dtype=complex), np.asarray(vectors, dtype=complex)
 
 
-def _noise(loop: EveryTick, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
-    """Line of sight by sensor noise [rad rms], plain and through the relative-error weight."""
+def _noise(loop: FlownLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
+    """Line of sight by sensor noise [rad rms over a frame period], plain and through the relative-error weight."""
     table: Any = parameters["sensors"]
     sigma = np.r_[
         np.tile(table["accelerometer_noise"], 3),
@@ -200,17 +226,28 @@ def _noise(loop: EveryTick, parameters: Parameters, sensors: str | None) -> tupl
     ]
     if sensors == "platform":
         sigma[6:] = 0.0
-    filtered = _with_relative_error(loop, parameters["weights"]["rpe_window"])
-    drive = filtered.N * sigma
-    P = linalg.solve_discrete_lyapunov(filtered.A, drive @ drive.T)
-    plain, relative = (np.trace(C @ P @ C.T) for C in (filtered.C[:2], filtered.C[2:4]))
-    return float(np.sqrt(max(plain, 0.0))), float(np.sqrt(max(relative, 0.0)))
+    w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
+    n, m = loop.hold.shape[0], w.order
 
+    def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        both = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
+        drive = np.vstack([N * sigma, np.zeros((m, sigma.size))])
+        return both, drive @ drive.T
 
-def _with_relative_error(loop: EveryTick, window: float) -> EveryTick:
-    """Append the weight of the relative error, sampled by the bilinear rule, to the line of sight."""
-    w = sampled(relative_error_weight(window), DT)
-    n, m = loop.A.shape[0], w.order
-    A = np.block([[loop.A, np.zeros((n, m))], [w.B @ loop.C, w.A]])
-    C = np.vstack([np.hstack([loop.C, np.zeros((2, m))]), np.hstack([w.D @ loop.C, w.C])])
-    return EveryTick(A, np.vstack([loop.N, np.zeros((m, loop.N.shape[1]))]), C)
+    outputs = (
+        np.hstack([loop.truth, np.zeros((2, m))]),
+        np.hstack([w.D @ loop.truth, w.C]),
+    )
+    frame, hold = extended(loop.frame, loop.noise_frame), extended(loop.hold, loop.noise_hold)
+    ticks = [frame] + [hold] * (loop.frame_ticks - 1)
+    period: FloatArray = np.eye(n + m)
+    gathered: FloatArray = np.zeros((n + m, n + m))
+    for A, Q in ticks:
+        period, gathered = A @ period, A @ gathered @ A.T + Q
+    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, gathered), dtype=float)
+    power = np.zeros(2)
+    for A, Q in ticks:
+        power += [np.trace(C @ P @ C.T) for C in outputs]
+        P = A @ P @ A.T + Q
+    plain, relative = np.sqrt(np.maximum(power / len(ticks), 0.0))
+    return float(plain), float(relative)
