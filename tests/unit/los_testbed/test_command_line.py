@@ -175,7 +175,7 @@ def test_a_bag_that_is_none(run):
         assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["run", "analyse"])
+@pytest.mark.parametrize("command", ["run", "analyse", "report", "replay", "stages"])
 def test_help_has_examples(command):
     done = subprocess.run(
         [sys.executable, "-m", "los_testbed.cli", command, "--help"],
