@@ -231,7 +231,7 @@ def _run(
         seed=options.seed,
         wall_limit=options.wall_limit,
         workers=options.workers,
-        iterations=100,
+        iterations=50,
         tolerance=1e-3,
         progress=options.progress,
     )

@@ -179,10 +179,10 @@ def tone_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> 
     mu, W = _eigenvectors(A)
     right, left = linalg.inv(W), np.vstack([wanted, read]) @ W
     z = np.exp(1j * omega * DT)
-    rows = (left[None] / (z[:, None, None] - mu)) @ right  # (k, 12, size)
+    rows = left[None] / (z[:, None, None] - mu)  # (k, 12, size), to be followed by `right`
     # Sensors feel the disturbance of the tick itself through the plant's feedthrough.
     felt = plant.D[:MEASUREMENTS, COMMANDS:]
-    pushed = _pushed(plant, omega, rows[:, :, :n]) + rows @ (N @ felt)
+    pushed = _pushed(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ felt))
     if ticks == 1:
         return ToneResponse(pushed[:, :10], None, [])
     pushed[:, 10:] += loop.noise_frame[size:] @ felt
@@ -198,17 +198,17 @@ def tone_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> 
             sidebands.append((shift, answer[:, :2]))
     camera = np.linalg.solve(np.eye(2) - loop_gain, pushed[:, 10:])
     held = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
-    return ToneResponse(pushed[:, :10] + rows[:, :10] @ enter @ (held * camera), camera, sidebands)
+    return ToneResponse(pushed[:, :10] + rows[:, :10] @ entry @ (held * camera), camera, sidebands)
 
 
-def _pushed(plant: StateSpaceData, omega: FloatArray, rows: ComplexArray) -> ComplexArray:
-    """What a tone adds to the plant's state over a tick, seen through `rows` (k, p, n)."""
+def _pushed(plant: StateSpaceData, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """What a tone adds to the plant's state over a tick, seen through `rows` (k, p, size) times `right` (size, n)."""
     values, vectors = _eigenvectors(plant.A)
     drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
     z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
     near = np.abs(s - values) < 1e-9
     kick = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
-    return np.asarray((rows @ vectors * kick[:, None, :]) @ drive)
+    return np.asarray((rows @ (right @ vectors) * kick[:, None, :]) @ drive)
 
 
 def _eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
