@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from fsm_pma_controller.problem import HOLD, actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
-from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.runtime import DT
 from fsm_pma_controller.skyhook import flown_controller
 from los_estimator.kalman import flown_observer
@@ -150,7 +150,8 @@ def design_actuators(
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
     first = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
-    result = _run(plant, requirements, structure, starts, first, parameters, options)
+    delay = max(0.0, options.loop_delay - HOLD)
+    result = _run(plant, requirements, structure, starts, first, parameters, options, delay)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-pma")[0], _ports("k-pma")[1])
     return flown_controller(
@@ -224,7 +225,9 @@ def _run(
     first: Sequence[Mapping[str, float]],
     parameters: Parameters,
     options: DesignOptions,
+    delay: float | None = None,
 ) -> RobustResult | TuningResult:
+    delay = options.loop_delay if delay is None else delay
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     tuning = TuningOptions(
         starts=options.starts,
@@ -237,7 +240,7 @@ def _run(
     )
     if options.nominal:
         models: list[Model] = [plant(nominal)]
-        return tune(models, requirements, structure, initial=starts, loop_delay=options.loop_delay, options=tuning)
+        return tune(models, requirements, structure, initial=starts, loop_delay=delay, options=tuning)
     search = WorstCaseOptions(samples=30, climbs=1, iterations=4, seed=options.seed, wall_limit=60.0)
     return tune_robust(
         plant,
@@ -247,7 +250,7 @@ def _run(
         nominal=nominal,
         active=first,
         initial=starts,
-        loop_delay=options.loop_delay,
+        loop_delay=delay,
         options=tuning,
         search=search,
     )
