@@ -80,7 +80,7 @@ class FsmPmaController:
         for name, limit in (("fsm_authority", fsm_authority), ("pma_authority", pma_authority)):
             if not (np.isfinite(limit) and limit > 0):
                 raise ValueError(f"{name} must be positive and finite, got {limit}")
-        _check_ports(k_pma)
+        k_pma.require(INPUTS, OUTPUTS, DT)
         self.k_pma = k_pma
         self.loop = loop
         self._fsm_closed = loop in ("fsm", "fsm+pma")
@@ -106,17 +106,3 @@ class FsmPmaController:
     def reset(self) -> None:
         """Back to the zero state."""
         self.k_pma.reset()
-
-
-def _check_ports(system: SampledSystem) -> None:
-    for kind, expected in (("inputs", INPUTS), ("outputs", OUTPUTS)):
-        got = [(port.name, port.size) for port in getattr(system, kind)]
-        wanted = [(port.name, port.size) for port in expected]
-        if got != wanted:
-            raise ValueError(f"{system.name}: expected {kind} {_listed(wanted)}, got {_listed(got)}")
-    if abs(system.dt - DT) > 1e-12:
-        raise ValueError(f"{system.name}: expected a period of {DT} s, got {system.dt}")
-
-
-def _listed(ports: list[tuple[str, int]]) -> str:
-    return ", ".join(f"{name}[{size}]" for name, size in ports)

@@ -71,7 +71,7 @@ class LosEstimator:
     """
 
     def __init__(self, k_fsm: SampledSystem) -> None:
-        _check_ports(k_fsm)
+        k_fsm.require(INPUTS, OUTPUTS, DT)
         self.k_fsm = k_fsm
         self._u = np.zeros(22)
         self._camera = np.zeros(2)
@@ -92,17 +92,3 @@ class LosEstimator:
         """Back to the zero state; the held camera value is forgotten."""
         self.k_fsm.reset()
         self._camera[:] = 0.0
-
-
-def _check_ports(system: SampledSystem) -> None:
-    for kind, expected in (("inputs", INPUTS), ("outputs", OUTPUTS)):
-        got = [(port.name, port.size) for port in getattr(system, kind)]
-        wanted = [(port.name, port.size) for port in expected]
-        if got != wanted:
-            raise ValueError(f"{system.name}: expected {kind} {_listed(wanted)}, got {_listed(got)}")
-    if abs(system.dt - DT) > 1e-12:
-        raise ValueError(f"{system.name}: expected a period of {DT} s, got {system.dt}")
-
-
-def _listed(ports: list[tuple[str, int]]) -> str:
-    return ", ".join(f"{name}[{size}]" for name, size in ports)

@@ -170,6 +170,21 @@ class SampledSystem:
         """Copy of the present state."""
         return self._x.copy()
 
+    def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
+        """Check that this system fits a place in a loop: ports by name and size, and period [s].
+
+        Raises
+        ------
+        ValueError
+            Other ports or another period; the message lists what was expected and what came.
+        """
+        for kind, expected, present in (("inputs", inputs, self.inputs), ("outputs", outputs, self.outputs)):
+            wanted, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
+            if got != wanted:
+                raise ValueError(f"{self.name}: expected {kind} {wanted}, got {got}")
+        if abs(self.dt - dt) > 1e-12:
+            raise ValueError(f"{self.name}: expected a period of {dt} s, got {self.dt}")
+
     def step(self, u: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing."""
         np.matmul(self.C, self._x, out=out)
