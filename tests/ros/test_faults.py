@@ -6,6 +6,8 @@ import subprocess
 import sys
 import threading
 import time
+from glob import glob
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -121,6 +123,22 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     assert int(results.statistics["plant"]["missed_ticks"]) >= gaps[widest] // MS - 10
     silent = (truth.stamp > commands.stamp[widest] + 30 * MS) & (truth.stamp <= commands.stamp[widest + 1])
     assert np.abs(mirror_angle(results.bag)[silent]).max() < 1e-7, "without commands the mirror is at zero"
+
+
+def test_nothing_in_shared_memory_can_be_held_by_a_killed_process(tmp_path):
+    """A lock in shared memory that dies with its holder would stop the nodes that live."""
+    before, threads = set(glob("/dev/shm/*fastrtps*")), []
+
+    def look_and_kill(runner):
+        for pid in runner.processes.values():
+            threads.extend(Path(path).read_text().strip() for path in glob(f"/proc/{pid}/task/*/comm"))
+        os.kill(runner.processes["estimator"], signal.SIGKILL)
+        time.sleep(1.0)
+
+    run_with_fault(tmp_path, 300, look_and_kill)
+    assert sum(name.startswith("dds.udp") for name in threads) >= 8, "the names of the middleware's threads are known"
+    assert not [name for name in threads if "shm" in name]
+    assert set(glob("/dev/shm/*fastrtps*")) <= before
 
 
 def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_path):

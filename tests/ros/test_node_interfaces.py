@@ -8,9 +8,9 @@ import time
 import pytest
 
 pytest.importorskip("rclpy")
+from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.config import FIELDS
-from los_testbed.nodes.shell import PROFILE
 from los_testbed.runner import Runner, environment, node_command
 from los_testbed.topics import TOPICS
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
@@ -34,11 +34,10 @@ class Observer:
     """A user's node beside a run, in this process with a context of its own."""
 
     def __init__(self, domain):
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(PROFILE)
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-        self.context = Context()
-        self.context.init(domain_id=domain)
-        self.node = Node("user", context=self.context)
+        with middleware(ours=False):
+            self.context = Context()
+            self.context.init(domain_id=domain)
+            self.node = Node("user", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnostics = []

@@ -13,8 +13,8 @@ import signal
 import sys
 
 from los_testbed.codecs import stamp_of
+from los_testbed.nodes.middleware import choose_middleware
 from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription, Waiter
-from los_testbed.nodes.shell import PROFILE, TRANSPORT
 from los_testbed.real_time import become_real_time
 from los_testbed.topics import TICK_NS, TOPICS
 
@@ -58,8 +58,7 @@ class Link:
 
 def main() -> None:
     domain, *names = sys.argv[1:]
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORT)
+    choose_middleware(os.environ)
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

@@ -2,30 +2,45 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Sequence
 
 from los_testbed.codecs import stamp_of
+from los_testbed.nodes.middleware import PROFILE_VARIABLES, RANGE_VARIABLE, TRANSPORT_VARIABLE, choose_middleware
 from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
-from los_testbed.nodes.shell import PROFILE, TRANSPORT
 from los_testbed.topics import Topic
 from rclpy.context import Context
 from rclpy.node import Node
+
+
+@contextlib.contextmanager
+def middleware(ours=True):
+    """Inside, participants are made as the nodes of a run have them, or as a user on this machine has them."""
+    before = dict(os.environ)
+    for variable in (*PROFILE_VARIABLES, TRANSPORT_VARIABLE):
+        os.environ.pop(variable, None)
+    os.environ[RANGE_VARIABLE] = "LOCALHOST"
+    if ours:
+        choose_middleware(os.environ)
+    try:
+        yield
+    finally:
+        for variable in (*PROFILE_VARIABLES, TRANSPORT_VARIABLE, RANGE_VARIABLE):
+            os.environ.pop(variable, None)
+            if variable in before:
+                os.environ[variable] = before[variable]
 
 
 class Bystander:
     """Node with publishers on `sends` and subscriptions on `hears`, matched with the run's nodes."""
 
     def __init__(self, domain: int, sends: Sequence[Topic] = (), hears: Sequence[Topic] = ()) -> None:
-        os.environ.update(
-            FASTRTPS_DEFAULT_PROFILES_FILE=str(PROFILE),
-            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
-            FASTDDS_BUILTIN_TRANSPORTS=TRANSPORT,
-        )
-        self.context = Context()
-        self.context.init(domain_id=domain)
-        self.node = Node("bystander", context=self.context)
+        with middleware():
+            self.context = Context()
+            self.context.init(domain_id=domain)
+            self.node = Node("bystander", context=self.context)
         # deep enough that nothing is pushed out before its reader has it
         self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
         self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}

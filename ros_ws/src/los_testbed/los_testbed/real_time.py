@@ -19,7 +19,11 @@ SPIN_NS = 60_000
 """The last stretch before a deadline is spent polling the clock: a sleeping thread wakes up this late."""
 
 _RESENDING = "dds.asyn"
-"""Name of the thread of Fast DDS that sends again what a reliable reader misses."""
+"""Name of the thread of Fast DDS that sends again what a reliable reader misses.
+
+It polls for a lock until it gets it. At the priority of the thread that holds the lock, on the same processor, it
+would poll for ever: so it stays one below.
+"""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
@@ -76,10 +80,9 @@ def become_real_time(priority: int, place: int | None = None) -> list[str]:
     try:
         processors = sorted(os.sched_getaffinity(0))
         for thread in os.listdir("/proc/self/task"):
-            # the middleware's thread that sends again polls until it succeeds: beside its siblings, not in their place
             with open(f"/proc/self/task/{thread}/comm") as name:
-                behind = name.read().startswith(_RESENDING) and priority > 1
-            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority - behind))
+                level = priority - name.read().startswith(_RESENDING)
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO if level else os.SCHED_OTHER, os.sched_param(level))
             if place is not None:
                 os.sched_setaffinity(int(thread), {processors[place % len(processors)]})
     except (OSError, AttributeError):

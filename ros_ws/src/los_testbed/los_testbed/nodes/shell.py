@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -18,21 +17,11 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from los_testbed.nodes.middleware import choose_middleware
 from los_testbed.nodes.parameters import declare_config
 from los_testbed.nodes.security import refuse_missing_security
 from los_testbed.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, keep_awake, sharpen_timers
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
-
-PROFILE = Path(__file__).parents[1] / "profiles" / "fastdds.xml"
-"""Discovery times of the middleware; a profile that the user names goes before it."""
-
-PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Fast DDS 2 and 3 call it differently."""
-
-TRANSPORT = "UDPv4"
-"""Loopback UDP is as fast as shared memory for such small messages (measured), and does without its faults: a
-writer that meets a new or dead neighbour in shared memory is held up for a third of a second by a health check,
-and a killed process leaves files in /dev/shm behind."""
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """If set, a node tells its parent process what happens, one JSON object per line on its output."""
@@ -58,9 +47,7 @@ class Shell:
         sharpen_timers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
-        if not any(variable in os.environ for variable in PROFILE_VARIABLES):
-            os.environ.update(dict.fromkeys(PROFILE_VARIABLES, str(PROFILE)))
-        os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORT)
+        choose_middleware(os.environ)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
         refuse_missing_security()
         self.node = rclpy.create_node(name, namespace=NAMESPACE)

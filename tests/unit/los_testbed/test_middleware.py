@@ -1,0 +1,56 @@
+"""Settings of the middleware: ours where the user has none, and never shared memory."""
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+from los_testbed.nodes.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
+
+LOCAL_ONLY = ("transport_descriptors", "userTransports", "useBuiltinTransports", "metatrafficUnicastLocatorList")
+
+
+def chosen(**environment):
+    choose_middleware(environment)
+    return environment
+
+
+def test_this_machine_alone_by_a_profile_since_the_layer_would_add_shared_memory():
+    environment = chosen(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
+    assert environment["FASTDDS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+@pytest.mark.parametrize("environment", [{}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}])
+def test_otherwise_the_range_is_left_alone(environment):
+    after = chosen(**environment)
+    assert after["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(NETWORK_PROFILE)
+    assert after["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
+    assert after.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
+
+
+@pytest.mark.parametrize("variable", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+def test_a_profile_of_the_user_goes_before_ours(variable):
+    after = chosen(**{variable: "mine.xml", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    assert [value for name, value in after.items() if "PROFILES" in name] == ["mine.xml"]
+    assert after["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
+def test_the_two_profiles_differ_only_in_where_they_look():
+    def settings(path):
+        root = ElementTree.parse(path).getroot()
+        lines = {}
+
+        def walk(element, place):
+            name = re.sub("{.*}", "", element.tag)
+            if name in (*LOCAL_ONLY, "initialPeersList"):
+                return
+            lines[f"{place}/{name}"] = (element.text or "").strip()
+            for child in element:
+                walk(child, f"{place}/{name}")
+
+        walk(root, "")
+        return lines
+
+    assert settings(LOCALHOST_PROFILE) == settings(NETWORK_PROFILE)
+    assert len(settings(NETWORK_PROFILE)) > 20
