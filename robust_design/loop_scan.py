@@ -43,6 +43,7 @@ class LoopScan:
         self._outputs = [p.name for p in model.outputs if p.name not in measured] + sorted(measured)
         self._loop = close_loop(model, self._controller, self._inputs, self._outputs)
         self._response = FrequencyResponse.of(*self._loop.matrices)
+        self._weights: dict[int, FrequencyResponse] = {}
 
     @property
     def abscissa(self) -> float:
@@ -78,10 +79,16 @@ class LoopScan:
         rows, columns = self._loop.output_indices(r.outputs), self._loop.input_indices(r.inputs)
         part = T[:, rows][:, :, columns]
         if r.weight_out is not None:
-            part = FrequencyResponse.of(*r.weight_out.matrices).at(omega) @ part
+            part = self._weight(r.weight_out).at(omega) @ part
         if r.weight_in is not None:
-            part = part @ FrequencyResponse.of(*r.weight_in.matrices).at(omega)
+            part = part @ self._weight(r.weight_in).at(omega)
         return part
+
+    def _weight(self, weight: Model) -> FrequencyResponse:
+        """A weight ready for evaluation, made once."""
+        if id(weight) not in self._weights:
+            self._weights[id(weight)] = FrequencyResponse.of(*weight.matrices)
+        return self._weights[id(weight)]
 
     def _peak(self, r: HinfGain, grid: FloatArray, T: ComplexArray) -> tuple[float, float]:
         gains = largest_gains(self._weighted(r, grid, T))

@@ -13,8 +13,9 @@ from los_testbed.nodes.raw_topics import Waiter
 from los_testbed.nodes.shell import Shell
 from los_testbed.topics import TICK_NS
 
-AHEAD_NS = 500 * TICK_NS
-"""The plant waits for a recorder that is further behind."""
+AHEAD_NS = 60 * TICK_NS
+"""The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is
+:data:`los_testbed.topics.DEPTH` long) before the recorder has it."""
 
 
 class LockstepPacer:
@@ -44,21 +45,24 @@ class LockstepPacer:
             while (taken := io.fsm_input.take()) is not None:
                 io.fsm_gate.offer(taken[0], following)
             if io.fsm_gate.last_stamp == now and io.pma_gate.last_stamp == now:
-                return self._wait_for_recorder(now)
+                return self.wait_for_recorder(now, AHEAD_NS)
             if self._shell.stop:
                 return False
             self._waiter.wait(50_000_000)
 
-    def _wait_for_recorder(self, now: int) -> bool:
+    def wait_for_recorder(self, now: int, ahead: int = 0) -> bool:
+        """Return when the recorder has all but the last `ahead` [ns] up to `now`; False if the run was stopped.
+
+        A recorder that is silent for the whole start-up time is no longer waited for.
+        """
         if not self._shell.config.wait_for_recorder:
             return True
-        if not self._recorded:
-            self._recorded = now
+        self._recorded = self._recorded or now - TICK_NS
         deadline = time.monotonic() + self._shell.config.start_timeout
-        while now - self._recorded > AHEAD_NS:
+        while now - self._recorded > ahead:
             while (taken := self._io.progress_input.take()) is not None:
                 self._recorded = max(self._recorded, stamp_of(taken[0]))
-            if now - self._recorded <= AHEAD_NS:
+            if now - self._recorded <= ahead:
                 break
             if self._shell.stop or time.monotonic() > deadline:
                 return not self._shell.stop

@@ -174,6 +174,8 @@ class PlantLoop:
             if k % 500 == 0:
                 shell.event("progress", tick=self.ticks)
                 shell.service()
+        if self.ticks:
+            pacer.wait_for_recorder(start + (self.ticks - 1) * TICK_NS)
         shell.event("progress", tick=self.ticks)
 
     def statistics(self) -> dict[str, str]:
