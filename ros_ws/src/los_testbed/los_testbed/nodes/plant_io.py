@@ -10,7 +10,6 @@ from los_testbed.command_gate import CommandGate
 from los_testbed.nodes.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.shell import Shell
 from los_testbed.topics import (
-    DEPTH,
     FSM_COMMAND,
     HEADER,
     PMA_COMMAND,
@@ -24,20 +23,14 @@ from los_testbed.topics import (
 FloatArray = NDArray[np.float64]
 
 
-LOCKSTEP_DEPTH = 1000
-"""In lockstep a reader may fall behind by many ticks: the writers keep that many for it."""
-
-
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
     def __init__(self, shell: Shell) -> None:
         config, node = shell.config, shell.node
 
-        depth = LOCKSTEP_DEPTH if config.mode == "lockstep" else DEPTH
-
         def output(topic: Topic) -> tuple[Topic, RawPublisher]:
-            return topic, RawPublisher(node, topic.name, topic.type_name, depth)
+            return topic, RawPublisher(node, topic.name, topic.type_name)
 
         self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
