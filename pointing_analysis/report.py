@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pointing_analysis import figures, requirements, spectra
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import WINDOW, Summary, summarise
@@ -239,6 +240,28 @@ def _line_rows(v: RunView) -> list[dict[str, str]]:
     ]
 
 
+def _ratio(tone: ToneComparison) -> str:
+    if tone.in_noise or not tone.predicted:
+        return "in noise" if tone.in_noise else "–"
+    return f"{tone.ratio:.3f}" + ("" if tone.uncertainty < 5e-4 else f" ± {tone.uncertainty:.3f}")
+
+
+def _prediction(label: str, found: Prediction) -> dict[str, Any]:
+    """Table of predicted and measured tones, strongest first, ready to print."""
+    rows = [
+        {
+            "omega": f"{tone.omega:.2f}" + (f" ({tone.merged} lines)" if tone.merged > 1 else ""),
+            "hertz": f"{tone.omega / (2 * math.pi):.3f}",
+            "predicted": digits(tone.predicted / RAD_PER_MAS),
+            "measured": digits(tone.measured / RAD_PER_MAS),
+            "ratio": _ratio(tone),
+        }
+        for tone in sorted(found.tones, key=lambda tone: -tone.predicted)
+    ]
+    part = f"{digits(found.start, 6)} s to {digits(found.stop, 6)} s"
+    return {"label": label, "rows": rows, "part": part, "note": found.note}
+
+
 def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
     status = overall(s.verdicts)
     return {
@@ -275,6 +298,7 @@ def render(
     transient: float | None = None,
     wanted: Sequence[Requirement] | None = None,
     model: Model | None = None,
+    predictions: Sequence[Prediction | None] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -284,16 +308,19 @@ def render(
     transient : seconds to drop at the start of each
     wanted : requirements; by default those of the reference telescope
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
+    predictions : for each run what a model predicts of its tones, or None; by default none at all
 
     Raises
     ------
     BagError
         A run has no truth topic or only transient.
     ValueError
-        No run was given.
+        No run was given, or predictions for another number of runs.
     """
     if not runs:
         raise ValueError("expected at least one run for a report; got none")
+    if predictions and len(predictions) != len(runs):
+        raise ValueError(f"expected one prediction for each of {len(runs)} runs; got {len(predictions)}")
     chosen = requirements.load() if wanted is None else tuple(wanted)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, wanted=chosen) for run in runs]
@@ -323,6 +350,7 @@ def render(
             }
             for p in drawn
         ],
+        predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if not intervals_us(v.run).size],
     )
@@ -335,12 +363,13 @@ def write_report(
     transient: float | None = None,
     wanted: Sequence[Requirement] | None = None,
     model: Model | None = None,
+    predictions: Sequence[Prediction | None] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, wanted, model : see `render`
+    runs, transient, wanted, model, predictions : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -348,7 +377,7 @@ def write_report(
     The path of the file.
     """
     target = Path(path)
-    page = render(runs, transient=transient, wanted=wanted, model=model)
+    page = render(runs, transient=transient, wanted=wanted, model=model, predictions=predictions)
     if not target.parent.is_dir():
         raise ValueError(f"expected an existing folder for the report; got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:

@@ -15,6 +15,8 @@ from pointing_analysis import weights
 from pointing_analysis.topic import read_only
 
 Floats = NDArray[np.float64]
+NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the places of `background` lie beside a tone
+MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,51 @@ def _resolved(omegas: Floats, duration: float) -> list[Floats]:
     return [np.array(g) for g in groups]
 
 
-def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tuple[Line, ...]:
+def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+    """Amplitude that a fit of a tone finds where there is none: noise and drift, rms over the phase, norm of both axes.
+
+    For tapered fits (`lines`). From the medians over frequencies that lie two to five whole periods in the run below
+    and above the tone, where the tone itself adds nothing; their geometric mean.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN count as zero
+    dt : [s]
+    omegas : frequencies of tones [rad/s]
+
+    Returns
+    -------
+    (k,), unit of the error; NaN for tones with less than 2.5 periods in the run, which have no such neighbours below
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).standard_normal((10_000, 2))
+    >>> bool(abs(background(noise, 1e-3, [500.0])[0] / np.sqrt(12 / 10_000) - 1) < 0.4)
+    True
+    """
+    e = np.asarray(error, dtype=float)
+    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
+    present = ~np.isnan(e).any(axis=1)
+    n = len(e)
+    if n <= 2 * NEIGHBOURS[-1] or not present.any():
+        return np.full(wanted.shape, np.nan)
+    w = np.where(present, _taper(n), 0.0)
+    e = np.where(present[:, None], e, 0.0)
+    e = w[:, None] * (e - w @ e / w.sum())
+    found = np.empty(wanted.shape)
+    for i, omega in enumerate(wanted):
+        spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
+        power = np.square(2 * np.abs(spectrum) / w.sum()).sum(axis=1) / MEDIAN
+        below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
+        found[i] = np.median(power[below]) * np.median(power[NEIGHBOURS]) if below.size else np.nan
+    return np.asarray(np.power(found, 0.25))
+
+
+def _taper(n: int) -> Floats:
+    return np.asarray(np.hanning(n + 2)[1:-1], dtype=np.float64)
+
+
+def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool = False) -> tuple[Line, ...]:
     """Least-squares amplitudes of known tones in the error, and the RPE each causes.
 
     All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
@@ -139,6 +185,7 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tupl
     omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
         left out
     window : RPE window [s]
+    taper : fit with Hann weights: a drift, too, then stays out of the tones, which are told apart less sharply
 
     Returns
     -------
@@ -162,12 +209,13 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tupl
     centre = np.array([g.mean() for g in groups])
     k = 2 * len(centre) + 1
     gram, right = np.zeros((k, k)), np.zeros((k, 2))
-    index = np.flatnonzero(present)
+    index, weight = np.flatnonzero(present), _taper(len(e)) if taper else np.ones(len(e))
     for part in np.array_split(index, max(1, index.size // 20_000)):
         angle = np.outer(part * dt, centre)
         basis = np.hstack([np.ones((part.size, 1)), np.cos(angle), np.sin(angle)])
-        gram += basis.T @ basis
-        right += basis.T @ e[part]
+        weighted = basis.T * weight[part]
+        gram += weighted @ basis
+        right += weighted @ e[part]
     solution = np.asarray(linalg.lstsq(gram, right)[0])
     m = len(centre)
     amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])

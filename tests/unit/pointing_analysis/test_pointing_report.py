@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from pointing_analysis import requirements
+from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.report import labels, latency_us, overall, render, write_report
 from pointing_analysis.summary import summarise
@@ -20,6 +21,17 @@ from pointing_analysis.synthetic import write_bag
 
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
+
+PREDICTED = (
+    None,
+    Prediction(note="the controllers are gone"),
+    Prediction(
+        (ToneComparison(88.0, 1, 15 * MAS, 15.3 * MAS, 0.3 * MAS), ToneComparison(210.0, 2, 30 * MAS, 60 * MAS, 0.0)),
+        1.0,
+        6.0,
+    ),
+    Prediction((ToneComparison(88.0, 1, 2 * MAS, 0.1 * MAS, MAS), ToneComparison(210.0, 1, 0.0, MAS, 0.0)), 1.0, 6.0),
+)
 
 
 def make(path: Path, loop: str, scale: float, n: int = 6000, **parameters) -> Path:
@@ -50,7 +62,8 @@ def stages(tmp_path_factory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def page(stages, tmp_path_factory) -> Path:
-    return write_report([Run.open(bag) for bag in stages], tmp_path_factory.mktemp("report") / "four.html")
+    path = tmp_path_factory.mktemp("report") / "four.html"
+    return write_report([Run.open(bag) for bag in stages], path, predictions=PREDICTED)
 
 
 class Outline(html.parser.HTMLParser):
@@ -95,7 +108,7 @@ def outline(path: Path) -> Outline:
 
 
 def test_same_bag_same_bytes(stages, page, tmp_path) -> None:
-    again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html")
+    again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html", predictions=PREDICTED)
     assert again.read_bytes() == page.read_bytes()
     moved = shutil.copytree(stages[3], tmp_path / stages[3].name)
     assert render([Run.open(moved)]) == render([Run.open(stages[3])])
@@ -193,6 +206,22 @@ def test_model_is_drawn_beside_the_measured_lines(stages) -> None:
     model = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
     assert render(runs, model=model) != render(runs)
     assert "Disturbance lines, run by run" not in render(runs[:1], model=model)
+
+
+def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
+    text = page.read_text()
+    part = text[text.index('id="predicted"') : text.index('id="provenance"')]
+    rows = [re.findall(r'class="n">([^<]*)</td>', row) for row in re.findall(r"<tr>(<td.*?)</tr>", part, re.DOTALL)]
+    assert rows[0] == ["210.00 (2 lines)", "33.423", "30", "60", "2.000"]  # the strongest first
+    assert rows[1] == ["88.00", "14.006", "15", "15.3", "1.020 ± 0.020"]
+    assert rows[2][-1] == "in noise"
+    assert rows[3][-1] == "–"  # nothing predicted
+    assert "fsm+pma: 1 s to 6 s" in part and "isolator: no prediction: the controllers are gone" in part
+    assert "none:" not in part
+    runs = [Run.open(bag) for bag in stages]
+    assert "Predicted" not in render(runs[:1]) and "Predicted" not in render(runs[:1], predictions=[None])
+    with pytest.raises(ValueError, match="one prediction for each of 2 runs"):
+        render(runs[:2], predictions=[None])
 
 
 def test_bad_input(stages, tmp_path) -> None:

@@ -1,0 +1,70 @@
+"""What a model predicts of a run beside what the run shows, tone by tone; the model itself is somebody else's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+CLEAR = 3.0
+"""A tone stands clear of the noise from this many times the noise's own amplitude on."""
+
+
+@dataclass(frozen=True)
+class ToneComparison:
+    """One tone of the disturbance in the line of sight.
+
+    Parameters
+    ----------
+    omega : float
+        rad/s.
+    merged : int
+        How many tones this one stands for: the run is too short to tell them apart.
+    predicted, measured : float
+        Amplitude [rad], norm of both axes: of the model, in the record.
+    noise : float
+        Amplitude [rad] that noise alone would have there, rms.
+
+    Examples
+    --------
+    >>> ToneComparison(408.8, 1, predicted=2e-7, measured=2.1e-7, noise=2e-9).in_noise
+    False
+    """
+
+    omega: float
+    merged: int
+    predicted: float
+    measured: float
+    noise: float
+
+    @property
+    def in_noise(self) -> bool:
+        """Whether neither the predicted nor the measured tone stands clear of the noise."""
+        return max(self.predicted, self.measured) < CLEAR * self.noise
+
+    @property
+    def ratio(self) -> float:
+        """Measured over predicted."""
+        return self.measured / self.predicted if self.predicted else float("inf")
+
+    @property
+    def uncertainty(self) -> float:
+        """Two standard deviations of the ratio by noise: a quarter of its mean square points along the tone."""
+        return self.noise / self.predicted if self.predicted else float("inf")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted and measured tones of one run, or why there are none.
+
+    Parameters
+    ----------
+    tones : tuple of ToneComparison
+    start, stop : float
+        The part of the run that both are fitted to [s].
+    note : str
+        Why nothing is predicted; empty where something is.
+    """
+
+    tones: tuple[ToneComparison, ...] = ()
+    start: float = 0.0
+    stop: float = 0.0
+    note: str = ""
