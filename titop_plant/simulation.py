@@ -163,11 +163,25 @@ def build_plant(config: PlantConfig) -> SampledPlant:
         segments,
         _steady_state(numbers[0], tones),
         _sensors(config, parameters),
-        np.r_[np.full(2, parameters["fsm"]["authority"]), np.full(6, parameters["pma"]["authority"])],
+        _limits(parameters),
         dt=DT,
         tones=np.unique(tones.frequency),
         parameters_hash=_hash(config, parameters),
     )
+
+
+def command_limits(config: PlantConfig) -> FloatArray:
+    """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
+    return _limits(load_parameters(config.parameters or REFERENCE))
+
+
+def configuration_hash(config: PlantConfig) -> str:
+    """What the plant of a configuration says about itself, `SampledPlant.parameters_hash`, without building it."""
+    return _hash(config, load_parameters(config.parameters or REFERENCE))
+
+
+def _limits(parameters: Parameters) -> FloatArray:
+    return np.repeat([float(parameters["fsm"]["authority"]), float(parameters["pma"]["authority"])], [2, 6])
 
 
 def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
@@ -267,6 +281,8 @@ __all__ = [
     "MEASUREMENTS",
     "PlantConfig",
     "build_plant",
+    "command_limits",
+    "configuration_hash",
     "frame_ticks",
     "parameter_values",
     "plant_and_tones",

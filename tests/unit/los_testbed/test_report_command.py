@@ -62,6 +62,16 @@ def test_several_bags_side_by_side(call, tmp_path) -> None:
     assert "5 s" in out
 
 
+def test_a_bag_of_somebody_else_has_no_predictions(call, tmp_path) -> None:
+    names = {"loop": "fsm+pma", "scenario": "design", "seed": 1, "tones_rad_s": [88.0, 210.0]}
+    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters=names)
+    code, _, _ = call(bag, "--output", "r.html")
+    assert code == 0
+    page = (call.here / "r.html").read_text()
+    assert "210.00" in page
+    assert "Predicted against measured" not in page and "no prediction" not in page
+
+
 def test_requirements_of_ones_own_and_transient(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
     own = tmp_path / "own.toml"

@@ -37,7 +37,9 @@ def judge(bags: Sequence[Path], report: Path | None, transient: float | None = N
     opened = [Run.open(bag) for bag in bags]
     summaries = tuple(summarise(run, transient=transient) for run in opened)
     if report is not None:
-        write_report(opened, report, transient=transient)
+        from los_testbed.predictions import predictions
+
+        write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
     return Judgement(summaries, tuple(_figures(r, s) for r, s in zip(opened, summaries)), report)
 
 

@@ -57,8 +57,14 @@ class Controllers:
     controller: FsmPmaController
 
 
-def _system(run: Run, name: str, given: Path | None) -> tuple[SampledSystem, bytes]:
-    """A controller file: the given one, else the one that travels in the bag."""
+def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[SampledSystem, bytes]:
+    """A controller and its file: the given one, else the one that travels in the bag.
+
+    Raises
+    ------
+    ValueError
+        A file that is no controller, a bag without it.
+    """
     if given is not None:
         return SampledSystem.from_file(given), given.read_bytes()
     data = run.attachments.get(f"{name}.json")
@@ -91,8 +97,8 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
         raise BagError(
             f"{where}: expected one of {', '.join(LOOPS)}; got {stage!r}" + ("" if loop else ": give --loop")
         )
-    fsm, fsm_file = _system(run, "k_fsm", k_fsm)
-    pma, pma_file = _system(run, "k_pma", k_pma)
+    fsm, fsm_file = controller_of(run, "k_fsm", k_fsm)
+    pma, pma_file = controller_of(run, "k_pma", k_pma)
     limits = [
         float(run.parameters.get(name, default))
         for name, default in (("fsm_authority", FSM_AUTHORITY), ("pma_authority", PMA_AUTHORITY))

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, pictures, provenance.
 
-The page holds everything it shows, opens from disk and prints.
+For bags of this testbed it also says what the model of the loop predicts of each tone of the disturbance, beside what
+was measured. The page holds everything it shows, opens from disk and prints.
 
 **Examples**
 
@@ -47,6 +48,7 @@ def report(
     json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
+    from los_testbed.predictions import predictions
     from pointing_analysis import requirements as texts
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
@@ -56,7 +58,8 @@ def report(
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     runs = [Run.open(bag, namespace=namespace, start=start, stop=stop) for bag in bags]
     found = [summarise(run, transient=transient, wanted=wanted) for run in runs]
-    write_report(runs, target, transient=transient, wanted=wanted)
+    expected = predictions(runs, transient, start, stop)
+    write_report(runs, target, transient=transient, wanted=wanted, predictions=expected)
     console = Console(stderr=json_)
     show(console, labels(runs), found)
     console.print(f"report  {target}", soft_wrap=True, highlight=False)

@@ -110,6 +110,7 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the four stages side by side, the model beside the measured lines."""
     from los_testbed.config import LOOPS
+    from los_testbed.predictions import predictions
     from los_testbed.stages import select
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
@@ -124,5 +125,6 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
             if alone is not None and alone.tones:
                 model[label] = alone.model()
         if runs:
-            paths.append(write_report(runs, plan.folder / f"report-{scenario}.html", model=model))
+            page = plan.folder / f"report-{scenario}.html"
+            paths.append(write_report(runs, page, model=model, predictions=predictions(runs)))
     return paths

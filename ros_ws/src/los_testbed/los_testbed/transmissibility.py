@@ -14,11 +14,14 @@ period, which is what a fit of the tone to the record gives.
 
 H is what the loop settles to. A run starts in the settled motion of the telescope without fine control, and where a
 stage shifts a mode of the structure that decays within minutes, a record of seconds shows the beat of both. So
-the model is also run from that start, and its record fitted as the measured one is (`expected`).
+the model is also run from that start, with the limits of the commands, and its record fitted as the measured one is
+(`expected`).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,11 +32,12 @@ from los_testbed.as_flown import FlownLoop, flown_loop
 from los_testbed.config import RunConfig
 from los_testbed.cores import controller_files, one_thread, plant_config
 from pointing_analysis.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.prediction import ToneComparison
 from pointing_analysis.read import Run
-from pointing_analysis.spectra import lines
+from pointing_analysis.spectra import background, lines
 from titop_plant.disturbances import Tones
 from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
-from titop_plant.simulation import DT, plant_and_tones, sample
+from titop_plant.simulation import DT, command_limits, plant_and_tones, sample
 from uncertain_systems import StateSpaceData
 from uncertain_systems.runtime import SampledSystem
 
@@ -88,24 +92,43 @@ class LoopModel:
         rad/s, rising.
     amplitude : ndarray, shape (22, K), complex
         On the disturbance inputs.
+    limits : ndarray, shape (8,)
+        Largest commands: mirror [rad], actuators [N].
     """
 
     loop: FlownLoop
     plant: StateSpaceData
     omega: FloatArray
     amplitude: ComplexArray
+    limits: FloatArray
 
     @classmethod
-    def of(cls, config: RunConfig) -> LoopModel:
-        """Model of a run. Tones of the same frequency are added up as phasors."""
-        plant, tones = plant_and_tones(plant_config(config))
-        files = controller_files(config)
-        k_fsm, k_pma = (SampledSystem.from_file(files[name]) for name in ("k_fsm", "k_pma"))
+    def of(cls, config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> LoopModel:
+        """Model of a run. Tones of the same frequency are added up as phasors.
+
+        Parameters
+        ----------
+        config : RunConfig
+        controllers : mapping, optional
+            ``k_fsm`` and ``k_pma``; default: those of the files that the configuration names.
+
+        Raises
+        ------
+        ValueError
+            A telescope outside its family, a file that is missing or no controller.
+        """
+        physical = plant_config(config)
+        plant, tones = plant_and_tones(physical)
+        if controllers is None:
+            controllers = {name: SampledSystem.from_file(path) for name, path in controller_files(config).items()}
+        k_fsm, k_pma = controllers["k_fsm"], controllers["k_pma"]
         loop = flown_loop(plant, k_fsm, k_pma, loop=config.loop, frame_ticks=config.frame_ticks)
+        sent = np.r_[np.full(2, config.fsm_authority), np.full(6, config.pma_authority)]
+        limits = np.minimum(sent, command_limits(physical))
         omega = np.unique(tones.frequency)
         amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
         seen = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
-        return cls(loop, plant, np.asarray(omega[seen]), np.asarray(amplitude[:, seen]))
+        return cls(loop, plant, np.asarray(omega[seen]), np.asarray(amplitude[:, seen]), limits)
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """What unit phasors add: to the next state on a tick with a frame and without (n, K); to the line of sight."""
@@ -144,7 +167,7 @@ class LoopModel:
         return np.asarray(period(start)[1] / N + through, dtype=np.complex128)
 
     def record(self, ticks: int) -> FloatArray:
-        """Line of sight [rad], shape (ticks, 2), from the settled motion without fine control."""
+        """Line of sight [rad], shape (ticks, 2), from the settled motion without fine control, commands limited."""
         n, loop = self.plant.A.shape[0], self.loop
         frame, hold, through = self.forcing()
         state, los = np.zeros(loop.hold.shape[0]), np.empty((ticks, 2))
@@ -156,7 +179,51 @@ class LoopModel:
             los[k] = loop.truth @ state + (through @ phasor).imag
             A, pushed = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
             state = A @ state + (pushed @ phasor).imag
+            command = state[n : n + COMMANDS]
+            np.clip(command, -self.limits, self.limits, out=command)
         return los
+
+
+def compare_tones(
+    run: Run, model: LoopModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
+) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
+    """Amplitudes in the record and in that of the model, run from the same start, and the seconds they are fitted to.
+
+    Tones that the run cannot tell apart are fitted as one in both; those beyond half the sampling rate and those slower
+    than one period are left out.
+
+    Parameters
+    ----------
+    run : Run
+        Its first sample is the first tick of the run.
+    model : LoopModel
+    transient : float, optional
+        Seconds of start-up to leave out.
+    stop : float
+        Only up to this second of the run. The model costs a step of python for each tick before it.
+    taper : bool
+        Fit both with Hann weights, so that drift and noise below a tone stay out of it; tones with less than 2.5
+        periods in the part are left out, too.
+    """
+    series = performance_error(run, transient)
+    first = round(series.start / series.dt)
+    measured = series.values[: max(0, round(min(stop, 1e9) / series.dt) - first)]
+    if not len(measured):
+        return (), (series.start, series.start)
+    with one_thread(), np.errstate(all="ignore"):
+        record = model.record(first + len(measured))[first:]
+        if not np.isfinite(record).all():
+            raise ValueError("the model of the loop diverges")
+        pairs = [lines(values, series.dt, model.omega, WINDOW, taper) for values in (measured, record)]
+        noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
+    expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
+    found = [
+        ToneComparison(line.omega, line.merged, expected[line.omega], float(np.hypot(*line.amplitude)), float(floor))
+        for line, floor in zip(pairs[0], noise)
+        if line.omega in expected and not (taper and np.isnan(floor))
+    ]
+    seconds = (series.start, series.start + series.dt * len(measured))
+    return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
 
 
 def tone_responses(run: Run, config: RunConfig, transient: float | None = None) -> tuple[ToneResponse, ...]:
@@ -164,19 +231,14 @@ def tone_responses(run: Run, config: RunConfig, transient: float | None = None) 
 
     Tones that the run cannot tell apart are left out, and those beyond half the sampling rate.
     """
-    series = performance_error(run, transient)
     with one_thread():
         model = LoopModel.of(config)
         settled = np.linalg.norm(model.settled(), axis=0)
-        first = round(series.start / series.dt)
-        record = model.record(first + len(series.values))[first:]
-    expected = {line.omega: line for line in lines(record, series.dt, model.omega, WINDOW)}
     disturbance = np.linalg.norm(model.amplitude, axis=0)
     found = []
-    for line in lines(series.values, series.dt, model.omega, WINDOW):
-        k = int(np.argmin(np.abs(model.omega - line.omega)))
-        if line.merged == 1:
-            measured, same = (float(np.hypot(*x.amplitude)) for x in (line, expected[line.omega]))
-            tone = ToneResponse(float(model.omega[k]), float(disturbance[k]), measured, same, float(settled[k]))
-            found.append(tone)
-    return tuple(sorted(found, key=lambda tone: tone.omega))
+    for tone in compare_tones(run, model, transient)[0]:
+        k = int(np.argmin(np.abs(model.omega - tone.omega)))
+        if tone.merged == 1:
+            fitted = tone.measured, tone.predicted
+            found.append(ToneResponse(float(model.omega[k]), float(disturbance[k]), *fitted, float(settled[k])))
+    return tuple(found)

@@ -1,0 +1,152 @@
+"""The report says what the as-flown model predicts of a bag's tones: right for what flew, silent or plain elsewhere."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from los_testbed import cli
+from los_testbed import predictions as module
+from los_testbed.bag import BagWriter
+from los_testbed.config import RunConfig
+from los_testbed.inprocess import run_in_process
+from los_testbed.predictions import predictions
+from los_testbed.replay_core import write_signals
+from simple_telescope import SimpleTelescope, write_controllers
+
+from pointing_analysis.read import Run
+from pointing_analysis.report import render
+from uncertain_systems.runtime import SampledSystem
+
+TITLE = "Predicted against measured"
+
+
+def flown(folder, **settings):
+    config = RunConfig(**{"mode": "inprocess", "duration": 4.0, "output": str(folder), **settings})
+    run_in_process(config, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory):
+    """Stage fsm+pma, scenario design, without sensor noise; the mirror is at its limit for most of the first second."""
+    return flown(tmp_path_factory.mktemp("quiet") / "bag", noise=False)
+
+
+def rewritten(run, target, files=None, **changes):
+    """The same record with other attachments or parameters."""
+    kept = {**dict(run.attachments), **(files or {})}
+    parameters = {**run.parameters, **changes}
+    text = {k: v if isinstance(v, str) else json.dumps(v) for k, v in parameters.items() if v is not None}
+    attached = {name: ("application/json", data) for name, data in kept.items() if data is not None}
+    with BagWriter(target, {"los_testbed": text}, attached) as bag:
+        write_signals(bag, {name: (run[name].stamp, run[name].values) for name in run.topics})
+    return target
+
+
+def ratios(page):
+    """Last column of the table: figures, or texts where a tone is not clear of noise."""
+    part = page[page.index('<section id="predicted"') : page.index('<section id="provenance"')]
+    rows = re.findall(r"<tr>(<td.*?)</tr>", part, re.DOTALL)
+    return [re.findall(r'class="n">([^<]*)</td>', row)[-1] for row in rows]
+
+
+@pytest.mark.parametrize("loop", ["isolator", "fsm+pma"])
+def test_the_report_of_a_quiet_run_has_the_ratio_one(quiet, tmp_path, loop) -> None:
+    """Within 2 %, tone by tone, although commands saturate at the start."""
+    bag = quiet if loop == "fsm+pma" else flown(tmp_path / "bag", noise=False, loop=loop)
+    assert loop == "isolator" or np.abs(Run.open(bag)["fsm/command"].values).max() >= 5.3e-3
+    assert cli.main(["report", str(bag), "--output", str(tmp_path / "r.html")]) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert TITLE in page
+    found = [float(text.split()[0]) for text in ratios(page)]
+    assert len(found) >= 2
+    assert found == pytest.approx([1.0] * len(found), abs=0.02)
+
+
+def test_noise_changes_the_ratio_by_what_the_table_says(tmp_path) -> None:
+    (found,) = predictions([Run.open(flown(tmp_path / "bag", duration=6.0))])
+    strong = [tone for tone in found.tones if not tone.in_noise]
+    assert any(tone.uncertainty < 0.02 for tone in strong)
+    for tone in strong:
+        assert abs(tone.ratio - 1.0) < 2.0 * tone.uncertainty  # four standard deviations
+
+
+def test_run_writes_the_table_too(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["run", "--mode=inprocess", "--duration=2", "--no-noise", "--output=bag", "--loop=isolator"]
+    assert cli.main(arguments) == 0
+    page = (tmp_path / "bag" / "report.html").read_text()
+    assert [float(text.split()[0]) for text in ratios(page)] == pytest.approx([1.0] * len(ratios(page)), abs=0.02)
+
+
+def test_it_is_the_controllers_in_the_bag_that_are_modelled(quiet, tmp_path) -> None:
+    """A bag that claims an observer of half the gain does not do what its model predicts."""
+    run, file = Run.open(quiet), tmp_path / "weak.json"
+    (tmp_path / "old.json").write_bytes(run.attachments["k_fsm.json"])
+    old = SampledSystem.from_file(tmp_path / "old.json")
+    SampledSystem(old.A, old.B, 0.5 * old.C, 0.5 * old.D, old.inputs, old.outputs, old.dt, "weak").to_file(file)
+    (found,) = predictions([Run.open(rewritten(run, tmp_path / "bag", {"k_fsm.json": file.read_bytes()}))])
+    assert max(abs(tone.ratio - 1.0) for tone in found.tones) > 0.1
+
+
+def test_the_same_bag_gives_the_same_page(quiet, tmp_path) -> None:
+    moved = shutil.copytree(quiet, tmp_path / "elsewhere" / quiet.name)
+    pages = [render([run], predictions=predictions([run])) for run in map(Run.open, (quiet, quiet, moved))]
+    assert pages[0] == pages[1] == pages[2]
+    assert TITLE in pages[0]
+
+
+def test_long_runs_are_compared_over_their_first_part(quiet, monkeypatch) -> None:
+    monkeypatch.setattr(module, "LONGEST", 3.0)
+    (found,) = predictions([Run.open(quiet)], transient=1.0)
+    assert (found.start, found.stop) == (1.0, 3.0)
+    (late,) = predictions([Run.open(quiet)], transient=3.5)
+    assert not late.tones and "3 s" in late.note
+
+
+def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) -> None:
+    controllers = write_controllers(tmp_path)
+    run_in_process(RunConfig(duration=2.0, mode="inprocess", **controllers), tmp_path / "simple", SimpleTelescope())
+    bags = [
+        tmp_path / "simple",  # another plant
+        flown(tmp_path / "still", duration=2.0, disturbance=False),
+        flown(tmp_path / "ramp", duration=2.0, theta_rate=0.01, ramp_duration=1.0),
+        rewritten(Run.open(quiet), tmp_path / "replay", mode="replay"),
+    ]
+    for bag in bags:
+        run = Run.open(bag)
+        assert predictions([run]) == [None]
+        assert TITLE not in render([run], predictions=predictions([run]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"files": {"k_fsm.json": None}}, ["does not hold k_fsm.json"]),
+        ({"files": {"k_pma.json": b"{}"}}, ["k_pma.json"]),
+        ({"files": {"run.yaml": b"durtion: 3.0"}}, ["durtion"]),
+        ({"files": {"run.yaml": b"- 1"}}, []),
+        ({"plant_parameters_hash": "123456789012"}, ["figures", "no longer"]),
+    ],
+    ids=["controller gone", "no controller", "unknown name", "no table", "another telescope"],
+)
+def test_what_cannot_be_modelled_says_why(quiet, tmp_path, change, words) -> None:
+    run = Run.open(rewritten(Run.open(quiet), tmp_path / "bag", **change))
+    (found,) = predictions([run])
+    page = render([run], predictions=[found])
+    assert not found.tones and found.note
+    assert "no prediction: " in page
+    assert str(tmp_path) not in page
+    for word in words:
+        assert word in found.note
+
+
+def test_a_later_part_is_not_compared(quiet, tmp_path) -> None:
+    assert cli.main(["report", str(quiet), "--start", "1", "--output", str(tmp_path / "r.html")]) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert "starts with the run" in page and not ratios(page)
+    assert cli.main(["report", str(quiet), "--stop", "3", "--output", str(tmp_path / "r.html")]) == 0
+    found = [float(text.split()[0]) for text in ratios((tmp_path / "r.html").read_text())]
+    assert found and found == pytest.approx([1.0] * len(found), abs=0.02)
