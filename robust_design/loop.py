@@ -14,6 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from robust_design.model import Model, pade_delay, series
+from robust_design.norms import schur_lyapunov
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -178,24 +179,15 @@ def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray |
     """
     T, Q = sl.schur(loop.A, output="real", check_finite=False)
     b, c = Q.T @ loop.B, loop.C @ Q
-    P = _lyapunov(T, b @ b.T, transposed=False)
+    P = schur_lyapunov(T, b @ b.T, transposed=False)
     square = max(float(np.sum((c @ P) * c)), 0.0)
     value = float(np.sqrt(square))
     if not need_gradient:
         return value, None
-    X = _lyapunov(T, c.T @ c, transposed=True)
+    X = schur_lyapunov(T, c.T @ c, transposed=True)
     left, right = loop.left.T @ Q, loop.right @ Q
     gradient = left @ (X @ P) @ right.T + left @ (X @ b) @ loop.right_w.T + loop.left_z.T @ (c @ P) @ right.T
     return value, gradient / max(value, 1e-300)
-
-
-def _lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool) -> FloatArray:
-    """Solution of ``T P + P T' + W = 0`` (or with T transposed) for quasi-triangular T."""
-    trana, tranb = ("T", "N") if transposed else ("N", "T")
-    solution, scale, info = sl.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
-    if info < 0:
-        raise ArithmeticError("the Lyapunov equation could not be solved: illegal argument")
-    return np.asarray(0.5 * (solution + solution.T) / scale)
 
 
 def _or_unit(weight: Model | None, size: int) -> Model:

@@ -8,6 +8,7 @@ best peak is refined. Weights multiply in the frequency domain.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,11 @@ class LoopScan:
         self._inputs = [p.name for p in model.inputs if p.name not in commanded]
         self._outputs = [p.name for p in model.outputs if p.name not in measured] + sorted(measured)
         self._loop = close_loop(model, self._controller, self._inputs, self._outputs)
-        self._response = FrequencyResponse.of(*self._loop.matrices)
         self._weights: dict[int, FrequencyResponse] = {}
+
+    @cached_property
+    def _response(self) -> FrequencyResponse:
+        return FrequencyResponse.of(*self._loop.matrices)
 
     @property
     def abscissa(self) -> float:
@@ -53,11 +57,13 @@ class LoopScan:
     def values(self, requirements: Sequence[Requirement]) -> tuple[FloatArray, FloatArray]:
         """Normalised values and peak frequencies [rad/s] of the requirements; infinite values where unstable."""
         count = len(requirements)
-        if self.abscissa >= 0.0:
-            return np.full(count, np.inf), np.zeros(count)
-        grid = self._grid()
-        T = self._response.at(grid)
         values, places = np.zeros(count), np.zeros(count)
+        if not all(isinstance(r, H2Gain) for r in requirements) and self.abscissa >= 0.0:
+            return np.full(count, np.inf), places
+        gains = [i for i, r in enumerate(requirements) if isinstance(r, HinfGain)]
+        if gains:
+            grid = self._grid()
+            T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
                 values[i], places[i] = self._peak(r, grid, T)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from robust_design.frequency import FrequencyResponse, direct_response, resonances
+from robust_design.frequency import FrequencyResponse, balanced, direct_response, resonances
 from robust_design.level_set import LevelTest, hamiltonian_test, interval_test
 from robust_design.stacks import largest_gains
 
@@ -134,14 +134,28 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
     """
     a, b, c, d = checked(A, B, C, D)
     if dt is None:
-        if spectral_abscissa(a) >= 0.0 or np.any(d != 0.0):
+        if np.any(d != 0.0):
             return float("inf")
-        P = sl.solve_continuous_lyapunov(a, -b @ b.T) if len(a) else np.zeros((0, 0))
-        return float(np.sqrt(max(np.trace(c @ P @ c.T), 0.0)))
+        if not len(a):
+            return 0.0
+        T, Q = sl.schur(a, output="real", check_finite=False)
+        if np.diag(T).max() >= 0.0:  # the diagonal of a real Schur form holds the real parts
+            return float("inf")
+        P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
+        return float(np.sqrt(max(np.sum((seen @ P) * seen), 0.0)))
     if len(a) and np.abs(sl.eigvals(a)).max() >= 1.0:
         return float("inf")
     P = sl.solve_discrete_lyapunov(a, b @ b.T) if len(a) else np.zeros((0, 0))
     return float(np.sqrt(max(np.trace(c @ P @ c.T + d @ d.T), 0.0)))
+
+
+def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Solution of ``T P + P T' + W = 0`` (or with T transposed) for a quasi-triangular T."""
+    trana, tranb = ("T", "N") if transposed else ("N", "T")
+    solution, scale, info = sl.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
+    if info < 0:
+        raise ArithmeticError("the Lyapunov equation could not be solved: illegal argument")
+    return np.asarray(0.5 * (solution + solution.T) / scale)
 
 
 def spectral_abscissa(A: ArrayLike) -> float:
@@ -183,6 +197,8 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     if len(A) == 0:
         value = float(largest_gains(D[None].astype(complex))[0])
         return HInfNorm(value, value, 0.0, "static")
+    A, B, C = balanced(A, B, C)
+    system = A, B, C, D
     response = FrequencyResponse.of(A, B, C, D)
     worst = int(np.argmax(response.poles.real))
     if response.poles[worst].real >= 0.0:

@@ -1,8 +1,7 @@
 """Robust structured design: tune on a few models, find the worst others, add them, repeat.
 
-The scheme of Apkarian, Dao and Noll (2015): the active set stays small because only parameter values that
-are really worst
-enter it; it ends when nothing worse is found.
+The scheme of Apkarian, Dao and Noll (2015): the active set stays small because only parameter values that are really
+worst enter it, of every requirement one for each of its highest peaks; it ends when nothing worse is found.
 """
 
 from __future__ import annotations
@@ -200,8 +199,9 @@ class _Rounds:
         new: list[dict[str, float]] = []
         for w, r in zip(worst, self.requirements):
             level = max(1.0, tuning.hard) if r.hard else tuning.soft
-            if w.value > level * (1.0 + slack) and all(self._differs(w.parameters, c) for c in chosen + new):
-                new.append(dict(w.parameters))
+            for value, parameters in ((w.value, w.parameters), *w.others):
+                if value > level * (1.0 + slack) and all(self._differs(parameters, c) for c in chosen + new):
+                    new.append(dict(parameters))
         return new
 
     def _differs(self, a: Mapping[str, float], b: Mapping[str, float]) -> bool:

@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 
 Build = Callable[[Mapping[str, float]], Model]
 Box = Mapping[str, tuple[float, float]]
+CORNERS = 128
+MOST_OTHERS, APART = 2, 0.1
+"""Runners-up that are reported, and how far apart peaks are to count as different ones."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,8 @@ class WorstCaseOptions:
     Parameters
     ----------
     samples : int
-        Random samples beside the middle of the box and its corners (all corners up to five parameters, otherwise
-        a random choice of 32).
+        Random samples beside the middle of the box and its corners (all corners up to seven parameters, otherwise
+        a random choice of 128).
     climbs : int
         Local ascents for every requirement, from its best samples.
     iterations : int
@@ -83,6 +86,8 @@ class WorstCase:
         Best value before the local ascents.
     evaluations : int
         Closed loops looked at, for all requirements together.
+    others : tuple of (value, parameters)
+        The worst samples that have their peak elsewhere, worst first: at most :data:`MOST_OTHERS`.
     """
 
     requirement: str
@@ -91,6 +96,7 @@ class WorstCase:
     omega: float
     sampled: float
     evaluations: int
+    others: tuple[tuple[float, Mapping[str, float]], ...] = ()
 
 
 def worst_case(
@@ -187,17 +193,32 @@ class _Search:
                 value, place, where = self._climb(i, points[start])
                 if value > best:
                     best, omega, point = value, place, where
-            found.append((r.name, float(best), self._parameters(point), float(omega), sampled))
-        return tuple(WorstCase(*f, self._count) for f in found)
+            others = self._elsewhere(order, values[:, i], [t[1][i] for t in table], float(omega), points)
+            found.append(((r.name, float(best), self._parameters(point), float(omega), sampled), others))
+        return tuple(WorstCase(*f, self._count, others) for f, others in found)
+
+    def _elsewhere(
+        self, order: NDArray[np.intp], values: FloatArray, places: list[float], omega: float, points: list[FloatArray]
+    ) -> tuple[tuple[float, Mapping[str, float]], ...]:
+        """The worst samples whose peaks lie apart from `omega` and from one another."""
+        seen = [omega]
+        others: list[tuple[float, Mapping[str, float]]] = []
+        for k in order:
+            if len(others) == MOST_OTHERS or not np.isfinite(values[k]):
+                break
+            if all(abs(places[k] - w) > APART * max(places[k], w) for w in seen):
+                seen.append(places[k])
+                others.append((float(values[k]), self._parameters(points[k])))
+        return tuple(others)
 
     def _points(self) -> list[FloatArray]:
         n = len(self._names)
         rng = np.random.default_rng(self._options.seed)
         points: list[FloatArray] = [np.full(n, 0.5)]
-        if n <= 5:
+        if 2**n <= CORNERS:
             points += [np.array([(k >> j) & 1 for j in range(n)], dtype=float) for k in range(2**n)]
         else:
-            points += list(rng.integers(0, 2, (32, n)).astype(float))
+            points += list(rng.integers(0, 2, (CORNERS, n)).astype(float))
         return points + list(rng.uniform(size=(self._options.samples, n)))
 
     def _parameters(self, point: FloatArray) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Deadlines, overruns, statistics, and what happens without the rights."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -131,3 +132,16 @@ def test_in_lockstep_the_rate_is_no_fault():
     health, execution = LoopHealth(paced=False), Durations()
     health.assess(0, 0, execution)
     assert health.assess(5000, 10**9, execution)[0] == 0
+
+
+def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
+    """Nobody of lower priority on its processor could end it."""
+    script = (
+        "import sys; from los_testbed.real_time import become_real_time; refused = become_real_time(1)\n"
+        "if 'real-time scheduling' in refused: sys.exit(77)\n"
+        "while True: pass"
+    )
+    runaway = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
+    if runaway.returncode == 77:
+        pytest.skip("real-time scheduling is not permitted here")
+    assert runaway.returncode == -signal.SIGXCPU

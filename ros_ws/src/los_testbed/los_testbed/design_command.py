@@ -223,3 +223,41 @@ def figures(
     with one_thread():
         for path in draw(output, samples):
             sys.stdout.write(f"{path}\n")
+
+
+@design_app.command("trade-off")
+def trade_off(
+    output: Annotated[Path, typer.Option(help="Folder for the picture.")] = Path("figures"),
+    bounds: Annotated[
+        str,
+        typer.Option(help="Bounds on the disturbance's relative error, in 100 mas, with commas; default 1 to 0.24."),
+    ] = "",
+    json_: Json = False,
+) -> None:
+    """Least sensor noise in the relative error for each bound on the disturbance's part (minutes)."""
+    from los_testbed.cores import one_thread
+    from los_testbed.design_trade_off import LEVELS, draw_trade_off
+    from los_testbed.design_trade_off import trade_off as curve
+
+    try:
+        levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
+    except ValueError:
+        raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    with bar, one_thread():
+        task = bar.add_task("trade-off", total=len(levels))
+        points = curve(levels, lambda: bar.advance(task))
+    output.mkdir(parents=True, exist_ok=True)
+    paths = draw_trade_off(points, output)
+    if json_:
+        sys.stdout.write(json.dumps([vars(point) for point in points]) + "\n")
+        return
+    shown = Table(title="Relative error, 20 ms [mas]")
+    for column in ("bound", "disturbance", "noise rms", "status"):
+        shown.add_column(column, justify="left" if column == "status" else "right")
+    for p in points:
+        bound = "as stored" if p.bound is None else f"{100.0 * p.bound:g}"
+        shown.add_row(bound, f"{p.disturbance:.1f}", f"{p.noise:.1f}", p.status)
+    Console().print(shown)
+    for path in paths:
+        sys.stdout.write(f"{path}\n")

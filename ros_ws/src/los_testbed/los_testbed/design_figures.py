@@ -53,8 +53,8 @@ def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
             ("flown_nominal", "Nominal design, as flown, on the uncertain model"),
         ):
             pair = load(variant)
-            paths += _save(_stages(parameters, pair, title, samples, seed), output / f"stages_{variant}")
-        paths += _save(_controllers(parameters), output / "controllers")
+            paths += save_figure(_stages(parameters, pair, title, samples, seed), output / f"stages_{variant}")
+        paths += save_figure(_controllers(parameters), output / "controllers")
     return paths
 
 
@@ -134,7 +134,8 @@ def _controllers(parameters: Parameters) -> Figure:
     return figure
 
 
-def _save(figure: Figure, stem: Path) -> list[Path]:
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
     paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
     with mpl.rc_context({"svg.hashsalt": "los-testbed"}):
         figure.savefig(paths[0], dpi=130, metadata={"Software": None})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import resource
 import signal
 import time
 
@@ -24,6 +25,10 @@ _RESENDING = "dds.asyn"
 It polls for a lock until it gets it. At the priority of the thread that holds the lock, on the same processor, it
 would poll for ever: so it stays one below.
 """
+
+RUNAWAY_S = 1.0
+"""A real-time thread that computes this long without a pause is out of control, and nobody of lower priority could
+end it: the kernel ends its process (SIGXCPU)."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
@@ -77,6 +82,8 @@ def become_real_time(priority: int, place: int | None = None) -> list[str]:
     gc.collect()
     gc.freeze()
     gc.disable()
+    limit = int(RUNAWAY_S * 1e6)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (limit, 2 * limit))
     try:
         processors = sorted(os.sched_getaffinity(0))
         for thread in os.listdir("/proc/self/task"):
