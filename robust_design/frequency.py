@@ -108,8 +108,8 @@ def eigenpairs(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Eigenvalues (n,) and eigenvectors (n, n), corrected once.
 
     The QR algorithm is exact to the rounding of the largest entries: with poles from 0.01 to 1e5 rad/s the slow ones
-    keep six digits. A Newton step on all pairs at once brings back another three; pairs closer than a millionth are left
-    as they are.
+    keep six digits. A Newton step on all pairs at once brings back another three; pairs closer than a millionth of
+    their size are left as they are.
     """
     poles, V = sl.eig(A)
     try:

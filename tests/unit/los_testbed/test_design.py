@@ -9,6 +9,7 @@ import pytest
 from los_testbed.cli import main
 from los_testbed.design import CAMERA_PERIOD, FLOWN_DELAY, continuous, design_file, random_start
 from los_testbed.design_check import flown_plant, load
+from los_testbed.design_trade_off import least_noise
 from los_testbed.flown_norms import flown_figures
 
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
@@ -97,6 +98,15 @@ def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:
         design_file("k-xyz")
 
 
+def test_least_noise_problem_minimises_nothing_else(parameters) -> None:
+    wanted = observer_requirements(parameters, as_flown=True)
+    changed = {r.name: r for r in least_noise(wanted, 0.4)}
+    assert [name for name, r in changed.items() if not r.hard] == ["noise -> RPE"]
+    before = {r.name: r for r in wanted}
+    assert changed["RPE"].bound == pytest.approx(0.4 * before["RPE"].bound)
+    assert all(changed[name].bound == before[name].bound for name in changed if name != "RPE")
+
+
 def test_table_as_json(capsys) -> None:
     assert main(["design", "table", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
@@ -110,6 +120,8 @@ def test_table_as_json(capsys) -> None:
         (["k-fsm", "--loop-delay", "-1"], "--loop-delay must not be negative, got -1.0"),
         (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
         (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
+        (["trade-off", "--bounds", "0.5,x"], "--bounds expects numbers with commas between them, got '0.5,x'"),
+        (["trade-off", "--bounds", "0.5,-1"], "expected positive bounds on the relative error, got [0.5, -1.0]"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, message, capsys) -> None:

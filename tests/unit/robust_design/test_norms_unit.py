@@ -114,3 +114,23 @@ def test_batch_and_abscissa() -> None:
 def test_bad_matrices_are_named(matrices: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         hinf_norm(*matrices)
+
+
+def test_units_do_not_cost_digits() -> None:
+    """Modes from 0.01 to 1e5 rad/s in states of very different units: the response equals that of the plain modes."""
+    rng = np.random.default_rng(3)
+    w = np.geomspace(1e-2, 1e5, 40)
+    A, B, C = np.zeros((80, 80)), np.zeros((80, 3)), np.zeros((2, 80))
+    i = np.arange(40)
+    A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = w, -w, -2e-3 * w
+    B[1::2], C[:, ::2] = rng.normal(size=(40, 3)), rng.normal(size=(2, 40))
+    A[2 * i[1:] + 1, 2 * i[:-1]] = 0.5 * w[1:]  # each mode drives the next
+    units = 10.0 ** rng.uniform(-6, 6, 80)
+    mixed = A * units / units[:, None], B / units[:, None], C * units
+    form = FrequencyResponse.of(*mixed, np.zeros((2, 3)))
+    assert form.modal
+    for omega in (3e-3, 0.0995, 1.7, 40.0, 2.1e4):
+        exact = direct_response(A, B, C, np.zeros((2, 3)), omega)
+        assert np.abs(form.at(omega)[0] - exact).max() < 1e-8 * np.abs(exact).max()
+    plain = hinf_norm(A, B, C, np.zeros((2, 3)))
+    assert hinf_norm(*mixed, np.zeros((2, 3))).value == pytest.approx(plain.value, rel=1e-7)

@@ -119,3 +119,24 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     assert result.status == "converged"
     assert all(np.isfinite(w.value) for w in result.worst)
     assert result.worst[0].value <= result.tuning.soft * 1.01
+
+
+def test_runners_up_have_their_peaks_elsewhere() -> None:
+    """Two oscillators, each excited most at its own corner of the box: the second peak is reported beside the first."""
+
+    def build(p: dict) -> Model:
+        A = np.zeros((4, 4))
+        for k, w in enumerate((1.0, 10.0)):
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -0.02 * w]]
+        B = np.array([[0.0, 0.0], [p["slow"], 0.0], [0.0, 0.0], [0.9 * p["fast"], 0.0]])
+        C = np.array([[1.0, 0.0, 10.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+        return Model(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+
+    box = {"slow": (0.1, 1.0), "fast": (0.1, 1.0)}
+    none = static_gain([[0.0]], [("y", 1)], [("u", 1)])
+    (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=10, climbs=0))
+    assert found.omega == pytest.approx(1.0, rel=0.05)
+    assert len(found.others) == 1
+    value, parameters = found.others[0]
+    assert 0.85 < value / found.value < 1.0
+    assert parameters["fast"] == 1.0 and parameters["slow"] < 1.0

@@ -236,13 +236,14 @@ def trade_off(
 ) -> None:
     """Least sensor noise in the relative error for each bound on the disturbance's part (minutes)."""
     from los_testbed.cores import one_thread
-    from los_testbed.design_trade_off import LEVELS, draw_trade_off
+    from los_testbed.design_trade_off import LEVELS, check_levels, draw_trade_off
     from los_testbed.design_trade_off import trade_off as curve
 
     try:
         levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
     except ValueError:
         raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
+    check_levels(levels)
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
     with bar, one_thread():
         task = bar.add_task("trade-off", total=len(levels))

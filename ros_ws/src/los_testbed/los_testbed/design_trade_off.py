@@ -69,8 +69,7 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     ValueError
         A bound that is not positive.
     """
-    if not levels or min(levels) <= 0.0:
-        raise ValueError(f"expected positive bounds on the relative error, got {list(levels)}")
+    check_levels(levels)
     parameters = load_parameters()
     plant = observer_plant(telescope(), parameters, camera_period=CAMERA_PERIOD)
     structure = observer_structure(plant, held_camera=True)
@@ -96,6 +95,17 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
             x = result.x
         tick()
     return points
+
+
+def check_levels(levels: Sequence[float]) -> None:
+    """Bounds must be there and positive.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not levels or not min(levels) > 0.0:
+        raise ValueError(f"expected positive bounds on the relative error, got {list(levels)}")
 
 
 def least_noise(wanted: Sequence[Requirement], level: float) -> list[Requirement]:

@@ -1,0 +1,90 @@
+"""The loop over two hosts (network namespaces): latency and missed ticks for a good and a bad cable.
+
+    python benchmarks/two_host_loop.py [--seconds 20] [--docs] [--json]
+
+Plant and recorder run on the first host, estimator and controller on the second. The cables: none (one host), a veth
+pair, and one that delays every packet by 0.2 ms and loses one in a thousand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from los_testbed.config import RunConfig
+from los_testbed.runner import Runner
+from real_time_loop import DOCS, write_between
+
+from pointing_analysis.read import Run
+
+SUPPORT = Path(__file__).parents[1] / "tests" / "support"
+
+
+def cables() -> dict[str, Callable[[], Any]]:
+    """Cables by name."""
+    sys.path.insert(0, str(SUPPORT))
+    hosts = import_module("two_hosts")
+    return {
+        "one host": contextlib.nullcontext,
+        "two hosts": hosts.near,
+        "two hosts, 0.2 ms each way": lambda: hosts.far(loss=0.0),
+        "two hosts, 0.2 ms each way, 0.1 % lost": hosts.far,
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/real_time.md")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    result = {name: fly(cable, arguments.seconds) for name, cable in cables().items()}
+    if arguments.docs:
+        write_between(DOCS / "real_time.md", "two_hosts", table(result))
+    print(json.dumps(result) if arguments.json else table(result))
+
+
+def fly(cable: Callable[[], Any], seconds: float) -> dict[str, float]:
+    """One run over a cable; its figures."""
+    with tempfile.TemporaryDirectory(prefix="los_testbed_hosts_") as name, cable() as hosts:
+        folder = Path(name)
+        config = RunConfig(duration=seconds, output=str(folder / "bag"), domain=88, wait_for_recorder=True)
+        if hosts is None:
+            Runner(config).run()
+        else:
+            hosts.fly(config, folder)
+            hosts.unplug()
+        statistics = Run.open(folder / "bag").parameters["statistics"]
+    plant = statistics["plant"]
+    return {
+        "ticks": int(plant["ticks"]),
+        "missed_ticks": int(plant["missed_ticks"]),
+        **{f"latency_{q}_us": float(plant[f"latency_{q}_us"]) for q in ("median", "p99", "p999")},
+        "gap_ticks": int(statistics["estimator"]["gap_ticks"]),
+        "packets_lost": 0 if hosts is None else hosts.lost,
+    }
+
+
+def table(result: dict[str, dict[str, float]]) -> str:
+    """Markdown table."""
+    lines = [
+        "| cable | missed ticks | latency median [us] | 99 % | 99.9 % | packets lost | ticks stepped over |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name, r in result.items():
+        missed = f"{r['missed_ticks']} of {r['ticks']} ({100 * r['missed_ticks'] / r['ticks']:.2f} %)"
+        times = " | ".join(f"{r[f'latency_{q}_us']:.0f}" for q in ("median", "p99", "p999"))
+        lines.append(f"| {name} | {missed} | {times} | {r['packets_lost']} | {r['gap_ticks']} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()
