@@ -52,10 +52,12 @@ def test_the_offset_reaches_processes(steps):
 
 def test_a_stepped_wall_clock_does_not_touch_the_loop(steps, tmp_path):
     config = config_for(tmp_path, duration=3.0, start_timeout=15.0)
-    began = time.time()
+    began, told = time.time(), []
 
     def progress(ticks):
-        set_offset(steps, 0 if ticks < 700 else HOUR if ticks < 1700 else -HOUR)
+        """A step at each word of the plant: one of them falls between a sample and its command."""
+        told.append(ticks)
+        set_offset(steps, 0 if ticks < 500 else HOUR if len(told) % 2 else -HOUR)
 
     results = Runner(config, progress, {"plant": PLANT}).run()
     assert not results.failures

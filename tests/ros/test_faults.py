@@ -192,6 +192,21 @@ def test_a_stopped_recorder_does_not_touch_the_loop_and_its_losses_are_counted(t
     assert results.statistics["estimator"]["gap_ticks"] == "0", "the others did not notice"
 
 
+def test_lockstep_waits_for_a_stopped_recorder(tmp_path):
+    """The publishers remember 100 ticks, and half a second is a thousand."""
+
+    def stop_for_a_while(runner):
+        pid = runner.processes["recorder"]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.5)
+        os.kill(pid, signal.SIGCONT)
+
+    results = run_with_fault(tmp_path, 500, stop_for_a_while, duration=4.0, mode="lockstep")
+    run = Run.open(results.bag)
+    assert results.statistics["recorder"]["samples_lost"] == "0"
+    assert {len(run[name]) for name in run.topics if name != "camera/los"} == {4000}
+
+
 def test_a_killed_recorder_loses_at_most_the_last_second(tmp_path):
     told = []
 
