@@ -15,9 +15,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from robust_design.frequency import FrequencyResponse, balanced, direct_response, resonances
+from robust_design.frequency import FrequencyResponse, direct_response, resonances
 from robust_design.level_set import LevelTest, hamiltonian_test, interval_test
 from robust_design.stacks import largest_gains
+from uncertain_systems.eigenvectors import balanced
 
 sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
