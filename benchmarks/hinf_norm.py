@@ -40,10 +40,10 @@ def structure(sample: int, modes: int) -> tuple[np.ndarray, ...]:
 
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
-    from los_testbed.design import CAMERA_PERIOD, FLOWN_DELAY, continuous
+    from los_testbed.design import DesignOptions, continuous
     from los_testbed.design_check import load
 
-    from fsm_pma_controller.problem import HOLD, MEASUREMENTS, actuator_plant, actuator_requirements
+    from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant, actuator_requirements
     from robust_design import Model
     from robust_design.certificate import delayed_controller, weighted_loop
     from titop_plant.simulation import telescope
@@ -51,12 +51,11 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
 
     parameters = load_parameters()
     k_fsm, k_pma = load("flown")
-    plant = actuator_plant(
-        telescope(), parameters, continuous(k_fsm), loop_delay=FLOWN_DELAY, camera_period=CAMERA_PERIOD
-    )
+    flown = DesignOptions()
+    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=flown.delay, **flown.held)
     data = continuous(k_pma).data_at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
-    law = delayed_controller(Model(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), FLOWN_DELAY - HOLD)
+    law = delayed_controller(Model(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), flown.delay)
     wanted = next(r for r in actuator_requirements(parameters, as_flown=True) if r.name == "RPE")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, wanted).matrices for values in points]

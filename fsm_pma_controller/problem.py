@@ -36,8 +36,6 @@ MEASUREMENTS = ("accel_Ip",)
 ORDER = 4
 FORCE = Port("pma_force", 6, "N")
 PADE_ORDER = 3
-HOLD = 0.5e-3
-"""Mean delay of a command held for one tick [s]: that part of the loop delay is in the plant, not the tuner's."""
 FORCE_SHARE = 0.5
 """Part of the actuators' authority that the design may ask for."""
 
@@ -61,6 +59,7 @@ def actuator_plant(
     *,
     loop_delay: float = 0.0,
     camera_period: float = 0.0,
+    command_hold: float = 0.0,
 ) -> ActuatorPlant:
     """Plant that K_PMA is designed on: the mirror loop is closed.
 
@@ -71,12 +70,13 @@ def actuator_plant(
     observer : UncertainSystem
         Continuous K_FSM, 22 measurements to ``los_estimate``.
     loop_delay : float
-        Delay of the mirror's command [s]. Of the actuators' delay the plant holds :data:`HOLD` (where this is not
-        0), the rest is the tuner's.
+        Delay of the mirror's command beyond its hold [s].
     camera_period : float
         Time that a camera frame is held [s].
+    command_hold : float
+        Mean delay of held commands [s]: this part of the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope.system, parameters, camera_period=camera_period)
+    plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
     n_base, n_mirrors = Port("platform_noise", 6), Port("mirror_noise", 12)
     split = np.eye(18)
     mirror = Port("fsm_command", 2, "rad")
@@ -104,41 +104,16 @@ def actuator_plant(
         outputs={"los_controlled": "plant.los_controlled", "accel_Ip": f"plant.{ACCELEROMETERS[0]}",
                  "fsm_command": "law.fsm_command"},
     )  # fmt: skip
-    return ActuatorPlant(_held_force(closed, HOLD if loop_delay > 0.0 else 0.0))
+    return ActuatorPlant(_with_echo(closed))
 
 
-def _held_force(plant: UncertainSystem, hold: float) -> UncertainSystem:
-    """Drive the actuators through the mean delay of a held command, and show the command as an output.
-
-    The motion lags by half the hold, but an accelerometer feels a force at the instant it is switched: its direct
-    path has no such lag. That matters here, since below the isolator's modes the direct path and the motion cancel.
-    """
-    accel = plant.output_port("accel_Ip")
-    feel = plant["accel_Ip", FORCE.name].data_at({}).D
-    lag = pade_delay(hold, PADE_ORDER, 6)
-    late = system_of(lag.A, lag.B, lag.C, lag.D, [Port("in", 6, "N")], [Port("out", 6, "N")])
+def _with_echo(plant: UncertainSystem) -> UncertainSystem:
+    """Show the force command as an output, too."""
     return connect(
-        {
-            "plant": plant,
-            "late": late,
-            "felt_now": static_gain(feel, [FORCE], [accel]),
-            "felt_late": static_gain(feel, [FORCE], [accel]),
-            "echo": static_gain(np.eye(6), [FORCE], [FORCE]),
-        },
-        [
-            *((p.name, f"plant.{p.name}") for p in plant.inputs if p.name != FORCE.name),
-            (FORCE.name, "late.in"),
-            ("late.out", f"plant.{FORCE.name}"),
-            ("late.out", f"felt_late.{FORCE.name}"),
-            (FORCE.name, f"felt_now.{FORCE.name}"),
-            (FORCE.name, f"echo.{FORCE.name}"),
-        ],
+        {"plant": plant, "echo": static_gain(np.eye(6), [FORCE], [FORCE])},
+        [*((p.name, f"plant.{p.name}") for p in plant.inputs), (FORCE.name, f"echo.{FORCE.name}")],
         inputs=plant.inputs,
-        outputs={
-            **{p.name: f"plant.{p.name}" for p in plant.outputs},
-            accel.name: ("plant.accel_Ip", "felt_now.accel_Ip", "-felt_late.accel_Ip"),
-            FORCE.name: f"echo.{FORCE.name}",
-        },
+        outputs={**{p.name: f"plant.{p.name}" for p in plant.outputs}, FORCE.name: f"echo.{FORCE.name}"},
     )
 
 

@@ -60,7 +60,9 @@ def describe(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name}={value:.4g}" for name, value in values.items()) or "nominal"
 
 
-def observer_plant(telescope: Telescope, parameters: Parameters, *, camera_period: float = 0.0) -> ObserverPlant:
+def observer_plant(
+    telescope: Telescope, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
+) -> ObserverPlant:
     """Plant that K_FSM is designed on.
 
     Parameters
@@ -69,8 +71,11 @@ def observer_plant(telescope: Telescope, parameters: Parameters, *, camera_perio
         Assembled telescope and its parameter file.
     camera_period : float
         Time that a camera frame is held [s]; 0: the paper's continuous camera.
+    command_hold : float
+        Mean delay of a held command [s] (:data:`titop_plant.telescope.control_plant.HOLD` as flown): this part of
+        the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope.system, parameters, camera_period=camera_period)
+    plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
     mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
     inputs = (*DISTURBANCES, *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robust_design.model import Model, pade_delay, series
 from robust_design.norms import schur_lyapunov
+from uncertain_systems.eigenvectors import balanced
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -106,15 +107,16 @@ def extended_plant(
     after = [_or_unit(weight_out, nz), _or_unit(None, ny)]
     core = Model(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
     whole = series(series(_stacked(before), core), _stacked(after))
+    A, B, C = balanced(whole.A, whole.B, whole.C)
     nw, nz = before[0].D.shape[1], after[0].D.shape[0]
     k = controller_order
     n = whole.order
     return ExtendedPlant(
-        sl.block_diag(whole.A, np.zeros((k, k))),
-        np.vstack([whole.B[:, :nw], np.zeros((k, nw))]),
-        np.block([[np.zeros((n, k)), whole.B[:, nw:]], [np.eye(k), np.zeros((k, nu))]]),
-        scale * np.hstack([whole.C[:nz], np.zeros((nz, k))]),
-        np.block([[np.zeros((k, n)), np.eye(k)], [whole.C[nz:], np.zeros((ny, k))]]),
+        sl.block_diag(A, np.zeros((k, k))),
+        np.vstack([B[:, :nw], np.zeros((k, nw))]),
+        np.block([[np.zeros((n, k)), B[:, nw:]], [np.eye(k), np.zeros((k, nu))]]),
+        scale * np.hstack([C[:nz], np.zeros((nz, k))]),
+        np.block([[np.zeros((k, n)), np.eye(k)], [C[nz:], np.zeros((ny, k))]]),
         scale * whole.D[:nz, :nw],
         scale * np.hstack([np.zeros((nz, k)), whole.D[:nz, nw:]]),
         np.vstack([np.zeros((k, nw)), whole.D[nz:, :nw]]),

@@ -139,6 +139,7 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
             return float("inf")
         if not len(a):
             return 0.0
+        a, b, c = balanced(a, b, c)
         T, Q = sl.schur(a, output="real", check_finite=False)
         if np.diag(T).max() >= 0.0:  # the diagonal of a real Schur form holds the real parts
             return float("inf")

@@ -34,6 +34,8 @@ ACCELEROMETERS = ("accel_Ip", "accel_M1", "accel_M2")
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
 COMMANDS = ("fsm_command", "pma_force")
 SAMPLING = 1e-3
+HOLD = 0.5 * SAMPLING
+"""Mean delay of a command that is held for one tick [s]."""
 
 
 def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
@@ -56,21 +58,63 @@ def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSys
 
 
 def camera_hold(period: float) -> UncertainSystem:
-    """Mean delay of a camera value that is held for a period [s]: half of it, Pade of order 2, both axes."""
-    port = Port("camera_los", 2, "rad")
-    if period == 0.0:
-        return static_gain(np.eye(2), [port], [port])
-    if not period > 0.0:
+    """Mean age of a camera value that is held for a period [s], both axes.
+
+    The value is used at the ticks, from the one with the frame to the last before the next frame: half of the period
+    less one tick.
+    """
+    if not period >= 0.0:
         raise ValueError(f"camera period must not be negative, got {period} s")
-    delay = 0.5 * period
-    # e^(-s T) = (s^2 - a s + b) / (s^2 + a s + b), a = 6 / T, b = 12 / T^2
-    a, b = 6.0 / delay, 12.0 / delay**2
-    A, B = np.array([[0.0, 1.0], [-b, -a]]), np.array([[0.0], [1.0]])
-    both = np.eye(2)
-    return state_space(np.kron(both, A), np.kron(both, B), np.kron(both, [[0.0, -2.0 * a]]), np.eye(2), [port], [port])
+    return _delay(max(0.0, 0.5 * (period - SAMPLING)), Port("camera_los", 2, "rad"))
 
 
-def control_plant(telescope: UncertainSystem, parameters: Parameters, *, camera_period: float = 0.0) -> UncertainSystem:
+def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
+    """Put the mean delay `hold` [s] of commands that are held for a tick in front of the motion.
+
+    The motion lags by half a tick, but an accelerometer feels a command at the instant it is switched: its direct path
+    has no such lag. That matters, since below the structure's modes the direct path and the motion cancel. The direct
+    path is that at the nominal parameters.
+    """
+    if hold == 0.0:
+        return plant
+    felt_by = [plant.output_port(name) for name in ACCELEROMETERS]
+    systems = {"plant": plant}
+    wires: list[Connection] = [(p.name, f"plant.{p.name}") for p in plant.inputs if p.name not in COMMANDS]
+    felt: dict[str, list[str]] = {port.name: [f"plant.{port.name}"] for port in felt_by}
+    for command in (plant.input_port(name) for name in COMMANDS):
+        direct = plant[ACCELEROMETERS, (command.name,)].data_at({}).D
+        late, now, past = (f"{what}_{command.name}" for what in ("late", "now", "past"))
+        systems[late] = _delay(hold, command)
+        systems[now] = systems[past] = static_gain(direct, [command], felt_by)
+        lagging = f"{late}.{command.name}"
+        wires += [
+            (command.name, f"{late}.{command.name}"),
+            (lagging, f"plant.{command.name}"),
+            (command.name, f"{now}.{command.name}"),
+            (lagging, f"{past}.{command.name}"),
+        ]
+        for port in felt_by:
+            felt[port.name] += [f"{now}.{port.name}", f"-{past}.{port.name}"]
+    outputs: dict[str, str | tuple[str, ...]] = {p.name: f"plant.{p.name}" for p in plant.outputs}
+    outputs |= {name: tuple(parts) for name, parts in felt.items()}
+    return connect(systems, wires, inputs=plant.inputs, outputs=outputs)
+
+
+def _delay(delay: float, port: Port) -> UncertainSystem:
+    """Pade form of order 2 of a delay [s] on every signal of a port."""
+    if delay == 0.0:
+        return static_gain(np.eye(port.size), [port], [port])
+    # e^(-s T) = (s^2 - a s + b) / (s^2 + a s + b), a = 6 / T, b = 12 / T^2; states in units that keep A near 1 / T
+    a, root = 6.0 / delay, np.sqrt(12.0) / delay
+    A, B = np.array([[0.0, root], [-root, -a]]), np.array([[0.0], [root]])
+    each = np.eye(port.size)
+    C = np.array([[0.0, -2.0 * a / root]])
+    return state_space(np.kron(each, A), np.kron(each, B), np.kron(each, C), each, [port], [port])
+
+
+def control_plant(
+    telescope: UncertainSystem, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
+) -> UncertainSystem:
     """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
 
     Parameters
@@ -80,12 +124,15 @@ def control_plant(telescope: UncertainSystem, parameters: Parameters, *, camera_
     parameters : mapping
         Table ``sensors``.
     camera_period : float
-        Time between camera frames, whose value is held [s]: adds its mean delay, half a period, as a
+        Time between camera frames, whose value is held [s]: adds its mean age, see :func:`camera_hold`, as a
         Pade form of order 2 for each axis (4 states). 0: a continuous camera, as in the paper.
+    command_hold : float
+        Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
     seen = with_camera(telescope, parameters).select(
         inputs=(*DISTURBANCES, *COMMANDS), outputs=("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
     )
+    seen = held_commands(seen, command_hold)
     sensors, root = parameters["sensors"], np.sqrt(SAMPLING)
     noise, optical = Port("accelerometer_noise", 18), Port("optical_noise", 4)
     ports = [seen.output_port(name) for name in ACCELEROMETERS]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fsm_pma_controller.problem import HOLD, actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.runtime import DT
 from fsm_pma_controller.skyhook import flown_controller
 from los_estimator.kalman import flown_observer
@@ -29,6 +29,7 @@ from robust_design import (
     tune_robust,
 )
 from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.control_plant import HOLD
 from titop_plant.telescope.parameters import Parameters, parameters_hash, uncertain_parameters
 from uncertain_systems import SampledSystem, UncertainSystem, state_space
 
@@ -40,8 +41,9 @@ SCREEN_BANDS = (50.0, 300.0, 430.0, 520.0, 800.0)
 START_SEEDS = (2,)
 START_POLES = (20.0, 400.0)
 START_GAIN = 100.0
-ITERATIONS, ROUNDS = 40, 4
-"""Effort of a design: what ends it must not be the wall limit, or the result would depend on the machine's speed."""
+ITERATIONS, ROUNDS, NOMINAL_ITERATIONS = 40, 4, 250
+"""Effort of a robust design (in each round) and of a nominal one: what ends it must not be the wall limit, or the
+result would depend on the machine's speed."""
 VARIANTS = ("flown", "flown_nominal", "paper", "paper_nominal")
 
 
@@ -69,7 +71,7 @@ class DesignOptions:
     loop_delay: float = FLOWN_DELAY
     starts: int = 0
     seed: int = 0
-    wall_limit: float = 1200.0
+    wall_limit: float = 1800.0
     workers: int = 1
     progress: bool = False
 
@@ -77,6 +79,18 @@ class DesignOptions:
     def as_flown(self) -> bool:
         """With delay, held camera and noise requirements."""
         return self.loop_delay > 0.0
+
+    @property
+    def held(self) -> dict[str, float]:
+        """What is held, for the plants: camera frames and commands [s]."""
+        if not self.as_flown:
+            return {}
+        return {"camera_period": CAMERA_PERIOD, "command_hold": min(HOLD, self.loop_delay)}
+
+    @property
+    def delay(self) -> float:
+        """The loop delay without the mean delay of held commands, which is in the plant [s]."""
+        return max(0.0, self.loop_delay - HOLD)
 
     @property
     def variant(self) -> str:
@@ -121,7 +135,7 @@ def box_of(parameters: Parameters) -> dict[str, tuple[float, float]]:
 
 def design_observer(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> SampledSystem:
     """Tune K_FSM, started from the Kalman observer."""
-    plant = observer_plant(telescope, parameters, camera_period=CAMERA_PERIOD if options.as_flown else 0.0)
+    plant = observer_plant(telescope, parameters, **options.held)
     structure = observer_structure(plant, held_camera=options.as_flown)
     start = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
     requirements = observer_requirements(parameters, as_flown=options.as_flown)
@@ -145,15 +159,14 @@ def design_actuators(
         telescope,
         parameters,
         continuous(observer),
-        loop_delay=options.loop_delay,
-        camera_period=CAMERA_PERIOD if options.as_flown else 0.0,
+        loop_delay=options.delay,
+        **options.held,
     )
     requirements = actuator_requirements(parameters, as_flown=options.as_flown)
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
     first = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
-    delay = max(0.0, options.loop_delay - HOLD)
-    result = _run(plant, requirements, structure, starts, first, parameters, options, delay)
+    result = _run(plant, requirements, structure, starts, first, parameters, options)
     found = result.controller
     system = state_space(found.A, found.B, found.C, found.D, _ports("k-pma")[0], _ports("k-pma")[1])
     return flown_controller(
@@ -226,22 +239,20 @@ def _run(
     first: Sequence[Mapping[str, float]],
     parameters: Parameters,
     options: DesignOptions,
-    delay: float | None = None,
 ) -> RobustResult | TuningResult:
-    delay = options.loop_delay if delay is None else delay
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     tuning = TuningOptions(
         starts=options.starts,
         seed=options.seed,
         wall_limit=options.wall_limit,
         workers=options.workers,
-        iterations=ITERATIONS,
+        iterations=NOMINAL_ITERATIONS if options.nominal else ITERATIONS,
         tolerance=1e-3,
         progress=options.progress,
     )
     if options.nominal:
         models: list[Model] = [plant(nominal)]
-        return tune(models, requirements, structure, initial=starts, loop_delay=delay, options=tuning)
+        return tune(models, requirements, structure, initial=starts, loop_delay=options.delay, options=tuning)
     search = WorstCaseOptions(samples=32, climbs=1, iterations=4, seed=options.seed)
     return tune_robust(
         plant,
@@ -251,7 +262,7 @@ def _run(
         nominal=nominal,
         active=first,
         initial=starts,
-        loop_delay=delay,
+        loop_delay=options.delay,
         most_rounds=ROUNDS,
         options=tuning,
         search=search,

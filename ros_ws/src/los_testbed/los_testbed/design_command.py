@@ -45,7 +45,7 @@ Json = Annotated[bool, typer.Option("--json", help="The output is one JSON objec
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
 def k_fsm(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 300.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
@@ -54,7 +54,7 @@ def k_fsm(
 
 @design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
 def k_pma(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 300.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""

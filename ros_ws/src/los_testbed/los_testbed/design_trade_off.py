@@ -24,7 +24,7 @@ from los_estimator.problem import (
     observer_requirements,
     observer_structure,
 )
-from los_testbed.design import CAMERA_PERIOD, FLOWN_DELAY, continuous, design_file
+from los_testbed.design import DesignOptions, continuous, design_file
 from los_testbed.design_figures import save_figure
 from robust_design import HinfGain, Model, Requirement, TuningOptions, tune
 from robust_design.problem import Problem
@@ -71,7 +71,8 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     """
     check_levels(levels)
     parameters = load_parameters()
-    plant = observer_plant(telescope(), parameters, camera_period=CAMERA_PERIOD)
+    flown = DesignOptions()
+    plant = observer_plant(telescope(), parameters, **flown.held)
     structure = observer_structure(plant, held_camera=True)
     stored = SampledSystem.from_file(design_file("k-fsm"))
     at = stored.provenance.get("active_models", [{}])[:MOST_POINTS]
@@ -85,11 +86,11 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
         worst = dict(zip((r.name for r in wanted), values.max(axis=1)))
         return TradeOffPoint(bound, limit * (bound or 1.0) * worst["RPE"], limit * worst["noise -> RPE"], status)
 
-    now = Problem(models, wanted, structure, loop_delay=FLOWN_DELAY).evaluate(x, gradients=False)
+    now = Problem(models, wanted, structure, loop_delay=flown.delay).evaluate(x, gradients=False)
     points = [point(None, now.values, "stored")]
     for level in sorted(levels, reverse=True):
         requirements = least_noise(wanted, level)
-        result = tune(models, requirements, structure, initial=[x], loop_delay=FLOWN_DELAY, options=options)
+        result = tune(models, requirements, structure, initial=[x], loop_delay=flown.delay, options=options)
         points.append(point(level, result.values, result.status))
         if result.feasible:
             x = result.x
