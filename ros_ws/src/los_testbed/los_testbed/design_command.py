@@ -230,11 +230,11 @@ def trade_off(
     output: Annotated[Path, typer.Option(help="Folder for the picture.")] = Path("figures"),
     bounds: Annotated[
         str,
-        typer.Option(help="Bounds on the disturbance's relative error, in 100 mas, with commas; default 1 to 0.24."),
+        typer.Option(help="Bounds on the disturbance's relative error, in 100 mas, with commas; default 0.17 to 1."),
     ] = "",
     json_: Json = False,
 ) -> None:
-    """Least sensor noise in the relative error for each bound on the disturbance's part (minutes)."""
+    """Least sensor noise in the relative error for each bound on the disturbance's part (about 5 minutes)."""
     from los_testbed.cores import one_thread
     from los_testbed.design_trade_off import LEVELS, check_levels, draw_trade_off
     from los_testbed.design_trade_off import trade_off as curve
@@ -246,7 +246,7 @@ def trade_off(
     check_levels(levels)
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
     with bar, one_thread():
-        task = bar.add_task("trade-off", total=len(levels))
+        task = bar.add_task("trade-off", total=2 * len(levels))
         points = curve(levels, lambda: bar.advance(task))
     output.mkdir(parents=True, exist_ok=True)
     paths = draw_trade_off(points, output)

@@ -34,7 +34,7 @@ from titop_plant.telescope.figures import STYLE
 from titop_plant.telescope.parameters import load_parameters
 from uncertain_systems import SampledSystem
 
-LEVELS = (1.0, 0.7, 0.5, 0.4, 0.35, 0.3, 0.27, 0.24)
+LEVELS = (0.17, 0.2, 0.25, 0.3, 0.4, 0.55, 0.75, 1.0)
 MOST_POINTS = 4
 ITERATIONS = 40
 
@@ -58,11 +58,16 @@ class TradeOffPoint:
     noise: float
     status: str
 
+    @property
+    def infeasible(self) -> bool:
+        """The bound was not met."""
+        return self.status == "infeasible"
+
 
 def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambda: None) -> list[TradeOffPoint]:
-    """The stored design, then one point for each of `levels`, from the widest bound to the narrowest.
+    """The stored design, then one point for each of `levels`, from the narrowest bound to the widest.
 
-    Each design starts from the one before, so that the curve is that of one family.
+    The levels are gone through twice, up and down, each design starting from the one before; the better one stands.
 
     Raises
     ------
@@ -87,15 +92,17 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
         return TradeOffPoint(bound, limit * (bound or 1.0) * worst["RPE"], limit * worst["noise -> RPE"], status)
 
     now = Problem(models, wanted, structure, loop_delay=flown.delay).evaluate(x, gradients=False)
-    points = [point(None, now.values, "stored")]
-    for level in sorted(levels, reverse=True):
+    best: dict[float, TradeOffPoint] = {}
+    for level in (*sorted(levels), *sorted(levels, reverse=True)):
         requirements = least_noise(wanted, level)
         result = tune(models, requirements, structure, initial=[x], loop_delay=flown.delay, options=options)
-        points.append(point(level, result.values, result.status))
+        found = point(level, result.values, result.status)
+        if level not in best or (not result.feasible, found.noise) < (best[level].infeasible, best[level].noise):
+            best[level] = found
         if result.feasible:
             x = result.x
         tick()
-    return points
+    return [point(None, now.values, "stored"), *(best[level] for level in sorted(levels))]
 
 
 def check_levels(levels: Sequence[float]) -> None:
@@ -137,7 +144,7 @@ def draw_trade_off(points: Sequence[TradeOffPoint], output: Path) -> list[Path]:
     with mpl.rc_context(settings):
         figure = Figure(figsize=(6.0, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        met = [p for p in points[1:] if p.status != "infeasible"]
+        met = [p for p in points[1:] if not p.infeasible]
         axes.plot([p.disturbance for p in met], [p.noise for p in met], "o-", color="#1f5fa8", label="least noise")
         stored = points[0]
         axes.plot(stored.disturbance, stored.noise, "D", color="#c2308f", label="K_FSM as stored (worst of both)")
