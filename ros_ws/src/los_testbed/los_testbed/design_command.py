@@ -234,7 +234,7 @@ def trade_off(
     ] = "",
     json_: Json = False,
 ) -> None:
-    """Least sensor noise in the relative error for each bound on the disturbance's part (about 5 minutes)."""
+    """Least sensor noise in the relative error for each bound on the disturbance's part (about 8 minutes)."""
     from los_testbed.cores import one_thread
     from los_testbed.design_trade_off import LEVELS, check_levels, draw_trade_off
     from los_testbed.design_trade_off import trade_off as curve

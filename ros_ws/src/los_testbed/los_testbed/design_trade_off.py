@@ -105,6 +105,13 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     return [point(None, now.values, "stored"), *(best[level] for level in sorted(levels))]
 
 
+def undominated(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
+    """Points that kept their bound and that no other one beats in both figures, by rising disturbance."""
+    met = sorted((p for p in points if not p.infeasible), key=lambda p: (p.disturbance, p.noise))
+    best = np.minimum.accumulate([p.noise for p in met]) if met else []
+    return [p for p, low in zip(met, best) if p.noise <= low]
+
+
 def check_levels(levels: Sequence[float]) -> None:
     """Bounds must be there and positive.
 
@@ -144,7 +151,7 @@ def draw_trade_off(points: Sequence[TradeOffPoint], output: Path) -> list[Path]:
     with mpl.rc_context(settings):
         figure = Figure(figsize=(6.0, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        met = [p for p in points[1:] if not p.infeasible]
+        met = undominated(points[1:])
         axes.plot([p.disturbance for p in met], [p.noise for p in met], "o-", color="#1f5fa8", label="least noise")
         stored = points[0]
         axes.plot(stored.disturbance, stored.noise, "D", color="#c2308f", label="K_FSM as stored (worst of both)")
