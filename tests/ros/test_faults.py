@@ -120,8 +120,12 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     assert gaps[widest] > 50 * MS, "commands stopped"
     assert abs(commands.stamp[widest] - killed[0]) < 100 * MS, "when the node was killed"
     assert commands.stamp[-1] == truth.stamp[-1], "and came back"
-    assert int(results.statistics["plant"]["missed_ticks"]) >= gaps[widest] // MS - 10
-    silent = (truth.stamp > commands.stamp[widest] + 30 * MS) & (truth.stamp <= commands.stamp[widest + 1])
+    # the new node may find the plant before it finds the recorder: only the plant knows how long it was without
+    missed = int(results.statistics["plant"]["missed_ticks"])
+    assert missed > 50
+    until = commands.stamp[widest] + min(int(gaps[widest]), (missed - 10) * MS)
+    silent = (truth.stamp > commands.stamp[widest] + 30 * MS) & (truth.stamp <= until)
+    assert silent.any()
     assert np.abs(mirror_angle(results.bag)[silent]).max() < 1e-7, "without commands the mirror is at zero"
 
 
