@@ -123,10 +123,9 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     # the new node may find the plant before it finds the recorder: only the plant knows how long it was without
     missed = int(results.statistics["plant"]["missed_ticks"])
     assert missed > 50
-    until = commands.stamp[widest] + min(int(gaps[widest]), (missed - 10) * MS)
-    silent = (truth.stamp > commands.stamp[widest] + 30 * MS) & (truth.stamp <= until)
-    assert silent.any()
-    assert np.abs(mirror_angle(results.bag)[silent]).max() < 1e-7, "without commands the mirror is at zero"
+    within = (truth.stamp > commands.stamp[widest]) & (truth.stamp <= commands.stamp[widest + 1])
+    at_zero = np.abs(mirror_angle(results.bag)[within]).max(axis=1) < 1e-7
+    assert at_zero.sum() > 0.8 * min(missed, within.sum()) - 40, "without commands the mirror goes to zero and stays"
 
 
 def test_nothing_in_shared_memory_can_be_held_by_a_killed_process(tmp_path):
