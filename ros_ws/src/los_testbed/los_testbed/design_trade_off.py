@@ -108,8 +108,8 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
 def undominated(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
     """Points that kept their bound and that no other one beats in both figures, by rising disturbance."""
     met = sorted((p for p in points if not p.infeasible), key=lambda p: (p.disturbance, p.noise))
-    best = np.minimum.accumulate([p.noise for p in met]) if met else []
-    return [p for p, low in zip(met, best) if p.noise <= low]
+    lowest = np.minimum.accumulate(np.array([p.noise for p in met]))
+    return [p for p, low in zip(met, lowest) if p.noise <= low]
 
 
 def check_levels(levels: Sequence[float]) -> None:
