@@ -70,7 +70,7 @@ def slycot_norms(systems: list[tuple[np.ndarray, ...]]) -> list[float] | None:
     norms = []
     for A, B, C, D in systems:
         n, (p, m) = len(A), D.shape
-        norms.append(float(ab13dd("C", "I", "N", "D", n, m, p, A, np.eye(n), B, C, D, RTOL)[0]))
+        norms.append(float(ab13dd("C", "I", "S", "D", n, m, p, A, np.eye(n), B, C, D, RTOL)[0]))
     return norms
 
 
