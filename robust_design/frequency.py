@@ -20,8 +20,8 @@ sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-WORST_CONDITION = 1e12
-MODAL_AGREEMENT = 1e-8
+WORST_CONDITION = 1e8
+MODAL_AGREEMENT = 1e-9
 
 
 @dataclass(frozen=True)
