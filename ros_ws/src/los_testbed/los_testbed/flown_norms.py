@@ -22,6 +22,7 @@ from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 from uncertain_systems import SampledSystem, StateSpaceData
+from uncertain_systems.eigenvectors import eigenpairs
 from uncertain_systems.frequency_response import frequency_grid, singular_values
 from uncertain_systems.sampling import sampled
 
@@ -176,7 +177,7 @@ def tone_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> 
     wanted = np.zeros((10, size))
     wanted[:2], wanted[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
     enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
-    mu, W = _eigenvectors(A)
+    mu, W = eigenpairs(A)
     right, left = linalg.inv(W), np.vstack([wanted, read]) @ W
     z = np.exp(1j * omega * DT)
     rows = left[None] / (z[:, None, None] - mu)  # (k, 12, size), to be followed by `right`
@@ -203,17 +204,12 @@ def tone_response(loop: FlownLoop, plant: StateSpaceData, omega: FloatArray) -> 
 
 def _pushed(plant: StateSpaceData, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
     """What a tone adds to the plant's state over a tick, seen through `rows` (k, p, size) times `right` (size, n)."""
-    values, vectors = _eigenvectors(plant.A)
+    values, vectors = eigenpairs(plant.A)
     drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
     z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
     near = np.abs(s - values) < 1e-9
     kick = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
     return np.asarray((rows @ (right @ vectors) * kick[:, None, :]) @ drive)
-
-
-def _eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    values, vectors = linalg.eig(A)
-    return np.asarray(values, dtype=complex), np.asarray(vectors, dtype=complex)
 
 
 def _noise(loop: FlownLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
