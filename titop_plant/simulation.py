@@ -16,13 +16,13 @@ from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joine
 from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS, ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.control_plant import COMMANDS as COMMAND_PORTS
+from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 from uncertain_systems import StateSpaceData, UncertainSystem
 
 DT = 1e-3
 RAMP_STEP = 0.25
-DISTURBANCES = ("wheel_imbalance", "sadm_torque")
 SCENARIOS = ("design", "imbalance")
 
 
@@ -184,9 +184,18 @@ def _limits(parameters: Parameters) -> FloatArray:
     return np.repeat([float(parameters["fsm"]["authority"]), float(parameters["pma"]["authority"])], [2, 6])
 
 
+def flown_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
+    """What the fine control flies on: commands (8), disturbances (22) to measurements (22), line of sight (2).
+
+    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
+    """
+    return with_camera(assembled.system, parameters).select(
+        inputs=(*COMMAND_PORTS, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+    )
+
+
 def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
-    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
-    return whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
+    return flown_plant(telescope(config.parameters, config.isolated), parameters)
 
 
 def plant_and_tones(config: PlantConfig) -> tuple[StateSpaceData, Tones]:
@@ -283,6 +292,7 @@ __all__ = [
     "build_plant",
     "command_limits",
     "configuration_hash",
+    "flown_plant",
     "frame_ticks",
     "parameter_values",
     "plant_and_tones",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import sys
@@ -116,6 +117,17 @@ def uncertain_parameters(parameters: Parameters) -> dict[str, RealParameter]:
     name = "solar_array.tau"
     result[name] = RealParameter(name, 0.0, low, high, "1", "tan(theta/4), theta the angle of both arrays")
     return result
+
+
+def parameter_box(parameters: Parameters) -> dict[str, tuple[float, float]]:
+    """Ranges of the uncertain parameters by name: (lowest, highest)."""
+    return {name: (p.lower, p.upper) for name, p in uncertain_parameters(parameters).items()}
+
+
+def parameter_corners(parameters: Parameters) -> list[dict[str, float]]:
+    """All corners of the box of uncertain parameters (2^7)."""
+    box = parameter_box(parameters)
+    return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]
 
 
 def array_modes(parameters: Parameters) -> ModalData:

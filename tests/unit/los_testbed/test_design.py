@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from los_testbed.cli import main
 from los_testbed.design import FLOWN_DELAY, DesignOptions, continuous, design_file, random_start
-from los_testbed.design_check import flown_plant, load
+from los_testbed.design_check import load
 from los_testbed.design_trade_off import least_noise
 from los_testbed.flown_norms import flown_figures
 
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from robust_design.problem import Problem
-from titop_plant.simulation import telescope
+from titop_plant.simulation import flown_plant, telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
 from uncertain_systems import SampledSystem
 

@@ -28,9 +28,16 @@ from robust_design import (
     tune,
     tune_robust,
 )
+from titop_plant.simulation import flown_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import HOLD
-from titop_plant.telescope.parameters import Parameters, parameters_hash, uncertain_parameters
+from titop_plant.telescope.parameters import (
+    Parameters,
+    parameter_box,
+    parameter_corners,
+    parameters_hash,
+    uncertain_parameters,
+)
 from uncertain_systems import SampledSystem, UncertainSystem, state_space
 
 FLOWN_DELAY = 1.5e-3
@@ -128,11 +135,6 @@ def continuous(system: SampledSystem) -> UncertainSystem:
     return state_space(matrices["A"], matrices["B"], matrices["C"], matrices["D"], system.inputs, system.outputs)
 
 
-def box_of(parameters: Parameters) -> dict[str, tuple[float, float]]:
-    """Ranges of the telescope's uncertain parameters."""
-    return {name: (p.lower, p.upper) for name, p in uncertain_parameters(parameters).items()}
-
-
 def design_observer(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> SampledSystem:
     """Tune K_FSM, started from the Kalman observer: with its delay made up for, on the nominal model also without.
 
@@ -189,11 +191,8 @@ def screened(
     Of all corners and some random points, those where the stage before (the isolator alone, or with an observer the
     mirror loop) has its largest peak in each of the bands :data:`SCREEN_BANDS`.
     """
-    from los_testbed.design_check import corners, flown_plant
-
     system, rng = flown_plant(telescope, parameters), np.random.default_rng(seed)
-    ends = corners(parameters)
-    chosen = ends + system.sample_values(rng, SCREEN_SAMPLES)
+    chosen = parameter_corners(parameters) + system.sample_values(rng, SCREEN_SAMPLES)
     k_fsm, k_pma = observer or _zero_controller("k-fsm"), _zero_controller("k-pma")
     loop, frame_ticks = "isolator" if observer is None else "fsm", round(CAMERA_PERIOD / DT)
     worst: dict[int, tuple[float, dict[str, float]]] = {}
@@ -260,7 +259,7 @@ def _run(
     search = WorstCaseOptions(samples=32, climbs=1, iterations=4, seed=options.seed)
     return tune_robust(
         plant,
-        box_of(parameters),
+        parameter_box(parameters),
         requirements,
         structure,
         nominal=nominal,

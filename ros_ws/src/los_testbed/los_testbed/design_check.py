@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,13 +13,11 @@ from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_req
 from fsm_pma_controller.problem import MEASUREMENTS as PMA_MEASUREMENTS
 from los_estimator.problem import MEASUREMENTS as FSM_MEASUREMENTS
 from los_estimator.problem import observer_plant, observer_requirements
-from los_testbed.design import box_of, continuous, design_file
+from los_testbed.design import continuous, design_file
 from los_testbed.flown_norms import FlownFigures, flown_figures
 from robust_design import Model, certify
-from titop_plant.simulation import DISTURBANCES, MEASURED
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import with_camera
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.parameters import Parameters, parameter_corners
 from uncertain_systems import SampledSystem, UncertainSystem
 
 ARCSEC = np.pi / 648000.0
@@ -31,22 +28,9 @@ PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835,
 PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
 
 
-def flown_plant(telescope: Telescope, parameters: Parameters) -> UncertainSystem:
-    """Commands (8) and disturbances (22) to measurements (22) and controlled line of sight (2)."""
-    return with_camera(telescope.system, parameters).select(
-        inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
-    )
-
-
-def corners(parameters: Parameters) -> list[dict[str, float]]:
-    """All corners of the box of parameters (2^7)."""
-    box = box_of(parameters)
-    return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]
-
-
 def points(parameters: Parameters, system: UncertainSystem, samples: int, seed: int = 0) -> list[dict[str, float]]:
     """Nominal, all corners, and random points."""
-    return [{}, *corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
+    return [{}, *parameter_corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
 
 
 @dataclass(frozen=True)

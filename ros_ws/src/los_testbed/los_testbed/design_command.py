@@ -174,9 +174,9 @@ def verify(
 
 
 def _verified(samples: int) -> dict[str, Any]:
-    from los_testbed.design_check import check_flown, check_paper, corners, flown_plant, load, points
-    from titop_plant.simulation import telescope
-    from titop_plant.telescope.parameters import load_parameters
+    from los_testbed.design_check import check_flown, check_paper, load, points
+    from titop_plant.simulation import flown_plant, telescope
+    from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
     parameters, assembled = load_parameters(), telescope()
     system = flown_plant(assembled, parameters)
@@ -193,7 +193,7 @@ def _verified(samples: int) -> dict[str, Any]:
         nominal = load("flown_nominal")
         alone = check_flown(system, parameters, *nominal, [{}], tick)
         spread = check_flown(system, parameters, *nominal, some, tick)
-    paper_points: list[Any] = [{}, *corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
+    paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
     robust = load("paper")
     for design in robust:
         paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]

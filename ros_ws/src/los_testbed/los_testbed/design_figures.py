@@ -15,10 +15,10 @@ from scipy import linalg
 from los_estimator.kalman import kalman_observer
 from los_testbed.as_flown import flown_loop
 from los_testbed.design import FLOWN_DELAY, continuous
-from los_testbed.design_check import ARCSEC, FRAME_TICKS, flown_plant, load
+from los_testbed.design_check import ARCSEC, FRAME_TICKS, load
 from los_testbed.flown_norms import disturbance_response, flown_grid
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
-from titop_plant.simulation import telescope
+from titop_plant.simulation import flown_plant, telescope
 from titop_plant.telescope.figures import STYLE
 from titop_plant.telescope.parameters import Parameters, load_parameters
 from uncertain_systems import SampledSystem, UncertainSystem
