@@ -23,14 +23,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robust_design import H2Gain, HinfGain, Model, Requirement, pade_delay, state_space
+from robust_design import H2Gain, HinfGain, Model, Requirement, state_space
 from robust_design.structures import AffineStructure
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 from uncertain_systems import Connection, Port, UncertainSystem, connect, static_gain
-from uncertain_systems import state_space as system_of
+from uncertain_systems.delay import delayed_port
 
 MEASUREMENTS = ("accel_Ip",)
 ORDER = 4
@@ -80,8 +80,7 @@ def actuator_plant(
     n_base, n_mirrors = Port("platform_noise", 6), Port("mirror_noise", 12)
     split = np.eye(18)
     mirror = Port("fsm_command", 2, "rad")
-    delay = pade_delay(loop_delay, PADE_ORDER, 2)
-    late = system_of(delay.A, delay.B, delay.C, delay.D, [Port("in", 2, "rad")], [Port("out", 2, "rad")])
+    late = delayed_port(mirror, loop_delay, PADE_ORDER)
     estimate = observer.output_port("los_estimate")
     law = static_gain(-np.eye(2) / parameters["fsm"]["los_sensitivity"], [estimate], [mirror])
     noise = static_gain(split, [Port("platform", 6), Port("mirrors", 12)], [Port("accelerometer_noise", 18)])
@@ -93,8 +92,8 @@ def actuator_plant(
         ("noise.accelerometer_noise", "plant.accelerometer_noise"),
         *((f"plant.{p.name}", f"observer.{p.name}") for p in observer.inputs),
         ("observer.los_estimate", "law.los_estimate"),
-        ("law.fsm_command", "late.in"),
-        ("late.out", "plant.fsm_command"),
+        ("law.fsm_command", "late.fsm_command"),
+        ("late.fsm_command", "plant.fsm_command"),
     ]
     inputs = [plant.input_port(n) for n in (*DISTURBANCES, "optical_noise")] + [n_base, n_mirrors, FORCE]
     closed = connect(

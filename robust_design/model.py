@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import factorial
 from typing import Any
 
 import control
@@ -17,6 +16,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from robust_design.norms import checked
+from uncertain_systems.delay import pade_matrices
 from uncertain_systems.runtime import Port, SampledSystem, port_slices, read_only
 from uncertain_systems.system import StateSpaceData
 
@@ -233,37 +233,8 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
 
 
 def pade_delay(delay: float, order: int, size: int = 1) -> Model:
-    """Padé approximation of ``exp(-s delay)`` on `size` signals; all-pass, so it loses phase and no gain.
-
-    The realisation is the balanced (orthogonal) one: a chain of one real section per order, coefficients of order
-    1 / delay, so that it does not spoil the conditioning of a model it is connected to.
-    """
-    if not (np.isfinite(delay) and delay >= 0):
-        raise ValueError(f"a delay must be zero or positive, got {delay}")
-    if order < 1 or delay == 0.0:
-        return static_gain(np.eye(size), [Port("in", size)], [Port("out", size)], "no delay")
-    k = np.arange(order + 1)
-    weight = [
-        factorial(2 * order - i) * factorial(order) / (factorial(2 * order) * factorial(i) * factorial(order - i))
-        for i in k
-    ]
-    # in units of the delay, so that the coefficients stay near one
-    den = np.array(weight)[::-1]
-    num = den * (-1.0) ** (k[::-1])
-    unit = transfer(num, den)
-    A, T = sl.matrix_balance(unit.A, permute=False)
-    B, C = sl.solve(T, unit.B), unit.C @ T
-    level = np.sqrt(sl.norm(C) / sl.norm(B))
-    eye: FloatArray = np.eye(size)
-    return Model(
-        np.kron(eye, A) / delay,
-        np.kron(eye, B * level) / delay,
-        np.kron(eye, C / level),
-        np.asarray(np.kron(eye, unit.D), dtype=float),
-        (Port("in", size),),
-        (Port("out", size),),
-        f"delay {delay} s",
-    )
+    """Padé form of ``exp(-s delay)`` on `size` signals (see :func:`uncertain_systems.delay.pade_matrices`)."""
+    return Model(*pade_matrices(delay, order, size), (Port("in", size),), (Port("out", size),), f"delay {delay} s")
 
 
 def close_loop(plant: Model, controller: Model, inputs: Sequence[str], outputs: Sequence[str]) -> Model:
