@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
-PACKAGES := uncertain_systems titop_plant robust_design los_estimator fsm_pma_controller pointing_analysis
+PACKAGES := lti titop_plant robust_design los_estimator fsm_pma_controller los_design pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 

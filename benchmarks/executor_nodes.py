@@ -18,12 +18,12 @@ import time
 from typing import Any
 
 import numpy as np
-from los_testbed.cores import build_controller, build_estimator, build_plant, one_thread
-from los_testbed.inprocess import aligned_start
+from los_testbed.factories import build_controller, build_estimator, build_plant
+from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.loop.simulate import aligned_start
 from los_testbed.nodes import shell as shell_module
-from los_testbed.nodes.raw_topics import MESSAGES
-from los_testbed.nodes.shell import Shell, run_node
-from los_testbed.statistics import Durations
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.raw_topics import MESSAGES
 from los_testbed.topics import (
     ACCEL,
     COMMANDS,
@@ -41,6 +41,8 @@ from los_testbed.topics import (
 )  # fmt: skip
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
+
+from lti.threads import one_thread
 
 NS = 1_000_000_000
 RING = 64
@@ -64,7 +66,7 @@ def read(message: Any, topic: Topic, out: np.ndarray) -> None:
 class Output:
     """Publisher of a topic; each sample is a message object."""
 
-    def __init__(self, shell: Shell, topic: Topic) -> None:
+    def __init__(self, shell: NodeContext, topic: Topic) -> None:
         kind = MESSAGES[topic.type_name]
         self.topic, self.kind = topic, kind
         self.publisher = shell.node.create_publisher(kind, topic.name, 10)
@@ -86,7 +88,9 @@ class Output:
 class Join:
     """Samples of a tick by stamp; `tick(stamp, vector)` when all that are due have come."""
 
-    def __init__(self, shell: Shell, topics: tuple[Topic, ...], columns: list[slice], size: int, tick: Any) -> None:
+    def __init__(
+        self, shell: NodeContext, topics: tuple[Topic, ...], columns: list[slice], size: int, tick: Any
+    ) -> None:
         self.pending: dict[int, tuple[np.ndarray, set[int]]] = {}
         self.size, self.tick, self.count = size, tick, len(topics)
         self.frame_ns = shell.config.frame_ticks * TICK_NS
@@ -114,13 +118,13 @@ class Join:
 class PlantTimer:
     """Plant on a ROS timer of 1 ms."""
 
-    def __init__(self, shell: Shell) -> None:
+    def __init__(self, shell: NodeContext) -> None:
         self.shell, self.core = shell, build_plant(shell.config)
         self.core.reset()
         self.sensors, self.truth_output = [Output(shell, t) for t in SENSORS], Output(shell, TRUTH_LOS)
         self.frame_ns = shell.config.frame_ticks * TICK_NS
         self.command, self.measurement, self.truth = np.zeros(8), np.zeros(22), np.zeros(2)
-        self.latency, self.lateness, self.execution = Durations(), Durations(), Durations()
+        self.latency, self.lateness, self.execution = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.woke = [0] * RING
         self.newest = {FSM_COMMAND.name: 0, PMA_COMMAND.name: 0}
         self.echoes: set[str] = set()
@@ -196,7 +200,7 @@ class PlantTimer:
 
 
 class Estimator:
-    def __init__(self, shell: Shell) -> None:
+    def __init__(self, shell: NodeContext) -> None:
         self.core, self.output, self.los = build_estimator(shell.config), Output(shell, LOS_ESTIMATE), np.zeros(2)
         self.join = Join(shell, SENSORS, [t.columns for t in SENSORS], 22, self.tick)
         shell.event("ready")
@@ -211,7 +215,7 @@ class Estimator:
 
 
 class Controller:
-    def __init__(self, shell: Shell) -> None:
+    def __init__(self, shell: NodeContext) -> None:
         self.core, self.outputs = build_controller(shell.config), [Output(shell, t) for t in COMMANDS]
         self.command = np.zeros(8)
         self.join = Join(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), [slice(2, 8), slice(0, 2)], 8, self.tick)
@@ -235,7 +239,7 @@ def main() -> int:
 
     shell_module.sharpen_timers = lambda: None  # the process as it comes
 
-    def body(shell: Shell) -> int:
+    def body(shell: NodeContext) -> int:
         with one_thread():
             node = NODES[name](shell)
             executor = EventsExecutor() if kind == "events" else SingleThreadedExecutor()

@@ -20,9 +20,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import control
 import numpy as np
 
+from lti.frequency_response import frequency_grid, frequency_response
+from lti.ports import port_slices
 from titop_plant.simulation import telescope
-from uncertain_systems.frequency_response import frequency_grid, frequency_response
-from uncertain_systems.runtime import port_slices
 
 INPUTS = ("wheel_imbalance", "sadm_torque", "fsm_command", "pma_force")
 OUTPUTS = ("los_controlled",)

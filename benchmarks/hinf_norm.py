@@ -2,8 +2,8 @@
 
     python benchmarks/hinf_norm.py [--case telescope] [--samples 40] [--json]
 
-``telescope`` is the closed loop of the reference telescope with the stored K_FSM and K_PMA, as flown with the delay as
-a Pade approximation, from normalised disturbances (22) through their weight to the relative error (2): about 320
+``telescope`` is the closed loop of the reference telescope with the stored K_FSM and K_PMA, as implemented, with the delay
+as a Pade approximation, from normalised disturbances (22) through their weight to the relative error (2): about 320
 states. ``structure`` is made up: modes from 0.1 to 2000 rad/s with damping 0.001 to 0.02 in coordinates that mix all
 modes. Every sample has other parameters. Both sides get the same tolerance, one thread. Slycot is optional:
 ``pip install slycot`` (its wrapper is GPL-2, so it is no dependency of the project).
@@ -18,7 +18,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from robust_design import hinf_norms
+from lti.norms import hinf_norms
 
 RTOL = 1e-6
 
@@ -40,23 +40,22 @@ def structure(sample: int, modes: int) -> tuple[np.ndarray, ...]:
 
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
-    from los_testbed.design import DesignOptions, continuous
-    from los_testbed.design_check import load
-
     from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant, actuator_requirements
-    from robust_design import Model
+    from los_design.options import DesignOptions
+    from los_design.store import continuous, load_designs
+    from lti import StateSpace
     from robust_design.certificate import delayed_controller, weighted_loop
     from titop_plant.simulation import telescope
     from titop_plant.telescope.parameters import load_parameters
 
     parameters = load_parameters()
-    k_fsm, k_pma = load("flown")
-    flown = DesignOptions()
-    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=flown.delay, **flown.held)
+    k_fsm, k_pma = load_designs("implemented")
+    options = DesignOptions()
+    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.held)
     data = continuous(k_pma).data_at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
-    law = delayed_controller(Model(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), flown.delay)
-    wanted = next(r for r in actuator_requirements(parameters, as_flown=True) if r.name == "RPE")
+    law = delayed_controller(StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
+    wanted = next(r for r in actuator_requirements(parameters, implemented=True) if r.name == "RPE")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, wanted).matrices for values in points]
 

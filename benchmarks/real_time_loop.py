@@ -9,7 +9,7 @@ Each loop is four processes: plant, estimator, controller, and the testbed's rec
 
 Latency: from the plant's wake-up to the arrival of the mirror command of the same tick at the plant's middleware.
 Lateness: from the deadline to the wake-up. A tick is missed if the plant had to hold an older command or lost a
-period; the rate is that of all periods, flown or lost. Durations above 20 ms share one cell: a quantile there is the
+period; the rate is that of all periods, run or lost. Durations above 20 ms share one cell: a quantile there is the
 maximum.
 """
 
@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.runner import NODES, Results, Runner
+from los_testbed.run.runner import NODES, Results, Runner
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"

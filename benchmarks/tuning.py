@@ -23,7 +23,8 @@ import numpy as np
 import scipy.optimize
 from threadpoolctl import threadpool_limits
 
-from robust_design import H2Gain, HinfGain, Model, TuningOptions, certify, controller, gain, state_space, transfer
+from lti import StateSpace, transfer
+from robust_design import H2Gain, HinfGain, TuningOptions, certify, controller, gain, state_space
 from robust_design.problem import Problem, worst_values
 from robust_design.published_plants import PLANTS
 from robust_design.starts import starts_of
@@ -56,7 +57,7 @@ def _needs() -> list[Any]:
     return [HinfGain("w", "z", weight_out=weight, bound=10.0, name="peak"), H2Gain("w", "z", bound=10.0, name="rms")]
 
 
-def _structure(shift: float, modes: int) -> Model:
+def _structure(shift: float, modes: int) -> StateSpace:
     rng = np.random.default_rng(1)
     w = np.sort(10 ** rng.uniform(0, 2.5, modes)) * (1 + shift * rng.uniform(-1, 1, modes))
     zeta = 10 ** rng.uniform(-3, -1.7, modes)
@@ -68,7 +69,7 @@ def _structure(shift: float, modes: int) -> Model:
     B[1::2] = np.hstack([Bw, Bu])
     C[:2, ::2] = rng.normal(size=(2, modes)) / w
     C[2:, 1::2] = Bu.T  # collocated rates
-    return Model(A, B, C, np.zeros((5, 7)), [("w", 4), ("u", 3)], [("z", 2), ("y", 3)], f"shift {shift}")
+    return StateSpace(A, B, C, np.zeros((5, 7)), [("w", 4), ("u", 3)], [("z", 2), ("y", 3)], f"shift {shift}")
 
 
 PROBLEMS: dict[str, Any] = {

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.runner import Runner
+from los_testbed.run.runner import Runner
 from real_time_loop import DOCS, write_between
 
 from pointing_analysis.read import Run

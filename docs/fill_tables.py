@@ -23,8 +23,8 @@ COLUMNS = ("APE", "RPE", "mirror", "force", "noise -> APE", "noise -> RPE")
 PUBLISHED = {"k-fsm": ("APE", "RPE", "mirror"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
 DESIGNS = {"k-fsm": "K_FSM", "k-pma": "K_PMA"}
 PROBLEMS = {
-    "flown": "as flown, robust",
-    "flown_nominal": "as flown, nominal",
+    "implemented": "as implemented, robust",
+    "implemented_nominal": "as implemented, nominal",
     "paper": "paper's problem, robust",
     "paper_nominal": "paper's problem, nominal",
     "published, robust": "*the paper, robust*",

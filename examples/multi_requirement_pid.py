@@ -10,24 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from robust_design import (
-    ClosedLoopPoles,
-    H2Gain,
-    HinfGain,
-    Model,
-    TuningOptions,
-    TuningResult,
-    pid,
-    transfer,
-    tune,
-)
+from lti import StateSpace, transfer
+from robust_design import ClosedLoopPoles, H2Gain, HinfGain, TuningOptions, TuningResult, pid, tune
 
 DELAY = 0.5  # s
 NOISE = 0.05  # standard deviation of the measurement's samples
 PERIOD = 0.1  # s, of these samples
 
 
-def process() -> Model:
+def process() -> StateSpace:
     """Ports: load, reference, noise, valve -> level, error, command, seen. The noise is filtered at 5 rad/s
     before the PID."""
     A = [[-0.1, 0.2, 0, 0], [0, -1, 0, 0], [0, 0, -5, 0], [-5, 0, 0, -5]]
@@ -37,7 +28,7 @@ def process() -> Model:
     D[1, 1] = D[2, 3] = 1.0
     inputs = [("load", 1), ("reference", 1), ("noise", 1), ("valve", 1)]
     outputs = [("level", 1), ("error", 1), ("command", 1), ("seen", 1)]
-    return Model(A, B, C, D, inputs, outputs, "process")
+    return StateSpace(A, B, C, D, inputs, outputs, "process")
 
 
 REQUIREMENTS = [

@@ -61,6 +61,6 @@ with tempfile.TemporaryDirectory() as folder:
     run = Run.open(sys.argv[1] if len(sys.argv) > 1 else invented(Path(folder) / "bag"))
     replayed = replay.replay(run, CameraOnly(), MirrorLaw())
     print(replay.compare(run, replayed))
-    flown = radial(knowledge_error(run).values)
-    print(f"knowledge error of the estimate that flew: {np.sqrt(np.nanmean(flown**2)) / RAD_PER_MAS:.1f} mas rms")
+    recorded = radial(knowledge_error(run).values)
+    print(f"knowledge error of the estimate that flew: {np.sqrt(np.nanmean(recorded**2)) / RAD_PER_MAS:.1f} mas rms")
     print(f"of the camera alone, held between frames: {replay.knowledge(run, replayed).rms / RAD_PER_MAS:.1f} mas rms")

@@ -11,26 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robust_design import (
-    ClosedLoopPoles,
-    HinfGain,
-    Model,
-    RobustResult,
-    TuningOptions,
-    WorstCaseOptions,
-    pid,
-    transfer,
-    tune_robust,
-)
+from lti import StateSpace, transfer
+from robust_design import ClosedLoopPoles, HinfGain, RobustResult, TuningOptions, WorstCaseOptions, pid, tune_robust
 
 BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
 
-def build(p: Mapping[str, float]) -> Model:
+def build(p: Mapping[str, float]) -> StateSpace:
     """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (error as the controller sees
     it)."""
     m, c, k = p["m"], p["c"], p["k"]
-    return Model(
+    return StateSpace(
         [[0, 1], [-k / m, -c / m]],
         [[0, 0, 0], [0, 0, 1 / m]],
         [[-1, 0], [0, 0], [-1, 0]],

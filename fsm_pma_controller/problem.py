@@ -10,7 +10,7 @@ APE            soft    normalised disturbances make 10 arcsec of line of sight (
 RPE            soft    they make 40 mas through the weight of 20 ms (H-infinity)
 noise -> APE   soft    accelerometer noise at the platform makes 10 arcsec rms (H2)
 force          hard    they ask for 15.8 N, half of the authority (H-infinity)
-noise -> RPE   soft    all sensor noise makes 100 mas rms (H2), as flown only
+noise -> RPE   soft    all sensor noise makes 100 mas rms (H2), as implemented only
 =============  ======  =============================================================================
 
 Source: the paper, equation of the PMA synthesis.
@@ -23,14 +23,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robust_design import H2Gain, HinfGain, Model, Requirement, state_space
+from lti import Connection, Port, StateSpace, UncertainSystem, connect, static_gain
+from lti.delay import delayed_port
+from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
-from uncertain_systems import Connection, Port, UncertainSystem, connect, static_gain
-from uncertain_systems.delay import delayed_port
 
 MEASUREMENTS = ("accel_Ip",)
 ORDER = 4
@@ -42,14 +42,14 @@ FORCE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class ActuatorPlant:
-    """Generalised plant of K_PMA as a function of the parameter values (see :class:`robust_design.Model`)."""
+    """Generalised plant of K_PMA as a function of the parameter values (see :class:`robust_design.StateSpace`)."""
 
     system: UncertainSystem
 
-    def __call__(self, values: Mapping[str, float]) -> Model:
+    def __call__(self, values: Mapping[str, float]) -> StateSpace:
         """Plant at the given values (others nominal)."""
         name = ", ".join(f"{n}={v:.4g}" for n, v in values.items()) or "nominal"
-        return Model.from_data(self.system.data_at(values), name)
+        return self.system.data_at(values).renamed(name)
 
 
 def actuator_plant(
@@ -116,11 +116,11 @@ def _with_echo(plant: UncertainSystem) -> UncertainSystem:
     )
 
 
-def actuator_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Requirement, ...]:
+def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple[Requirement, ...]:
     """Requirements of K_PMA (see the module's table), in the order of the paper's gammas."""
     weights = parameters["weights"]
-    expected = Model.from_data(disturbance_weight(parameters).data_at({}), "W_rws, W_sa")
-    relative = Model.from_data(relative_error_weight(weights["rpe_window"]).data_at({}), "W_RPE")
+    expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")
+    relative = relative_error_weight(weights["rpe_window"]).data_at({}).renamed("W_RPE")
     ape, fine, los = weights["ape_limit"], weights["rpe_limit_fine"], "los_controlled"
     paper: tuple[Requirement, ...] = (
         HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
@@ -129,7 +129,7 @@ def actuator_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Re
         HinfGain(DISTURBANCES, ("pma_force",), FORCE_SHARE * parameters["pma"]["authority"], weight_in=expected,
                  hard=True, name="force"),
     )  # fmt: skip
-    if not as_flown:
+    if not implemented:
         return paper
     everything = ("platform_noise", "mirror_noise", "optical_noise")
     return (*paper, H2Gain(everything, (los,), weights["rpe_limit"], weight_out=relative, name="noise -> RPE"))

@@ -20,10 +20,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from fsm_pma_controller.runtime import DT, INPUTS, OUTPUTS
+from lti import SampledSystem, UncertainSystem, state_space
+from lti.filters import high_pass, with_input_filter
+from lti.sampling import sampled
 from titop_plant.structures.kinematics import FloatArray, tau
 from titop_plant.telescope.parameters import Parameters, actuator_components
-from uncertain_systems import SampledSystem, UncertainSystem, state_space
-from uncertain_systems.sampling import high_pass, sampled, with_input_filter
 
 
 def actuator_wrenches(parameters: Parameters) -> FloatArray:
@@ -69,7 +70,7 @@ def skyhook(parameters: Parameters, damping: ArrayLike, corner: float) -> Uncert
     return state_space(A, B, C, np.zeros((6, 6)), INPUTS, OUTPUTS)
 
 
-def flown_controller(
+def sampled_controller(
     controller: UncertainSystem, washout: float, *, name: str, provenance: Mapping[str, Any] | None = None
 ) -> SampledSystem:
     """Sampled proof-mass law with the washout F_w on the accelerometer channels (6 more states)."""

@@ -22,11 +22,12 @@ import numpy as np
 from scipy import linalg
 
 from los_estimator.runtime import DT, INPUTS, OUTPUTS
+from lti import SampledSystem, UncertainSystem, state_space
+from lti.filters import high_pass, with_input_filter
+from lti.sampling import sampled
 from titop_plant.structures.kinematics import FloatArray, tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.parameters import Parameters, optics_component
-from uncertain_systems import SampledSystem, UncertainSystem, state_space
-from uncertain_systems.sampling import high_pass, sampled, with_input_filter
 
 CAMERA_DISTRUST = 1e5
 """The paper's K_LOS."""
@@ -100,7 +101,7 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
     return state_space(A - L @ C, B, out, np.zeros((2, 22)), INPUTS, OUTPUTS)
 
 
-def flown_observer(
+def sampled_observer(
     observer: UncertainSystem, washout: float, *, name: str, provenance: Mapping[str, Any] | None = None
 ) -> SampledSystem:
     """Sampled observer with the washout F_w on each accelerometer channel (18 more states).

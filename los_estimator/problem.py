@@ -9,12 +9,12 @@ requirement    kind    value 1 means
 APE            soft    normalised disturbances make 10 arcsec of line of sight (H-infinity)
 RPE            soft    they make 100 mas through the weight of 20 ms (H-infinity)
 mirror         hard    they ask for 5.3 mrad of mirror (H-infinity)
-noise -> APE   soft    sensor noise makes 10 arcsec rms (H2), as flown only
-noise -> RPE   soft    sensor noise makes 100 mas rms (H2), as flown only
+noise -> APE   soft    sensor noise makes 10 arcsec rms (H2), as implemented only
+noise -> RPE   soft    sensor noise makes 100 mas rms (H2), as implemented only
 =============  ======  =============================================================================
 
-Source: the paper, equation of the FSM synthesis. As flown: 1.5 ms of loop delay (one tick and the hold), a camera whose
-frames are held, and the noise requirements, without which the optimum drowns in accelerometer noise.
+Source: the paper, equation of the FSM synthesis. As implemented: 1.5 ms of loop delay (one tick and the hold), a camera
+whose frames are held, and the noise requirements, without which the optimum drowns in accelerometer noise.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from los_estimator.kalman import kalman_observer
-from robust_design import H2Gain, HinfGain, Model, Requirement, state_space
+from lti import Port, StateSpace, UncertainSystem, connect, static_gain, transform
+from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
-from uncertain_systems import Port, UncertainSystem, connect, static_gain, transform
 
 MEASUREMENTS = (*ACCELEROMETERS, "camera_los", "fsm_angle")
 NOISE = ("accelerometer_noise", "optical_noise")
@@ -44,15 +44,15 @@ ESTIMATE = Port("los_estimate", 2, "rad")
 class ObserverPlant:
     """Generalised plant of K_FSM as a function of the parameter values.
 
-    Calling it with values gives a :class:`robust_design.Model` with the disturbance, noise and estimate
+    Calling it with values gives a :class:`robust_design.StateSpace` with the disturbance, noise and estimate
     ports in, line of sight, mirror command and measurements out.
     """
 
     system: UncertainSystem
 
-    def __call__(self, values: Mapping[str, float]) -> Model:
+    def __call__(self, values: Mapping[str, float]) -> StateSpace:
         """Plant at the given values (others nominal)."""
-        return Model.from_data(self.system.data_at(values), describe(values))
+        return self.system.data_at(values).renamed(describe(values))
 
 
 def describe(values: Mapping[str, float]) -> str:
@@ -72,7 +72,7 @@ def observer_plant(
     camera_period : float
         Time that a camera frame is held [s]; 0: the paper's continuous camera.
     command_hold : float
-        Mean delay of a held command [s] (:data:`titop_plant.telescope.control_plant.HOLD` as flown): this part of
+        Mean delay of a held command [s] (:data:`titop_plant.telescope.control_plant.HOLD_DELAY`): this part of
         the loop delay is in the plant, not the tuner's.
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
@@ -89,11 +89,11 @@ def observer_plant(
     return ObserverPlant(system)
 
 
-def observer_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Requirement, ...]:
-    """Requirements of K_FSM (see the module's table); `as_flown` adds the two on sensor noise."""
+def observer_requirements(parameters: Parameters, *, implemented: bool) -> tuple[Requirement, ...]:
+    """Requirements of K_FSM (see the module's table); `implemented` adds the two on sensor noise."""
     weights = parameters["weights"]
-    expected = Model.from_data(disturbance_weight(parameters).data_at({}), "W_rws, W_sa")
-    relative = Model.from_data(relative_error_weight(weights["rpe_window"]).data_at({}), "W_RPE")
+    expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")
+    relative = relative_error_weight(weights["rpe_window"]).data_at({}).renamed("W_RPE")
     ape, rpe, los = weights["ape_limit"], weights["rpe_limit"], "los_controlled"
     paper: tuple[Requirement, ...] = (
         HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
@@ -105,7 +105,7 @@ def observer_requirements(parameters: Parameters, *, as_flown: bool) -> tuple[Re
         H2Gain(NOISE, (los,), ape, name="noise -> APE"),
         H2Gain(NOISE, (los,), rpe, weight_out=relative, name="noise -> RPE"),
     )
-    return paper + noise if as_flown else paper
+    return paper + noise if implemented else paper
 
 
 def observer_structure(plant: ObserverPlant, *, order: int = ORDER, held_camera: bool = False) -> AffineStructure:
@@ -129,5 +129,5 @@ def kalman_start(
     structure: AffineStructure, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
 ) -> FloatArray:
     """The Kalman observer as a start of the tuner."""
-    guess = Model.from_data(kalman_observer(parameters, telescope.bodies[1], lead=lead).data_at({}), "K_est")
+    guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).data_at({}).renamed("K_est")
     return np.asarray(structure.parameters_of(guess))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uncertain_systems.runtime import Port, SampledSystem
+from lti.ports import Port
+from lti.sampled_system import SampledSystem
 
 FloatArray = NDArray[np.float64]
 

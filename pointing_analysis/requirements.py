@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics, statistics
+from pointing_analysis import confidence, metrics
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
@@ -217,7 +217,7 @@ class Verdict:
     requirement: Requirement
     status: Status
     exceeding: float
-    quantile: statistics.Quantile
+    quantile: confidence.Quantile
     samples: int
     effective: float
     seconds: float
@@ -261,7 +261,7 @@ def _reproducibility(
             samples = metrics.pre(first.values, second.values, first.dt, window)
             values = _norm(samples, requirement)
             means = [metrics.radial(metrics.mpe(s.values, s.dt, window)) for s in (first, second)]
-            weight = min(statistics.effective_number(m) for m in means)
+            weight = min(confidence.effective_number(m) for m in means)
             found.append((values, weight, first.duration + second.duration))
     return found
 
@@ -273,7 +273,7 @@ def _norm(samples: NDArray[np.float64], requirement: Requirement) -> NDArray[np.
 
 
 def _not_judged(requirement: Requirement, why: str) -> Verdict:
-    nothing = statistics.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
+    nothing = confidence.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
     return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
 
 
@@ -283,8 +283,8 @@ def decide(requirement: Requirement, values: NDArray[np.float64], effective: flo
     rate = float(np.mean(values >= requirement.limit))
     p, c = requirement.probability, requirement.confidence
     # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
-    upper = statistics.exceedance_upper(math.ceil(rate * n - 1e-9), n, c)
-    lower = statistics.exceedance_lower(math.floor(rate * n + 1e-9), n, c)
+    upper = confidence.exceedance_upper(math.ceil(rate * n - 1e-9), n, c)
+    lower = confidence.exceedance_lower(math.floor(rate * n + 1e-9), n, c)
     status: Status = "not enough data"
     needed = seconds
     if upper <= 1 - p:
@@ -292,8 +292,8 @@ def decide(requirement: Requirement, values: NDArray[np.float64], effective: flo
     elif lower > 1 - p:
         status = "not compliant"
     else:
-        needed = statistics.samples_to_decide(p, c, rate) * seconds / effective
-    bounds = statistics.quantile(values, p, c, effective)
+        needed = confidence.samples_to_decide(p, c, rate) * seconds / effective
+    bounds = confidence.quantile(values, p, c, effective)
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed)
 
 
@@ -337,5 +337,5 @@ def _collect(
             raise BagError(f"{run.path}: {error}") from None
         if not values.size:
             raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
-        collected.append((values, min(cap, statistics.effective_number(values)), series.duration))
+        collected.append((values, min(cap, confidence.effective_number(values)), series.duration))
     return collected

@@ -14,8 +14,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from robust_design.model import Model, close_loop, pade_delay, series
-from robust_design.norms import h2_norm, hinf_norm, spectral_abscissa
+from lti.delay import pade_delay
+from lti.feedback import cascade, close_loop
+from lti.norms import h2_norm, hinf_norm, spectral_abscissa
+from lti.state_space_model import StateSpace
 from robust_design.problem import delay_radius
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 
@@ -52,8 +54,8 @@ class Certificate:
 
 
 def certify(
-    models: Sequence[Model],
-    controller: Model,
+    models: Sequence[StateSpace],
+    controller: StateSpace,
     requirements: Sequence[Requirement],
     loop_delay: float = 0.0,
     *,
@@ -64,7 +66,7 @@ def certify(
     Parameters
     ----------
     models : sequence of Model
-    controller : Model
+    controller : StateSpace
     requirements : sequence
     loop_delay : float
         Delay on the commands [s], Padé of order 8 here (another order than the tuner's).
@@ -86,17 +88,17 @@ def certify(
     return Certificate(values, upper, places, abscissae)
 
 
-def weighted_loop(model: Model, controller: Model, requirement: HinfGain | H2Gain) -> Model:
+def weighted_loop(model: StateSpace, controller: StateSpace, requirement: HinfGain | H2Gain) -> StateSpace:
     """Closed loop of a gain requirement with its weights, not yet divided by the bound."""
     loop = close_loop(model, controller, requirement.inputs, requirement.outputs)
     if requirement.weight_in is not None:
-        loop = series(requirement.weight_in, loop)
+        loop = cascade(requirement.weight_in, loop)
     if requirement.weight_out is not None:
-        loop = series(loop, requirement.weight_out)
+        loop = cascade(loop, requirement.weight_out)
     return loop
 
 
-def _gain(model: Model, controller: Model, r: HinfGain | H2Gain, rtol: float) -> tuple[float, float, float]:
+def _gain(model: StateSpace, controller: StateSpace, r: HinfGain | H2Gain, rtol: float) -> tuple[float, float, float]:
     loop = weighted_loop(model, controller, r)
     if isinstance(r, H2Gain):
         # feedthrough is zero by construction; what rounding leaves of it must not make the norm infinite
@@ -115,9 +117,9 @@ def _poles(r: ClosedLoopPoles | ControllerPoles, closed: FloatArray, own: FloatA
     return float(r.pieces(spectrum)[0].max(initial=-np.inf))
 
 
-def delayed_controller(controller: Model, loop_delay: float) -> Model:
+def delayed_controller(controller: StateSpace, loop_delay: float) -> StateSpace:
     """Controller followed by the Padé approximation of the delay on its commands [s]."""
     if loop_delay == 0.0:
         return controller
-    whole = series(controller, pade_delay(loop_delay, PADE_ORDER, controller.D.shape[0]))
-    return Model(*whole.matrices, controller.inputs, controller.outputs, controller.name)
+    whole = cascade(controller, pade_delay(loop_delay, PADE_ORDER, controller.D.shape[0]))
+    return StateSpace(*whole.matrices, controller.inputs, controller.outputs, controller.name)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from robust_design.quadratic import simplex_minimum
+from robust_design.simplex_qp import simplex_minimum
 
 FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
@@ -149,7 +149,7 @@ class _State:
 
     def __init__(self, oracle: Oracle, x: FloatArray, options: DescentOptions, rng: np.random.Generator) -> None:
         self._oracle, self._options, self._rng = oracle, options, rng
-        self.evaluations, self.iterations, self._rejected, self._dry = 0, 0, 0, 0
+        self.evaluations, self.iterations, self._rejected, self._sampling_rounds = 0, 0, 0, 0
         self.history: list[float] = []
         self.stationarity = np.inf
         self.x = x
@@ -291,7 +291,7 @@ class _State:
         for weight, piece in zip(lam, self.sample.pieces):
             if weight < 1e-8:
                 continue
-            mate = _mate(piece, found.pieces)
+            mate = _matching_piece(piece, found.pieces)
             if mate is not None:
                 y += weight * (mate.gradient - piece.gradient) * self._scale
                 mass += weight
@@ -324,9 +324,9 @@ class _State:
 
     def _enrich(self) -> str:
         """Sample gradients around the point; give up when that has been done at every radius."""
-        self._dry += 1
+        self._sampling_rounds += 1
         nearly = self.stationarity <= 10.0 * self._options.tolerance * abs(self.sample.objective)
-        if self._dry > (2 if nearly else 6):
+        if self._sampling_rounds > (2 if nearly else 6):
             return "nearly stationary" if nearly else "stalled"
         n = len(self.x)
         f, c = self.sample.objective, max(self.sample.constraint, 0.0)
@@ -358,7 +358,7 @@ def _progress(found: Sample, present: Sample) -> float:
     return float(max(found.objective - present.objective - c, found.constraint - c))
 
 
-def _mate(piece: Any, others: tuple[Any, ...]) -> Any | None:
+def _matching_piece(piece: Any, others: tuple[Any, ...]) -> Any | None:
     best, distance = None, 0.1
     for other in others:
         if (other.requirement, other.model, other.hard) != (piece.requirement, piece.model, piece.hard):

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robust_design.frequency import FrequencyResponse, refined_grid
-from robust_design.model import Model
+from lti.batched_linalg import gains_above, leading_pairs, solve
+from lti.modal_response import FrequencyResponse, refined_grid
+from lti.state_space_model import StateSpace
 from robust_design.requirements import HinfGain
-from robust_design.stacks import gains_above, leading_pairs, solve
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 REFINEMENTS = 12
-HIGH_CELL, MOST_CELLS = 0.9, 60
+HIGH_CELL, MAX_CELLS = 0.9, 60
 NEAR_MULTIPLE = 0.98  # singular values this close to the largest give subgradients of their own
 
 
@@ -51,7 +51,7 @@ class LoopGains:
 
     Parameters
     ----------
-    model : Model
+    model : StateSpace
     measurements, commands : tuple of str
         Ports between which the controller stands.
     requirements : tuple of HinfGain
@@ -63,7 +63,7 @@ class LoopGains:
 
     def __init__(
         self,
-        model: Model,
+        model: StateSpace,
         measurements: tuple[str, ...],
         commands: tuple[str, ...],
         requirements: tuple[HinfGain, ...],
@@ -220,7 +220,7 @@ class LoopGains:
         cells = np.flatnonzero(high[:-1] & high[1:] & np.isfinite(w[1:]))
         if len(cells) == 0:
             return w, gains
-        cells = cells[np.argsort(-(gains[cells] + gains[cells + 1]), kind="stable")][:MOST_CELLS]
+        cells = cells[np.argsort(-(gains[cells] + gains[cells + 1]), kind="stable")][:MAX_CELLS]
         middle = 0.5 * (w[cells] + w[cells + 1])
         response, _ = self._closed(self._arrays(middle), controller_response(K, order, middle), (i,))
         index = np.argsort(np.concatenate([w, middle]), kind="stable")
@@ -311,7 +311,7 @@ def _resolvent(A: FloatArray, omega: FloatArray) -> ComplexArray:
     return solve(shifted, np.broadcast_to(np.eye(n, dtype=complex), shifted.shape))
 
 
-def _weight(weight: Model | None) -> FrequencyResponse | None:
+def _weight(weight: StateSpace | None) -> FrequencyResponse | None:
     return None if weight is None else FrequencyResponse.of(*weight.matrices)
 
 

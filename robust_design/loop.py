@@ -13,9 +13,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from robust_design.model import Model, pade_delay, series
-from robust_design.norms import schur_lyapunov
-from uncertain_systems.eigenvectors import balanced
+from lti.delay import pade_delay
+from lti.eigenvectors import balanced
+from lti.feedback import cascade
+from lti.norms import schur_lyapunov
+from lti.state_space_model import StateSpace
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -77,15 +79,15 @@ class ClosedLoop:
 
 
 def extended_plant(
-    model: Model,
+    model: StateSpace,
     measurements: tuple[str, ...],
     commands: tuple[str, ...],
     controller_order: int,
     *,
     inputs: tuple[str, ...] = (),
     outputs: tuple[str, ...] = (),
-    weight_in: Model | None = None,
-    weight_out: Model | None = None,
+    weight_in: StateSpace | None = None,
+    weight_out: StateSpace | None = None,
     scale: float = 1.0,
     loop_delay: float = 0.0,
     pade_order: int = 6,
@@ -105,8 +107,8 @@ def extended_plant(
     nw, nu, nz, ny = len(cw), len(cu), len(rz), len(ry)
     before = [_or_unit(weight_in, nw), pade_delay(loop_delay, pade_order, nu)]
     after = [_or_unit(weight_out, nz), _or_unit(None, ny)]
-    core = Model(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
-    whole = series(series(_stacked(before), core), _stacked(after))
+    core = StateSpace(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
+    whole = cascade(cascade(_stacked(before), core), _stacked(after))
     A, B, C = balanced(whole.A, whole.B, whole.C)
     nw, nz = before[0].D.shape[1], after[0].D.shape[0]
     k = controller_order
@@ -192,10 +194,10 @@ def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray |
     return value, gradient / max(value, 1e-300)
 
 
-def _or_unit(weight: Model | None, size: int) -> Model:
+def _or_unit(weight: StateSpace | None, size: int) -> StateSpace:
     if weight is not None:
         return weight
-    return Model(
+    return StateSpace(
         np.zeros((0, 0)),
         np.zeros((0, size)),
         np.zeros((size, 0)),
@@ -205,9 +207,9 @@ def _or_unit(weight: Model | None, size: int) -> Model:
     )
 
 
-def _stacked(parts: list[Model]) -> Model:
+def _stacked(parts: list[StateSpace]) -> StateSpace:
     A, B, C, D = (sl.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
     n = sum(p.order for p in parts)
     m, r = sum(p.D.shape[1] for p in parts), sum(p.D.shape[0] for p in parts)
     A, B, C, D = A.reshape(n, n), B.reshape(n, m), C.reshape(r, n), D.reshape(r, m)
-    return Model(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]
+    return StateSpace(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]

@@ -10,9 +10,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from lti.delay import pade_delay
+from lti.state_space_model import StateSpace
 from robust_design.gains import LoopGains
 from robust_design.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
-from robust_design.model import Model, pade_delay
 from robust_design.requirements import (
     ClosedLoopPoles,
     ControllerPoles,
@@ -104,7 +105,7 @@ class Problem:
 
     def __init__(
         self,
-        models: Sequence[Model],
+        models: Sequence[StateSpace],
         requirements: Sequence[Requirement],
         structure: Structure,
         *,
@@ -120,7 +121,7 @@ class Problem:
         self.loop_delay = loop_delay
         self.pade_order = pade_order
         self.min_decay = min_decay
-        self.models: tuple[Model, ...] = ()
+        self.models: tuple[StateSpace, ...] = ()
         self._bare: list[ExtendedPlant] = []
         self._gains: list[LoopGains | None] = []
         self._variances: list[dict[int, ExtendedPlant]] = []
@@ -142,7 +143,7 @@ class Problem:
             self.min_decay,
         )
 
-    def add_model(self, model: Model) -> None:
+    def add_model(self, model: StateSpace) -> None:
         """Make one more model active."""
         _check_sizes(model, self.structure)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
@@ -289,7 +290,7 @@ class Problem:
 
 
 def _rebuilt(
-    models: tuple[Model, ...],
+    models: tuple[StateSpace, ...],
     requirements: tuple[Requirement, ...],
     structure: Structure,
     loop_delay: float,
@@ -332,7 +333,7 @@ def _pulled(structure: Structure, x: FloatArray, gradient: FloatArray | None) ->
     return np.zeros(0) if gradient is None else np.asarray(structure.pullback(x, gradient), dtype=float)
 
 
-def _check_sizes(model: Model, structure: Structure) -> None:
+def _check_sizes(model: StateSpace, structure: Structure) -> None:
     for what, ports, there in (
         ("measurement", structure.inputs, model.outputs),
         ("command", structure.outputs, model.inputs),

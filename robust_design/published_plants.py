@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from robust_design.model import Model
-from uncertain_systems.runtime import Port
+from lti.ports import Port
+from lti.state_space_model import StateSpace
 
 
 def _plant(
@@ -25,7 +25,7 @@ def _plant(
     D12: Any = None,
     D11: Any = None,
     D21: Any = None,
-) -> Model:
+) -> StateSpace:
     a, b, c = (np.atleast_2d(np.asarray(x, dtype=float)) for x in (A, B, C))
     n, nu, ny = len(a), b.shape[1], len(c)
     if B1 is None:
@@ -38,7 +38,7 @@ def _plant(
     d21 = np.zeros((ny, nw)) if D21 is None else np.asarray(D21, dtype=float)
     D = np.block([[d11, d12], [d21, np.zeros((ny, nu))]])
     inputs, outputs = (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny))
-    return Model(a, np.hstack([b1, b]), np.vstack([c1, c]), D, inputs, outputs, name)
+    return StateSpace(a, np.hstack([b1, b]), np.vstack([c1, c]), D, inputs, outputs, name)
 
 
 def _aircraft_1() -> tuple[Any, Any, Any, Any]:
@@ -61,14 +61,14 @@ def _aircraft_1() -> tuple[Any, Any, Any, Any]:
     return A, B, np.eye(3, 5), B1
 
 
-def ac1() -> Model:
+def ac1() -> StateSpace:
     """Aircraft, vertical dynamics (Hung and MacFarlane 1982)."""
     A, B, C, B1 = _aircraft_1()
     half = np.sqrt(0.5)
     return _plant("AC1", A, B, C, B1, half * np.eye(5)[1:3], half * np.eye(2, 3))
 
 
-def ac2() -> Model:
+def ac2() -> StateSpace:
     """As AC1, all three commands weighted."""
     A, B, C, B1 = _aircraft_1()
     half = np.sqrt(0.5)
@@ -76,7 +76,7 @@ def ac2() -> Model:
     return _plant("AC2", A, B, C, B1, half * C1, half * np.vstack([np.zeros((2, 3)), np.eye(3)]))
 
 
-def ac3() -> Model:
+def ac3() -> StateSpace:
     """L-1011 aircraft in cruise (C. Edwards and S. K. Spurgeon, Int. J. Control 59(5), 1994)."""
     A = [
         [0, 0, 1, 0, 0],
@@ -90,7 +90,7 @@ def ac3() -> Model:
     return _plant("AC3", A, B, C)
 
 
-def ac4() -> Model:
+def ac4() -> StateSpace:
     """Missile autopilot (B. Fares, P. Apkarian and D. Noll, Int. J. Control 74(4), 2001)."""
     A = [[-0.876, 1, -0.1209, 0], [8.9117, 0, -130.75, 0], [0, 0, -150, 0], [-1, 0, 0, -0.05]]
     B = [[0], [0], [150], [0]]
@@ -100,7 +100,7 @@ def ac4() -> Model:
     return _plant("AC4", A, B, C, B1, C1, [[0], [3]], [[0, 0.25], [0, 0]], [[0, 1], [0.01, 0]])
 
 
-def ac6() -> Model:
+def ac6() -> StateSpace:
     """L-1011 aircraft with actuators, seven states (as collected in COMPleib)."""
     A = [
         [0, 0, 1, 0, 0, 0, 0],
@@ -132,19 +132,19 @@ def _transport() -> tuple[Any, Any, Any, Any]:
     return A, B, np.eye(6, 4), np.vstack([np.zeros((4, 2)), np.eye(2)])
 
 
-def ac15() -> Model:
+def ac15() -> StateSpace:
     """Supersonic transport at Mach 2.7, three measurements (IEEE Trans. Autom. Control 19, 257-258, 1974)."""
     A, B, C1, D12 = _transport()
     return _plant("AC15", A, B, np.eye(4)[1:], np.eye(4), C1, D12)
 
 
-def ac16() -> Model:
+def ac16() -> StateSpace:
     """As AC15 with all four states measured."""
     A, B, C1, D12 = _transport()
     return _plant("AC16", A, B, np.eye(4), np.eye(4), C1, D12)
 
 
-def ac17() -> Model:
+def ac17() -> StateSpace:
     """Lateral axis of an L-1011 (A. R. Galimidi and B. R. Barmish, IEEE Trans. Autom. Control 31(5), 1986)."""
     A = [
         [-2.98, 0.93, 0, -0.034],
@@ -155,7 +155,7 @@ def ac17() -> Model:
     return _plant("AC17", A, [[-0.032], [0], [0], [-1.6]], [[0, 0, 1, 0], [0, 0, 0, 1]])
 
 
-def he1() -> Model:
+def he1() -> StateSpace:
     """VTOL helicopter, longitudinal (S. N. Singh and A. A. R. Coelho, J. Dyn. Syst. Meas. Control 106, 1984)."""
     A = [
         [-0.0366, 0.0271, 0.0188, -0.4555],
@@ -170,7 +170,7 @@ def he1() -> Model:
     return _plant("HE1", A, B, [[0, 1, 0, 0]], B1, C1, half * np.eye(2))
 
 
-def he2() -> Model:
+def he2() -> StateSpace:
     """AH-64 helicopter at 130 knots (P. M. Fitzsimons, Automatica 31, 1885-1887, 1995)."""
     A = [
         [-0.0649, 0.0787, 0.1705, -0.5616],
@@ -182,7 +182,7 @@ def he2() -> Model:
     return _plant("HE2", A, B, [[1, 0, 0, 0], [0, 0, 0, 1]])
 
 
-def rea1() -> Model:
+def rea1() -> StateSpace:
     """Chemical reactor (Hung and MacFarlane 1982)."""
     A = [
         [1.38, -0.2077, 6.715, -5.676],
@@ -194,7 +194,7 @@ def rea1() -> Model:
     return _plant("REA1", A, B, [[1, 0, 1, -1], [0, 1, 0, 0], [0, 0, 1, -1]])
 
 
-def rea2() -> Model:
+def rea2() -> StateSpace:
     """As REA1 (three-digit data) without the last measurement."""
     A = [
         [1.4, -0.208, 6.715, -5.676],
@@ -206,13 +206,13 @@ def rea2() -> Model:
     return _plant("REA2", A, B, [[1, 0, 1, -1], [0, 1, 0, 0]])
 
 
-def dis2() -> Model:
+def dis2() -> StateSpace:
     """Two control stations (W. Q. Liu and V. Sreeram, J. Optim. Theory Appl. 93)."""
     A = [[-4, 2, 1], [3, -2, 5], [-7, 0, 3]]
     return _plant("DIS2", A, [[1, 0], [1, 0], [0, 1]], [[0, 1, 0], [0, 0, 1]])
 
 
-def dis3() -> Model:
+def dis3() -> StateSpace:
     """Interconnected system (M. Saif and Y. Guan, Automatica 28(1), 215-219, 1992)."""
     A = [
         [-1, 0, 0, 0, 0, 0],
@@ -227,6 +227,6 @@ def dis3() -> Model:
     return _plant("DIS3", A, B, C)
 
 
-PLANTS: dict[str, Callable[[], Model]] = {
+PLANTS: dict[str, Callable[[], StateSpace]] = {
     f().name: f for f in (ac1, ac2, ac3, ac4, ac6, ac15, ac16, ac17, he1, he2, rea1, rea2, dis2, dis3)
 }

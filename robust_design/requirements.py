@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robust_design.model import Model
-from robust_design.norms import spectral_abscissa
+from lti.norms import spectral_abscissa
+from lti.state_space_model import StateSpace
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,8 +26,8 @@ class _Gain:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     bound: float = 1.0
-    weight_in: Model | None = None
-    weight_out: Model | None = None
+    weight_in: StateSpace | None = None
+    weight_out: StateSpace | None = None
     hard: bool = False
     name: str = ""
 
@@ -58,7 +58,7 @@ class HinfGain(_Gain):
         Ports of the plant, stacked in this order.
     bound : float
         Gain that counts as 1, in output unit per input unit.
-    weight_in, weight_out : Model, optional
+    weight_in, weight_out : StateSpace, optional
         Stable weights; their outer ports are free, their inner side has the size of the stacked ports.
     hard : bool
         At most 1 (True) or minimised (False).
@@ -75,7 +75,7 @@ class H2Gain(_Gain):
     inputs, outputs, bound, weight_in, weight_out, hard, name
         As in :class:`HinfGain`; `bound` is an rms value, so that value^2 is the variance in units of bound^2.
         For samples of standard deviation sigma every dt seconds the density is sigma^2 dt: give
-        ``weight_in = static_gain(sigma * sqrt(dt) * I)``.
+        ``weight_in = StateSpace.static(sigma * sqrt(dt) * I)``.
     """
 
 

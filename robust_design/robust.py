@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from robust_design.model import Model
+from lti.state_space_model import StateSpace
+from lti.threads import one_thread
 from robust_design.problem import Problem
 from robust_design.progress import Progress
 from robust_design.requirements import Requirement
@@ -64,7 +64,7 @@ class RobustResult:
     rounds: tuple[Round, ...]
 
     @property
-    def controller(self) -> Model:
+    def controller(self) -> StateSpace:
         """The tuned controller."""
         return self.tuning.controller
 
@@ -80,7 +80,7 @@ def tune_robust(
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     slack: float = 0.01,
-    most_rounds: int = 12,
+    max_rounds: int = 12,
     options: TuningOptions | None = None,
     search: WorstCaseOptions | None = None,
 ) -> RobustResult:
@@ -89,7 +89,7 @@ def tune_robust(
     Parameters
     ----------
     build : callable
-        From parameter values by name to a :class:`Model`.
+        From parameter values by name to a :class:`StateSpace`.
     box : mapping of str to (lowest, highest)
     requirements, structure, initial, loop_delay
         As in :func:`robust_design.tune`.
@@ -99,7 +99,7 @@ def tune_robust(
         More parameters that are active from the beginning.
     slack : float
         A worst case counts only if it exceeds the tuned value by more than this fraction.
-    most_rounds : int
+    max_rounds : int
     options : TuningOptions, optional
         The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
     search : WorstCaseOptions, optional
@@ -113,7 +113,7 @@ def tune_robust(
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
     state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, begun)
-    return state.run(chosen, [start_checked(x, structure.size) for x in initial], slack, most_rounds)
+    return state.run(chosen, [start_checked(x, structure.size) for x in initial], slack, max_rounds)
 
 
 @dataclass
@@ -130,7 +130,7 @@ class _Rounds:
     begun: float
 
     def run(
-        self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, most_rounds: int
+        self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, max_rounds: int
     ) -> RobustResult:
         models = [self.build(p).renamed(_label(p)) for p in chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
@@ -138,8 +138,8 @@ class _Rounds:
         tuning: TuningResult | None = None
         worst: tuple[WorstCase, ...] = ()
         status = "iterations"
-        with threadpool_limits(1), Progress(self.options.progress, "robust design") as progress:
-            for number in range(most_rounds):
+        with one_thread(), Progress(self.options.progress, "robust design") as progress:
+            for number in range(max_rounds):
                 left = self.begun + self.options.wall_limit - time.monotonic()
                 if left <= 0.0 and tuning is not None:
                     status = "out_of_time"

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from robust_design.model import Model
+from lti.state_space_model import StateSpace
 from robust_design.problem import Problem
-from robust_design.special_structures import StableStateSpace
+from robust_design.stable_state_space import StableStateSpace
 from robust_design.structures import AffineStructure
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +45,7 @@ def lowered_gain(problem: Problem, x: FloatArray) -> FloatArray | None:
     K = structure.gain_matrix(x)
     for factor in LOWER:
         root = np.sqrt(factor)
-        model = Model(
+        model = StateSpace(
             K[:n, :n], root * K[:n, n:], root * K[n:, :n], factor * K[n:, n:], structure.inputs, structure.outputs
         )
         try:
@@ -74,7 +74,9 @@ def _at_the_speed_of_the_plant(problem: Problem, x: FloatArray, rng: np.random.G
     A = K[:n, :n] / max(float(np.abs(K[:n, :n]).max()), 1e-300)
     A = np.exp(rng.uniform(low, high)) * (A - (scipy.linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
     try:
-        trial = structure.parameters_of(Model(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs))
+        trial = structure.parameters_of(
+            StateSpace(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs)
+        )
     except ValueError:  # a structure with fixed entries that a stable random controller does not have
         return x
     if problem.abscissa(trial) < -problem.min_decay:

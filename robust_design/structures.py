@@ -16,8 +16,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from robust_design.model import Model
-from uncertain_systems.runtime import Port, read_only
+from lti.ports import Port, read_only
+from lti.state_space_model import StateSpace
 
 FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
@@ -46,14 +46,14 @@ class Structure(Protocol):
     def start(self, rng: np.random.Generator) -> FloatArray: ...
 
 
-def controller(structure: Structure, x: ArrayLike, name: str = "K") -> Model:
+def controller(structure: Structure, x: ArrayLike, name: str = "K") -> StateSpace:
     """Controller of `structure` at the parameters `x` (size,)."""
     n = structure.order
     K = structure.gain_matrix(np.asarray(x, dtype=float))
-    return Model(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs, name)
+    return StateSpace(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs, name)
 
 
-def gain_matrix_of(model: Model) -> FloatArray:
+def gain_matrix_of(model: StateSpace) -> FloatArray:
     """``[[A, B], [C, D]]`` of a model."""
     return np.block([[model.A, model.B], [model.C, model.D]])
 
@@ -105,7 +105,7 @@ class AffineStructure:
         """Random parameters."""
         return self.spread * rng.standard_normal(self.size)
 
-    def parameters_of(self, model: Model) -> FloatArray:
+    def parameters_of(self, model: StateSpace) -> FloatArray:
         """Parameters that give `model`, which must have this structure.
 
         Raises

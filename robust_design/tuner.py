@@ -14,11 +14,11 @@ from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from lti.state_space_model import StateSpace
+from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import Descent, DescentOptions, Sample, minimise
-from robust_design.model import Model
 from robust_design.problem import MIN_DECAY, Evaluation, Problem, worst_values
 from robust_design.progress import Progress
 from robust_design.requirements import Requirement
@@ -104,7 +104,7 @@ class TuningResult:
         ``interrupted``.
     advice : str
         What to do about it.
-    controller : Model
+    controller : StateSpace
         Best point so far.
     x : ndarray, shape (size,)
         Its parameters.
@@ -128,7 +128,7 @@ class TuningResult:
 
     status: str
     advice: str
-    controller: Model
+    controller: StateSpace
     x: FloatArray
     soft: float
     hard: float
@@ -164,7 +164,7 @@ class Run:
 
 
 def tune(
-    models: Sequence[Model],
+    models: Sequence[StateSpace],
     requirements: Sequence[Requirement],
     structure: Structure,
     *,
@@ -204,7 +204,7 @@ def tune(
     A disturbance on 1 / (s + 1) with u = k y: the loop's gain is 1 / (1 - k), the command's -k / (1 - k) is
     held at 0.8.
 
-    >>> plant = Model([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
+    >>> plant = StateSpace([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
     ...               [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
     >>> from robust_design.structures import gain
     >>> from robust_design.requirements import HinfGain
@@ -222,7 +222,7 @@ def tune(
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
-    with threadpool_limits(1), Progress(options.progress, "tuning") as progress:
+    with one_thread(), Progress(options.progress, "tuning") as progress:
         if options.workers == 1 or len(jobs) == 1:
             runs = _serial(problem, jobs, options, deadline, progress)
         else:
@@ -331,7 +331,7 @@ def _parallel(
 
 
 def _remote(problem: Problem, x: FloatArray, seed: int, options: TuningOptions, left: float) -> Run:
-    with threadpool_limits(1):
+    with one_thread():
         return tune_from(problem, x, seed, options, time.monotonic() + left)
 
 

@@ -15,20 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from lti.state_space_model import StateSpace
+from lti.threads import one_thread
+from robust_design.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from robust_design.gains import controller_response
-from robust_design.loop_scan import LoopScan, gain_at
-from robust_design.model import Model
 from robust_design.requirements import HinfGain, Requirement
 from robust_design.structures import gain_matrix_of
 
 FloatArray = NDArray[np.float64]
 
-Build = Callable[[Mapping[str, float]], Model]
+Build = Callable[[Mapping[str, float]], StateSpace]
 Box = Mapping[str, tuple[float, float]]
 CORNERS = 128
-MOST_OTHERS, APART = 2, 0.1
+MAX_OTHERS, APART = 2, 0.1
 """Runners-up that are reported, and how far apart peaks are to count as different ones."""
 
 
@@ -87,7 +87,7 @@ class WorstCase:
     evaluations : int
         Closed loops looked at, for all requirements together.
     others : tuple of (value, parameters)
-        The worst samples that have their peak elsewhere, worst first: at most :data:`MOST_OTHERS`.
+        The worst samples that have their peak elsewhere, worst first: at most :data:`MAX_OTHERS`.
     """
 
     requirement: str
@@ -102,7 +102,7 @@ class WorstCase:
 def worst_case(
     build: Build,
     box: Box,
-    controller: Model,
+    controller: StateSpace,
     requirements: Sequence[Requirement],
     *,
     loop_delay: float = 0.0,
@@ -113,9 +113,9 @@ def worst_case(
     Parameters
     ----------
     build : callable
-        From parameter values by name to a :class:`Model`.
+        From parameter values by name to a :class:`StateSpace`.
     box : mapping of str to (lowest, highest)
-    controller : Model
+    controller : StateSpace
     requirements : sequence
     loop_delay : float
     options : WorstCaseOptions, optional
@@ -135,17 +135,17 @@ def worst_case(
     The peak of a mass on a spring grows with the mass and falls with the damper:
 
     >>> def build(p):
-    ...     return Model([[0, 1], [-1 / p["m"], -p["c"] / p["m"]]], [[0, 0], [1 / p["m"], 1 / p["m"]]],
+    ...     return StateSpace([[0, 1], [-1 / p["m"], -p["c"] / p["m"]]], [[0, 0], [1 / p["m"], 1 / p["m"]]],
     ...                  [[1, 0], [1, 0]], [[0, 0], [0, 0]], [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-    >>> from robust_design.model import static_gain
-    >>> none = static_gain([[0.0]], [("y", 1)], [("u", 1)])
+    >>> from lti.state_space_model import StateSpace
+    >>> none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
     >>> found, = worst_case(build, {"m": (1, 2), "c": (0.1, 0.2)}, none, [HinfGain("w", "z")])
     >>> round(found.value, 2), {k: round(v, 3) for k, v in found.parameters.items()}
     (14.15, {'m': 2.0, 'c': 0.1})
     """
     options = options or WorstCaseOptions()
     search = _Search(build, box, controller, tuple(requirements), loop_delay, options)
-    with threadpool_limits(1):
+    with one_thread():
         return search.run()
 
 
@@ -156,7 +156,7 @@ class _Search:
         self,
         build: Build,
         box: Box,
-        controller: Model,
+        controller: StateSpace,
         requirements: tuple[Requirement, ...],
         loop_delay: float,
         options: WorstCaseOptions,
@@ -204,7 +204,7 @@ class _Search:
         seen = [omega]
         others: list[tuple[float, Mapping[str, float]]] = []
         for k in order:
-            if len(others) == MOST_OTHERS or not np.isfinite(values[k]):
+            if len(others) == MAX_OTHERS or not np.isfinite(values[k]):
                 break
             if all(abs(places[k] - w) > APART * max(places[k], w) for w in seen):
                 seen.append(places[k])
@@ -228,7 +228,7 @@ class _Search:
         """Values and peak frequencies of all requirements at a point."""
         self._count += 1
         model = self._build(self._parameters(point))
-        return LoopScan(model, self._controller, self._delay).values(self._requirements)
+        return ClosedLoopEvaluator(model, self._controller, self._delay).values(self._requirements)
 
     def _climb(self, i: int, start: FloatArray) -> tuple[float, float, FloatArray]:
         """Local ascent of the logarithm of one requirement with differences at the peak frequency."""
@@ -275,7 +275,7 @@ class _Search:
         if isinstance(r, HinfGain):
             K = controller_response(gain_matrix_of(self._controller), self._controller.order, np.array([omega]))[0]
             return gain_at(model, self._controller, r, omega, K, self._delay)
-        return float(LoopScan(model, self._controller, self._delay).values([r])[0][0])
+        return float(ClosedLoopEvaluator(model, self._controller, self._delay).values([r])[0][0])
 
 
 class _Enough(Exception):

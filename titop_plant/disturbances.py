@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from lti import StateSpace
+from lti.frequency_response import frequency_grid, frequency_response, singular_values
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
-from uncertain_systems import StateSpaceData
-from uncertain_systems.frequency_response import frequency_grid, frequency_response, singular_values
 
 ComplexArray = NDArray[np.complex128]
 
@@ -162,14 +162,14 @@ def rpe_weight(omega: Any, window: float) -> FloatArray:
     return np.asarray(np.abs(s * (s + np.sqrt(12.0)) / (s**2 + 6.0 * s + 12.0)))
 
 
-def design_tones(parameters: Parameters, plant: StateSpaceData, rng: np.random.Generator) -> Tones:
+def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Generator) -> Tones:
     """Tones with the amplitudes of the weights where the telescope on its isolator alone is worst.
 
     Parameters
     ----------
     parameters : mapping
         Tables ``design_scenario`` and ``weights``.
-    plant : StateSpaceData
+    plant : StateSpace
         From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
     rng : numpy.random.Generator
         Phase of each tone as a whole.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uncertain_systems import Port
+from lti import Port
 
 TWIST_UNIT = ",".join(["m/s2"] * 3 + ["rad/s2"] * 3)
 WRENCH_UNIT = ",".join(["N"] * 3 + ["Nm"] * 3)

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from lti import StateSpace, UncertainSystem
 from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joined, no_tones, sadm_tones
 from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS, ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
@@ -19,7 +20,6 @@ from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import COMMANDS as COMMAND_PORTS
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
-from uncertain_systems import StateSpaceData, UncertainSystem
 
 DT = 1e-3
 RAMP_STEP = 0.25
@@ -184,7 +184,7 @@ def _limits(parameters: Parameters) -> FloatArray:
     return np.repeat([float(parameters["fsm"]["authority"]), float(parameters["pma"]["authority"])], [2, 6])
 
 
-def flown_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
+def control_loop_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
     """What the fine control flies on: commands (8), disturbances (22) to measurements (22), line of sight (2).
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
@@ -195,17 +195,17 @@ def flown_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem
 
 
 def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
-    return flown_plant(telescope(config.parameters, config.isolated), parameters)
+    return control_loop_plant(telescope(config.parameters, config.isolated), parameters)
 
 
-def plant_and_tones(config: PlantConfig) -> tuple[StateSpaceData, Tones]:
+def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
     """The continuous plant at the start of a run, and the disturbance that acts on it.
 
     What the run samples, for comparisons with its record.
 
     Returns
     -------
-    plant : StateSpaceData
+    plant : StateSpace
         Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
     tones : Tones
         On the 22 disturbance inputs.
@@ -235,12 +235,12 @@ def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
     return SensorModel(on * sigma, on * bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
 
 
-def sample(data: StateSpaceData, tones: Tones, ticks: int, dt: float = DT) -> Segment:
+def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:
     """Exact sampling: commands held, tones integrated, all in one matrix exponential (Van Loan 1978).
 
     Parameters
     ----------
-    data : StateSpaceData
+    data : StateSpace
         Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
     tones : Tones
     ticks : int
@@ -270,7 +270,7 @@ def _imaginary_part(factors: ComplexArray) -> FloatArray:
     return result
 
 
-def _steady_state(data: StateSpaceData, tones: Tones) -> FloatArray:
+def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
     drive = data.B[:, COMMANDS:] @ tones.amplitude
     eye = np.eye(data.A.shape[0])
     state = np.zeros(data.A.shape[0])
@@ -292,7 +292,7 @@ __all__ = [
     "build_plant",
     "command_limits",
     "configuration_hash",
-    "flown_plant",
+    "control_loop_plant",
     "frame_ticks",
     "parameter_values",
     "plant_and_tones",

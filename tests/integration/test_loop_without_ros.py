@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.cores import build_controller, build_estimator
-from los_testbed.inprocess import LoopDivergedError, run_in_process, simulate
+from los_testbed.factories import build_controller, build_estimator
+from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read import Run
@@ -100,8 +100,8 @@ def test_no_ros_is_imported(config, tmp_path):
         "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'geometry_msgs', 'rosgraph_msgs']));"
         "sys.path.insert(0, sys.argv[1]);"
         "from pathlib import Path; from simple_telescope import *;"
-        "from los_testbed.config import RunConfig; from los_testbed.inprocess import run_in_process;"
-        "import los_testbed.cli;"
+        "from los_testbed.config import RunConfig; from los_testbed.loop.simulate import run_in_process;"
+        "import los_testbed.cli.app;"
         "p = Path(sys.argv[2]); c = RunConfig(duration=0.1, **write_controllers(p));"
         "run_in_process(c, p / 'bag', SimpleTelescope())"
     )

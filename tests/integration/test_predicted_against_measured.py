@@ -1,4 +1,4 @@
-"""The report says what the as-flown model predicts of a bag's tones: right for what flew, silent or plain elsewhere."""
+"""The report says what the model of the loop predicts of a bag's tones, or why it predicts nothing."""
 
 import json
 import re
@@ -6,23 +6,23 @@ import shutil
 
 import numpy as np
 import pytest
-from los_testbed import cli
-from los_testbed import predictions as module
-from los_testbed.bag import BagWriter
+from los_testbed.bags.writer import BagWriter
+from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.inprocess import run_in_process
-from los_testbed.predictions import predictions
-from los_testbed.replay_core import write_signals
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run import predictions as module
+from los_testbed.run.predictions import predictions
+from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 
+from lti.sampled_system import SampledSystem
 from pointing_analysis.read import Run
 from pointing_analysis.report import render
-from uncertain_systems.runtime import SampledSystem
 
 TITLE = "Predicted against measured"
 
 
-def flown(folder, **settings):
+def recorded(folder, **settings):
     config = RunConfig(**{"mode": "inprocess", "duration": 4.0, "output": str(folder), **settings})
     run_in_process(config, folder)
     return folder
@@ -31,7 +31,7 @@ def flown(folder, **settings):
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory):
     """Stage fsm+pma, scenario design, without sensor noise; the mirror is at its limit for most of the first second."""
-    return flown(tmp_path_factory.mktemp("quiet") / "bag", noise=False)
+    return recorded(tmp_path_factory.mktemp("quiet") / "bag", noise=False)
 
 
 def rewritten(run, target, files=None, **changes):
@@ -55,7 +55,7 @@ def ratios(page):
 @pytest.mark.parametrize("loop", ["isolator", "fsm+pma"])
 def test_the_report_of_a_quiet_run_has_the_ratio_one(quiet, tmp_path, loop) -> None:
     """Within 2 %, tone by tone, although commands saturate at the start."""
-    bag = quiet if loop == "fsm+pma" else flown(tmp_path / "bag", noise=False, loop=loop)
+    bag = quiet if loop == "fsm+pma" else recorded(tmp_path / "bag", noise=False, loop=loop)
     assert loop == "isolator" or np.abs(Run.open(bag)["fsm/command"].values).max() >= 5.3e-3
     assert cli.main(["report", str(bag), "--output", str(tmp_path / "r.html")]) == 0
     page = (tmp_path / "r.html").read_text()
@@ -66,7 +66,7 @@ def test_the_report_of_a_quiet_run_has_the_ratio_one(quiet, tmp_path, loop) -> N
 
 
 def test_noise_changes_the_ratio_by_what_the_table_says(tmp_path) -> None:
-    (found,) = predictions([Run.open(flown(tmp_path / "bag", duration=6.0))])
+    (found,) = predictions([Run.open(recorded(tmp_path / "bag", duration=6.0))])
     strong = [tone for tone in found.tones if not tone.in_noise]
     assert any(tone.uncertainty < 0.02 for tone in strong)
     for tone in strong:
@@ -111,8 +111,8 @@ def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) ->
     run_in_process(RunConfig(duration=2.0, mode="inprocess", **controllers), tmp_path / "simple", SimpleTelescope())
     bags = [
         tmp_path / "simple",  # another plant
-        flown(tmp_path / "still", duration=2.0, disturbance=False),
-        flown(tmp_path / "ramp", duration=2.0, theta_rate=0.01, ramp_duration=1.0),
+        recorded(tmp_path / "still", duration=2.0, disturbance=False),
+        recorded(tmp_path / "ramp", duration=2.0, theta_rate=0.01, ramp_duration=1.0),
         rewritten(Run.open(quiet), tmp_path / "replay", mode="replay"),
     ]
     for bag in bags:

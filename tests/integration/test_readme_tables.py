@@ -46,14 +46,14 @@ def test_the_design_table_becomes_rows(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- gammas:begin -->\n<!-- gammas:end -->\n")
     rows = [
-        {"design": "k-pma", "variant": "flown", "gammas": {"APE": 0.5, "force": 0.25}, "status": "converged"},
+        {"design": "k-pma", "variant": "implemented", "gammas": {"APE": 0.5, "force": 0.25}, "status": "converged"},
         {"design": "k-pma", "variant": "published, robust", "gammas": [0.5768, 0.9835, 0.9835, 0.1185]},
     ]
     command = [sys.executable, str(ROOT / "docs" / "fill_tables.py"), "gammas", "--page", str(page)]
     subprocess.run(command, input=json.dumps(rows), text=True, check=True, timeout=60)
     lines = [line for line in page.read_text().splitlines() if line.startswith("|")]
     assert lines[0] == "| design, problem | APE | RPE | force | noise → APE |"
-    assert lines[2] == "| K_PMA, as flown, robust | 0.5000 |  | 0.2500 |  |"
+    assert lines[2] == "| K_PMA, as implemented, robust | 0.5000 |  | 0.2500 |  |"
     assert lines[3] == "| K_PMA, *the paper, robust* | 0.5768 | 0.9835 | 0.1185 | 0.9835 |"
 
 
@@ -79,7 +79,7 @@ def test_links_lead_somewhere(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_named_commands_exist(name: str) -> None:
-    from los_testbed.cli import app
+    from los_testbed.cli.app import app
     from typer.main import get_command
 
     commands = get_command(app).commands

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed import cli
+from los_testbed.cli import app as cli
 from los_testbed.config import LOOPS, RunConfig
-from los_testbed.inprocess import run_in_process
-from los_testbed.stages import Plan, perform, select
-from los_testbed.stages_tables import markdown
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.stages import Plan, perform, select
+from los_testbed.run.stages_tables import markdown
 
 from pointing_analysis.errors import SETTLING
 from pointing_analysis.read import Run

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed import cli
-from los_testbed.plant_members import check_member
+from los_testbed.cli import app as cli
+from los_testbed.variants import check_ranges
 from scipy import linalg
 
 from pointing_analysis.read import Run
@@ -127,7 +127,7 @@ def printed_and_shown(page: str) -> tuple[str, str]:
 
 
 def test_the_page_on_uncertain_systems_shows_what_comes_out() -> None:
-    printed, shown = printed_and_shown("uncertain_systems.md")
+    printed, shown = printed_and_shown("linear_systems.md")
     assert printed == shown
 
 
@@ -162,7 +162,7 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
     for line in lines:
         with pytest.raises(Understood) as caught:
             cli.main(shlex.split(line))
-        check_member(caught.value.args[0])
+        check_ranges(caught.value.args[0])
 
 
 class Understood(Exception):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from los_testbed.cli import app
+from los_testbed.cli.app import app
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("open_a_bag.md", "watch_it_live.md", "pointing_analysis.md")

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-import uncertain_systems as us
+import lti as us
+from lti import Port, RealParameter, UncertainSystem, filters, interconnection, minimal
+from lti import uncertain_system as system_module
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel
 from titop_plant.blocks.rotation import rotation, rotation_matrix
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
-from uncertain_systems import Port, RealParameter, UncertainSystem, interconnection, minimal, sampling
-from uncertain_systems import system as system_module
 
 S = 0.3 + 1.7j
 """Where transfer matrices are compared."""
@@ -205,7 +205,7 @@ OPERATIONS: dict[str, Operation] = {
     "sorted_channels": lambda s: s.sorted_channels(["m", "k"]),
     "normalised": lambda s: s.normalised(),
     "minimal_realisation": lambda s: minimal.minimal_realisation(s).system,
-    "with_input_filter": lambda s: sampling.with_input_filter(
+    "with_input_filter": lambda s: filters.with_input_filter(
         s, {"w": us.static_gain(np.eye(1), s.inputs[1:], s.inputs[1:])}
     ),
 }  # fmt: skip
@@ -216,7 +216,7 @@ MAKERS = {"static_gain", "state_space", "from_control", "high_pass"}
 def test_the_table_holds_every_operation() -> None:
     """Whoever adds an operation adds it to the table."""
     found = set()
-    for holder in (interconnection, system_module, minimal, sampling, UncertainSystem):
+    for holder in (interconnection, system_module, minimal, filters, UncertainSystem):
         for name, function in inspect.getmembers(holder, inspect.isfunction):
             returns = str(inspect.signature(function).return_annotation)
             if "UncertainSystem" in returns or returns == minimal.Reduction.__name__:

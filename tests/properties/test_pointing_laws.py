@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pointing_analysis import metrics, spectra, statistics
+from pointing_analysis import confidence, metrics, spectra
 
 DT = 1e-3
 signals = arrays(
@@ -70,8 +70,8 @@ def test_densities_are_not_negative_and_add_up(e: np.ndarray) -> None:
 @settings(max_examples=100, deadline=None)
 def test_bounds_hold_the_estimate_and_widen_with_confidence(x: np.ndarray, p: float, c: float) -> None:
     assume(np.ptp(x) > 0)
-    loose = statistics.quantile(x, p, c, effective=len(x))
-    tight = statistics.quantile(x, p, 0.5 + c / 2 if c < 0.98 else 0.995, effective=len(x))
+    loose = confidence.quantile(x, p, c, effective=len(x))
+    tight = confidence.quantile(x, p, 0.5 + c / 2 if c < 0.98 else 0.995, effective=len(x))
     assert tight.lower <= loose.lower <= loose.upper <= tight.upper
     assert loose.lower <= np.sort(x)[min(int(np.ceil(p * len(x))), len(x) - 1)]
 
@@ -79,4 +79,4 @@ def test_bounds_hold_the_estimate_and_widen_with_confidence(x: np.ndarray, p: fl
 @given(arrays(np.float64, st.integers(1, 500), elements=st.floats(-1e6, 1e6)))
 @settings(max_examples=100, deadline=None)
 def test_effective_number_lies_between_one_and_all(x: np.ndarray) -> None:
-    assert 1 <= statistics.effective_number(x) <= len(x)
+    assert 1 <= confidence.effective_number(x) <= len(x)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.runner import Runner
+from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
 
 from pointing_analysis.read import Run

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.codecs import JOINT_NAMES, Codec, HeaderCodec, codec_for, stamp_of
-from los_testbed.nodes.raw_topics import MESSAGES
-from los_testbed.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.bags.cdr import JOINT_NAMES, Codec, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.nodes.support.raw_topics import MESSAGES
 from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, TOPICS, VECTOR3
 from rclpy.serialization import deserialize_message, serialize_message
 

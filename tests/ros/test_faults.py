@@ -14,9 +14,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 from bystander import Bystander
-from los_testbed.bag_repair import repair_bag
-from los_testbed.codecs import codec_for
-from los_testbed.runner import RunError, Runner
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.repair import repair_bag
+from los_testbed.run.runner import RunError, Runner
 from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, M1_ACCEL, PMA_COMMAND, TRUTH_LOS
 from ros_runs import PLANT, config_for
 
@@ -71,7 +71,7 @@ def diagnostics(bag, name):
 
 def assert_replay_gives_the_commands(config, run):
     """The recorded sensors through the same cores, from their zero state: every estimate and command, bit by bit."""
-    from los_testbed.cores import build_controller, build_estimator
+    from los_testbed.factories import build_controller, build_estimator
 
     count = len(run["truth/los"])
     y = np.full((count, 22), np.nan)
@@ -251,9 +251,9 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
         for name in run.topics:
             assert run[name].integrity.missing == run[name].integrity.conflicts == 0, name
     assert len(before["truth/los"]) >= 1500
-    flown = int(results.statistics["plant"]["ticks"])
-    assert len(after["truth/los"]) == len(after["fsm/command"]) == flown
-    assert 0 <= len(before["truth/los"]) + flown - 4000 < 500, "the run ends when it was to end"
+    ticks = int(results.statistics["plant"]["ticks"])
+    assert len(after["truth/los"]) == len(after["fsm/command"]) == ticks
+    assert 0 <= len(before["truth/los"]) + ticks - 4000 < 500, "the run ends when it was to end"
     assert after["truth/los"].stamp[0] > before["truth/los"].stamp[-1]
     # all three start anew with the plant: the replay of the second part from zero gives its commands, bit by bit
     assert_replay_gives_the_commands(config_for(tmp_path), after)
@@ -265,7 +265,7 @@ def test_a_plant_that_dies_again_and_again_ends_the_run_with_whole_bags(tmp_path
         killed = set()
         while len(killed) < 4:
             pid = runner.processes["plant"]
-            if pid not in killed and runner.flown > 300 * (len(killed) + 1):
+            if pid not in killed and runner.ticks_done > 300 * (len(killed) + 1):
                 os.kill(pid, signal.SIGKILL)
                 killed.add(pid)
             time.sleep(0.02)

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.config import FIELDS
-from los_testbed.runner import Runner, environment, node_command
+from los_testbed.run.runner import Runner, environment, node_command
 from los_testbed.topics import TOPICS
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
@@ -189,7 +189,7 @@ def test_security_that_the_middleware_cannot_give_is_refused(tmp_path):
 def test_nodes_end_when_their_runner_is_killed(tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
-        "from ros_runs import *; from los_testbed.runner import Runner;"
+        "from ros_runs import *; from los_testbed.run.runner import Runner;"
         "Runner(config_for(Path(sys.argv[2]), duration=60.0), lambda t: print(t, flush=True), {'plant': PLANT}).run()"
     )
     support = os.path.dirname(PLANT[1])

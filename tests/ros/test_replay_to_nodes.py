@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.nodes import follower
-from los_testbed.runner import Runner, environment, node_command, parameter_file
+from los_testbed.nodes.support import follower
+from los_testbed.run.runner import Runner, environment, node_command, parameter_file
 from ros_runs import PLANT, config_for
 
 from pointing_analysis import replay
@@ -31,7 +31,7 @@ def call(config, folder, *arguments):
     """The command line as a user starts it: exit code, last line as JSON, error output."""
     variables = environment(config, folder)
     variables.pop("LOS_TESTBED_EVENTS")
-    command = [sys.executable, "-m", "los_testbed.cli", "replay", *map(str, arguments)]
+    command = [sys.executable, "-m", "los_testbed.cli.app", "replay", *map(str, arguments)]
     done = subprocess.run(command, env=variables, cwd=folder, capture_output=True, text=True, timeout=90)
     lines = done.stdout.strip().splitlines()
     return done.returncode, json.loads(lines[-1]) if lines else {}, done.stderr
@@ -68,7 +68,7 @@ def test_a_recorded_run_comes_out_again_bit_by_bit(recorded, tmp_path):
     config, bag = recorded
     code, found, errors = call(config, tmp_path, bag, "--json")
     assert code == 0, errors
-    assert found["as_flown"] and found["identical"]
+    assert found["implemented"] and found["identical"]
     assert {d["topic"] for d in found["differences"]} == {"los_estimate", "fsm/command", "pma/command"}
     assert min(d["compared"] for d in found["differences"]) >= 1900
     assert found["recorded"] == found["replayed"]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.inprocess import run_in_process
-from los_testbed.runner import RunError, Runner, environment, node_command, parameter_file
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.runner import RunError, Runner, environment, node_command, parameter_file
 from ros_runs import PLANT, config_for, topic_hashes
 from simple_telescope import SimpleTelescope
 
@@ -68,7 +68,7 @@ def test_the_plant_tells_its_timing(real_time):
 
 def test_commands_follow_from_the_recorded_samples(real_time):
     """Replay the recorded sensors through the same cores: every estimate and command, bit by bit."""
-    from los_testbed.cores import build_controller, build_estimator
+    from los_testbed.factories import build_controller, build_estimator
 
     config, results, _ = real_time
     run = Run.open(results.bag)
@@ -234,7 +234,16 @@ def test_a_loop_of_nodes_started_one_by_one(tmp_path):
     variables = environment(config, tmp_path)
     variables.pop("LOS_TESTBED_EVENTS")
     commands = {
-        name: [sys.executable, "-m", "los_testbed.cli", "run", "--config", str(tmp_path / "run.yaml"), "--only", name]
+        name: [
+            sys.executable,
+            "-m",
+            "los_testbed.cli.app",
+            "run",
+            "--config",
+            str(tmp_path / "run.yaml"),
+            "--only",
+            name,
+        ]
         for name in ("estimator", "controller", "recorder")
     }
     parameter_file(config, tmp_path / "ros.yaml")

@@ -12,10 +12,10 @@ import os
 import signal
 import sys
 
-from los_testbed.codecs import stamp_of
-from los_testbed.nodes.middleware import choose_middleware
-from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription, Waiter
-from los_testbed.real_time import become_real_time
+from los_testbed.bags.cdr import stamp_of
+from los_testbed.loop.real_time import become_real_time
+from los_testbed.nodes.support.middleware import choose_middleware
+from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription, Waiter
 from los_testbed.topics import TICK_NS, TOPICS
 
 LOST, TWICE, DELAYED, SWAPPED = 10, 30, 50, 70

@@ -7,9 +7,14 @@ import os
 import time
 from collections.abc import Sequence
 
-from los_testbed.codecs import stamp_of
-from los_testbed.nodes.middleware import PROFILE_VARIABLES, RANGE_VARIABLE, TRANSPORT_VARIABLE, choose_middleware
-from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
+from los_testbed.bags.cdr import stamp_of
+from los_testbed.nodes.support.middleware import (
+    PROFILE_VARIABLES,
+    RANGE_VARIABLE,
+    TRANSPORT_VARIABLE,
+    choose_middleware,
+)
+from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.topics import Topic
 from rclpy.context import Context
 from rclpy.node import Node

@@ -13,7 +13,7 @@ import numpy as np
 
 from fsm_pma_controller import runtime as pma
 from los_estimator import runtime as fsm
-from uncertain_systems.runtime import SampledSystem
+from lti.sampled_system import SampledSystem
 
 DT = 1e-3
 

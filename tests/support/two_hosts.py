@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from los_testbed.config import RunConfig
-from los_testbed.runner import environment, node_command, parameter_file
+from los_testbed.run.runner import environment, node_command, parameter_file
 
 WIRE = str(Path(__file__).with_name("bad_wire.py"))
 PLACES = {"plant": "a", "recorder": "a", "estimator": "b", "controller": "b"}

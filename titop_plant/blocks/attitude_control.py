@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lti import Port, UncertainSystem, state_space, static_gain
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray
-from uncertain_systems import Port, UncertainSystem, state_space, static_gain
 
 
 def attitude(point: str = "G") -> UncertainSystem:

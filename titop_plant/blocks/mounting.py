@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from lti import UncertainSystem, transform
 from titop_plant import ports
 from titop_plant.structures.kinematics import check_rotation, rotate_twist, tau
-from uncertain_systems import UncertainSystem, transform
 
 
 def mounted(

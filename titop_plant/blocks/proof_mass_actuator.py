@@ -27,9 +27,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lti import Port, UncertainSystem, state_space
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray, tau
-from uncertain_systems import Port, UncertainSystem, state_space
 
 
 @dataclass(frozen=True)

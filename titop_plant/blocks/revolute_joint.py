@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lti import Port, UncertainSystem, connect, invert, state_space, transform
 from titop_plant import ports
 from titop_plant.blocks.rotation import _unit
-from uncertain_systems import Port, UncertainSystem, connect, invert, state_space, transform
 
 
 def on_revolute_joint(

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lti import Port, RealParameter, UncertainSystem, connect
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray, skew
-from uncertain_systems import Port, RealParameter, UncertainSystem, connect
 
 _VECTOR = Port("v", 3)
 

@@ -43,6 +43,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lti import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
 from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
@@ -55,7 +56,6 @@ from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import parameters as component
 from titop_plant.telescope.parameters import Parameters, load_parameters
-from uncertain_systems import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -107,7 +107,7 @@ def build_telescope(
     """
     given = load_parameters() if parameters is None else parameters
     body, payload = build_body(given), build_payload(given)
-    hung = _hung(given, body, payload, isolated)
+    hung = _driven_at_G(given, body, payload, isolated)
     free = invert(hung, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
     system = _free_flying(free, given, inertia, attitude_controlled)
@@ -124,7 +124,7 @@ def line_of_sight(parameters: Parameters) -> UncertainSystem:
     return static_gain(gain, [ports.angle("I_p"), *(ports.deflection(p) for p in OPTICAL_POINTS)], [LOS])
 
 
-def _hung(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
+def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
     """Everything that hangs on G, from the motion imposed there to the wrench it answers with."""
     uncertain = component.uncertain_parameters(parameters)
     tau = uncertain["solar_array.tau"]

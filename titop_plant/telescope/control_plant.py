@@ -26,16 +26,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from lti import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lti.delay import delayed_port
+from lti.filters import high_pass
 from titop_plant.telescope.parameters import Parameters
-from uncertain_systems import Connection, Port, UncertainSystem, connect, state_space, static_gain
-from uncertain_systems.delay import delayed_port
-from uncertain_systems.sampling import high_pass
 
 ACCELEROMETERS = ("accel_Ip", "accel_M1", "accel_M2")
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
 COMMANDS = ("fsm_command", "pma_force")
 SAMPLING = 1e-3
-HOLD = 0.5 * SAMPLING
+HOLD_DELAY = 0.5 * SAMPLING
 """Mean delay of a command that is held for one tick [s]."""
 
 PADE_ORDER = 2

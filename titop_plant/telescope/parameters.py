@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lti import RealParameter
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
 from titop_plant.blocks.isolator import Isolator, MountedActuator
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
@@ -29,7 +30,6 @@ from titop_plant.structures.residual_mass import (
 )
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameter_check import ParameterFile
-from uncertain_systems import RealParameter
 
 if sys.version_info >= (3, 11):
     import tomllib

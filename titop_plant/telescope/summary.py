@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from lti import RealParameter
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import Telescope
-from uncertain_systems import RealParameter
 
 
 @dataclass(frozen=True)

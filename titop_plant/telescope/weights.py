@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lti import Port, UncertainSystem, state_space
 from titop_plant.telescope.parameters import Parameters
-from uncertain_systems import Port, UncertainSystem, state_space
 
 
 def disturbance_weight(parameters: Parameters) -> UncertainSystem:

@@ -33,6 +33,6 @@ setup(
         "console_scripts": [
             f"{node} = {NAME}.nodes.{node}:main" for node in ("plant", "estimator", "controller", "recorder")
         ]
-        + [f"los-testbed = {NAME}.cli:main"],
+        + [f"los-testbed = {NAME}.cli.app:main"],
     },
 )

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from los_testbed.bag_repair import repair_bag
+from los_testbed.bags.repair import repair_bag
 from los_testbed.config import RunConfig
-from los_testbed.inprocess import run_in_process
+from los_testbed.loop.simulate import run_in_process
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore

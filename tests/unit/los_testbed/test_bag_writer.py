@@ -5,8 +5,8 @@ import zlib
 import numpy as np
 import pytest
 import yaml
-from los_testbed.bag import BagWriter
-from los_testbed.codecs import codec_for
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.writer import BagWriter
 from los_testbed.topics import PMA_COMMAND, TOPICS, TRUTH_LOS
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader

@@ -5,20 +5,21 @@ import os
 import subprocess
 import sys
 
-import los_testbed.inprocess
+import los_testbed.loop.simulate
 import numpy as np
 import pytest
-from los_testbed import cli
+from los_testbed.cli import app as cli
 from simple_telescope import SimpleTelescope, write_controllers
 
-from uncertain_systems.runtime import Port, SampledSystem
+from lti.ports import Port
+from lti.sampled_system import SampledSystem
 
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     """Run a command in an empty folder with the small telescope; exit code, output, error output."""
     monkeypatch.setattr(
-        los_testbed.inprocess,
+        los_testbed.loop.simulate,
         "build_plant",
         lambda c: SimpleTelescope(c.frame_ticks, c.seed, c.noise, c.camera_dropout),
     )
@@ -178,7 +179,7 @@ def test_a_bag_that_is_none(run):
 @pytest.mark.parametrize("command", ["run", "analyse", "report", "replay", "stages"])
 def test_help_has_examples(command):
     done = subprocess.run(
-        [sys.executable, "-m", "los_testbed.cli", command, "--help"],
+        [sys.executable, "-m", "los_testbed.cli.app", command, "--help"],
         capture_output=True,
         text=True,
         timeout=60,

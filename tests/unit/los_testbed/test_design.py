@@ -1,4 +1,4 @@
-"""The flown designs: their problems, their files, their command."""
+"""The implemented designs: their problems, their files, their command."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed.cli import main
-from los_testbed.design import FLOWN_DELAY, DesignOptions, continuous, design_file, random_start
-from los_testbed.design_check import load
-from los_testbed.design_trade_off import least_noise
-from los_testbed.flown_norms import flown_figures
+from los_testbed.cli.app import main
 
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
+from los_design.options import LOOP_DELAY, DesignOptions
+from los_design.sampled_loop_norms import sampled_loop_metrics
+from los_design.starts import random_start
+from los_design.store import continuous, design_file, load_designs
+from los_design.trade_off import least_noise
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from lti import SampledSystem
 from robust_design.problem import Problem
-from titop_plant.simulation import flown_plant, telescope
+from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
-from uncertain_systems import SampledSystem
 
 FLOWN = DesignOptions()
 
@@ -31,7 +32,7 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
     """Accelerometer noise through it: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a sketch."""
     assembled = telescope()
     plant = observer_plant(assembled, parameters)
-    wanted = observer_requirements(parameters, as_flown=True)
+    wanted = observer_requirements(parameters, implemented=True)
     structure = observer_structure(plant)
     problem = Problem([plant({})], wanted, structure)
     start = kalman_start(structure, assembled, parameters)
@@ -44,10 +45,10 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
 def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
     assembled = telescope()
     plant = observer_plant(assembled, parameters, **FLOWN.held)
-    wanted = [r for r in observer_requirements(parameters, as_flown=True) if r.name in ("RPE", "noise -> RPE")]
+    wanted = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("RPE", "noise -> RPE")]
     structure = observer_structure(plant, held_camera=True)
     problem = Problem([plant({})], wanted, structure, loop_delay=FLOWN.delay)
-    x = kalman_start(structure, assembled, parameters, lead=FLOWN_DELAY)
+    x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
     pieces = problem.evaluate(x, band=0.01).pieces
     rng = np.random.default_rng(0)
     for i in range(len(wanted)):
@@ -60,29 +61,31 @@ def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None
 
 
 def test_a_random_start_is_stable_and_almost_nothing(parameters) -> None:
-    k_fsm, _ = load("flown")
+    k_fsm, _ = load_designs("implemented")
     plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=FLOWN.delay, **FLOWN.held)
     start = random_start(plant.system, 0)
     assert np.linalg.eigvals(start.A).real.max() < 0.0
     structure = actuator_structure(plant)
-    problem = Problem([plant({})], actuator_requirements(parameters, as_flown=True), structure, loop_delay=FLOWN.delay)
+    problem = Problem(
+        [plant({})], actuator_requirements(parameters, implemented=True), structure, loop_delay=FLOWN.delay
+    )
     assert problem.abscissa(structure.parameters_of(start)) < 0.0
 
 
-@pytest.mark.parametrize("variant", ["flown", "flown_nominal", "paper", "paper_nominal"])
+@pytest.mark.parametrize("variant", ["implemented", "implemented_nominal", "paper", "paper_nominal"])
 def test_stored_designs_have_a_birth_certificate_of_this_telescope(variant: str, parameters) -> None:
-    for system in load(variant):
+    for system in load_designs(variant):
         provenance = system.provenance
         assert provenance["parameters_hash"] == parameters_hash(parameters)
         assert provenance["command"].startswith("los-testbed design k-")
         assert continuous(system).order == 4
 
 
-def test_flown_designs_are_stable_and_within_the_templates_at_nominal(parameters) -> None:
-    k_fsm, k_pma = load("flown")
-    plant = flown_plant(telescope(), parameters).data_at({})
+def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(parameters) -> None:
+    k_fsm, k_pma = load_designs("implemented")
+    plant = control_loop_plant(telescope(), parameters).data_at({})
     one, two = (
-        flown_figures(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
+        sampled_loop_metrics(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
     )
     assert one.radius < 1.0 and two.radius < 1.0
     assert max(one.ape, one.rpe, one.mirror) < 1.0
@@ -92,16 +95,16 @@ def test_flown_designs_are_stable_and_within_the_templates_at_nominal(parameters
 
 
 def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:
-    system, _ = load("flown")
+    system, _ = load_designs("implemented")
     bare = SampledSystem(system.A, system.B, system.C, system.D, system.inputs, system.outputs, system.dt, "mine")
     with pytest.raises(ValueError, match="mine: the file holds no continuous controller"):
         continuous(bare)
-    with pytest.raises(ValueError, match="expected one of k-fsm, k-pma"):
+    with pytest.raises(ValueError, match="must be one of k-fsm, k-pma"):
         design_file("k-xyz")
 
 
 def test_least_noise_problem_minimises_nothing_else(parameters) -> None:
-    wanted = observer_requirements(parameters, as_flown=True)
+    wanted = observer_requirements(parameters, implemented=True)
     changed = {r.name: r for r in least_noise(wanted, 0.4)}
     assert [name for name, r in changed.items() if not r.hard] == ["noise -> RPE"]
     before = {r.name: r for r in wanted}

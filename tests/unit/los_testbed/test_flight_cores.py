@@ -7,7 +7,8 @@ from simple_telescope import write_controllers
 
 from fsm_pma_controller import runtime as laws
 from los_estimator import runtime as observer
-from uncertain_systems.runtime import Port, SampledSystem
+from lti.ports import Port
+from lti.sampled_system import SampledSystem
 
 RNG = np.random.default_rng(5)
 

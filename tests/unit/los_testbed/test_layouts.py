@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
-from los_testbed.codecs import JOINT_NAMES
-from los_testbed.runner import NODES
-from los_testbed.schemas import DEFINITIONS
-from los_testbed.statistics import Durations
+from los_testbed.bags.cdr import JOINT_NAMES
+from los_testbed.bags.schemas import DEFINITIONS
+from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.run.runner import NODES
 from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, JOINT_STATE, NAMESPACE, TOPICS
 
 FOLDER = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed" / "layouts"
@@ -80,7 +80,7 @@ def check_series(name: str) -> str:
         _, hardware, status, key = name.removeprefix("/").split("/")
         assert hardware == "los_testbed"
         assert status in {f"telescope: {node}" for node in NODES}
-        assert key in {"missed_ticks", *Durations().summary("latency")}
+        assert key in {"missed_ticks", *LatencyHistogram().summary("latency")}
         return DIAGNOSTICS_TOPIC
     topic = next((path for path in BY_PATH if name.startswith(path + "/")), None)
     assert topic is not None, f"no topic for {name}"

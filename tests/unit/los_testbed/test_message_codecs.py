@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from los_testbed.codecs import Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, HeaderCodec, codec_for, stamp_of
 from los_testbed.topics import ACCEL, JOINT_STATE, TOPICS, VECTOR3
 
 SIZES = {ACCEL: 6, VECTOR3: 2, JOINT_STATE: 6}

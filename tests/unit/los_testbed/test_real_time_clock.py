@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 import pytest
-from los_testbed.health import LoopHealth
-from los_testbed.real_time import TickClock
-from los_testbed.statistics import Durations
+from los_testbed.loop.health import LoopHealth
+from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.loop.real_time import TickClock
 
 MS = 1_000_000
 
@@ -46,7 +46,7 @@ def test_an_overrun_is_counted_and_never_caught_up():
 @pytest.mark.parametrize("probability", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])
 def test_quantiles_of_durations_agree_with_numpy(probability):
     values = np.random.default_rng(2).gamma(2.0, 150_000, 5000).astype(int)
-    durations = Durations()
+    durations = LatencyHistogram()
     for value in values:
         durations.add(int(value))
     expected = np.quantile(values, probability, method="inverted_cdf") / 1000
@@ -56,7 +56,7 @@ def test_quantiles_of_durations_agree_with_numpy(probability):
 
 
 def test_durations_of_any_size_are_kept_in_bounds():
-    durations = Durations()
+    durations = LatencyHistogram()
     assert np.isnan(durations.quantile_us(0.5))
     for value in (-5_000, 0, 10**12):
         durations.add(value)
@@ -67,7 +67,7 @@ def test_durations_of_any_size_are_kept_in_bounds():
 def test_what_is_not_permitted_is_named_and_not_an_error():
     code = (
         "import os, sys, ctypes\n"
-        "from los_testbed import real_time\n"
+        "from los_testbed.loop import real_time\n"
         "def refuse(*a): raise PermissionError('no')\n"
         "os.sched_setscheduler = refuse\n"
         "class NoLock:\n"
@@ -80,7 +80,7 @@ def test_what_is_not_permitted_is_named_and_not_an_error():
 
 
 def test_a_window_holds_what_came_since_the_last_one():
-    durations = Durations()
+    durations = LatencyHistogram()
     for value in (9_000_000, 1_000_000):
         durations.add(value)
     assert durations.window("x") == {"x_mean_us": 5000.0, "x_max_us": 9000.0}
@@ -94,7 +94,7 @@ def test_the_resending_thread_stands_behind_its_siblings():
     """At the same priority and place a thread that polls would keep the others of its process from running."""
     code = (
         "import os, threading, time\n"
-        "from los_testbed.real_time import become_real_time\n"
+        "from los_testbed.loop.real_time import become_real_time\n"
         "def work():\n"
         "    open('/proc/thread-self/comm', 'w').write('dds.asyn.0.0')\n"
         "    time.sleep(30)\n"
@@ -122,14 +122,14 @@ def test_the_resending_thread_stands_behind_its_siblings():
     ],
 )
 def test_levels_have_the_limits_of_ros2_control(ticks, mean_us, level):
-    health, execution = LoopHealth(), Durations()
+    health, execution = LoopHealth(), LatencyHistogram()
     health.assess(5, 0, execution)
     execution.add(mean_us * 1000)
     assert health.assess(5 + ticks, 10**9, execution)[0] == level
 
 
 def test_in_lockstep_the_rate_is_no_fault():
-    health, execution = LoopHealth(paced=False), Durations()
+    health, execution = LoopHealth(paced=False), LatencyHistogram()
     health.assess(0, 0, execution)
     assert health.assess(5000, 10**9, execution)[0] == 0
 
@@ -137,7 +137,7 @@ def test_in_lockstep_the_rate_is_no_fault():
 def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     """Nobody of lower priority on its processor could end it."""
     script = (
-        "import sys; from los_testbed.real_time import become_real_time; refused = become_real_time(1)\n"
+        "import sys; from los_testbed.loop.real_time import become_real_time; refused = become_real_time(1)\n"
         "if 'real-time scheduling' in refused: sys.exit(77)\n"
         "while True: pass"
     )

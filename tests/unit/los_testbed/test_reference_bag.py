@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from los_testbed import replay_core
+from los_testbed.run import replay
 from los_testbed.topics import TOPICS
 
 from pointing_analysis.read import Run
@@ -26,9 +26,9 @@ def test_it_is_small_and_whole() -> None:
 def test_its_controllers_give_its_commands_again() -> None:
     """To rounding: another processor may add up in another order."""
     run = Run.open(BAG)
-    chosen = replay_core.controllers(run)
-    assert chosen.as_flown
-    replayed = replay_core.drive(run, chosen, lambda done, total: None)
+    chosen = replay.controllers(run)
+    assert chosen.as_recorded
+    replayed = replay.drive(run, chosen, lambda done, total: None)
     for difference in compare(run, replayed).differences:
         scale = np.abs(run[difference.topic].values).max()
         assert difference.missing == 0

@@ -4,17 +4,17 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed import cli
-from los_testbed.bag import BagWriter
+from los_testbed.bags.writer import BagWriter
+from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.inprocess import run_in_process
-from los_testbed.replay_core import write_signals
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.replay import write_signals
 from simple_telescope import DT, SimpleTelescope, write_controllers
 
 from los_estimator import runtime as fsm
+from lti.sampled_system import SampledSystem
 from pointing_analysis.read import Run
 from pointing_analysis.synthetic import write_bag
-from uncertain_systems.runtime import SampledSystem
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +50,11 @@ def other_observer(path, pole=0.9):
     return path
 
 
-def test_as_flown_is_identical_and_says_so(call, recorded) -> None:
+def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
     code, out, _ = call(recorded, "--json")
     assert code == 0
     found = json.loads(out.splitlines()[-1])
-    assert found["as_flown"] and found["identical"]
+    assert found["as_recorded"] and found["identical"]
     assert {d["compared"] for d in found["differences"]} == {4000}
     code, out, _ = call(recorded)
     assert "identical to the recording, bit by bit, on 4000 ticks" in out
@@ -82,7 +82,7 @@ def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path)
     code, out, _ = call(recorded, "--k-fsm", new, "--output", "replayed", "--json")
     assert code == 0
     found = json.loads(out.splitlines()[-1])
-    assert not found["as_flown"] and not found["identical"]
+    assert not found["as_recorded"] and not found["identical"]
     assert found["replayed"]["ake_rms_arcsec"] < 0.5 * found["recorded"]["ake_rms_arcsec"]
     run, old = Run.open(call.here / "replayed"), Run.open(recorded)
     assert not run.problems

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed import cli
+from los_testbed.cli import app as cli
 
 from pointing_analysis import read
 from pointing_analysis.synthetic import write_bag

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from los_testbed.codecs import Codec
-from los_testbed.join import HOLD_STAMP, Part, SampleJoin
+from los_testbed.bags.cdr import Codec
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
 from los_testbed.topics import VECTOR3
 
 MS = 1_000_000
@@ -18,7 +18,7 @@ def make(camera_every=2):
         Part(codec, slice(2, 4), every=camera_every, nan_allowed=True),
         Part(codec, slice(4, 6)),
     ]
-    return SampleJoin(parts, 6)
+    return StampSynchronizer(parts, 6)
 
 
 def sample(stamp, value):

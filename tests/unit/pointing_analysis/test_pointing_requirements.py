@@ -177,7 +177,7 @@ def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
     from scipy.signal import lfilter
 
-    from pointing_analysis.statistics import effective_number, radial_factor
+    from pointing_analysis.confidence import effective_number, radial_factor
 
     p, n, runs = 0.98, 5000, 400
     limit = radial_factor(p)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis.frames import to_pandas, to_xarray
+from pointing_analysis.dataframes import to_pandas, to_xarray
 from pointing_analysis.read import Run
 from pointing_analysis.synthetic import write_bag
 from pointing_analysis.topic import Topic

@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lti.filters import transfer
+from lti.ports import Port
+from lti.state_space_model import StateSpace
+from robust_design.decentralised import Decentralised
 from robust_design.gains import LoopGains
-from robust_design.model import Model, transfer
 from robust_design.problem import Piece, Problem
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
-from robust_design.special_structures import Decentralised, StableStateSpace
+from robust_design.stable_state_space import StableStateSpace
 from robust_design.structures import Structure, gain, gain_matrix_of, pid, state_space
-from uncertain_systems.runtime import Port
 
 Y, U = (Port("y", 3),), (Port("u", 2),)
 
 
-def random_model(seed: int, n: int = 6) -> Model:
+def random_model(seed: int, n: int = 6) -> StateSpace:
     """Stable plant with feedthrough everywhere except on the H2 channel."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
@@ -27,7 +29,7 @@ def random_model(seed: int, n: int = 6) -> Model:
     D[4:, 3:] = 0.2 * rng.normal(size=(3, 2))
     ports_in = [("w", 2), ("n", 1), ("u", 2)]
     ports_out = [("z", 2), ("e", 2), ("y", 3)]
-    return Model(A, rng.normal(size=(n, 5)), rng.normal(size=(7, n)), D, ports_in, ports_out, f"m{seed}")
+    return StateSpace(A, rng.normal(size=(n, 5)), rng.normal(size=(7, n)), D, ports_in, ports_out, f"m{seed}")
 
 
 REQUIREMENTS = [
@@ -45,7 +47,7 @@ def started(structure: Structure) -> np.ndarray:
     if n and hasattr(structure, "base"):
         K = structure.gain_matrix(x)
         K[:n, :n] -= 0.5 * np.eye(n)
-        x = structure.parameters_of(Model(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], Y, U))
+        x = structure.parameters_of(StateSpace(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], Y, U))
     return x
 
 
@@ -97,7 +99,7 @@ def test_gradient_of_the_gain_at_a_fixed_frequency_equals_the_analytic_derivativ
     """T is analytic in K: u^H T v is differentiated along the imaginary direction."""
     model = random_model(2)
     loop = LoopGains(model, ("y",), ("u",), (HinfGain("w", "z"),))
-    K = gain_matrix_of(Model([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
+    K = gain_matrix_of(StateSpace([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
     omega = np.array([0.7])
     peak = loop._with_gradients(K, 2, 0, omega, np.ones(1), True)[0]
     arrays = loop._arrays(omega)

@@ -6,34 +6,39 @@ import control
 import numpy as np
 import pytest
 
-from robust_design.frequency import direct_response
-from robust_design.model import Model, close_loop, series, static_gain, transfer
+from lti.feedback import cascade, close_loop
+from lti.filters import transfer
+from lti.modal_response import direct_response
+from lti.ports import Port
+from lti.sampling import sampled
+from lti.state_space_model import StateSpace
 from robust_design.requirements import ClosedLoopPoles, HinfGain
 from robust_design.structures import pid, state_space
-from uncertain_systems.runtime import Port
 
 
-def plant() -> Model:
+def plant() -> StateSpace:
     rng = np.random.default_rng(0)
     ports_in, ports_out = [Port("w", 2, "N"), Port("u", 1, "N")], [Port("z", 1, "rad"), Port("y", 2, "m")]
     A = rng.normal(size=(4, 4)) - 3 * np.eye(4)
-    return Model(A, rng.normal(size=(4, 3)), rng.normal(size=(3, 4)), rng.normal(size=(3, 3)), ports_in, ports_out, "p")
+    return StateSpace(
+        A, rng.normal(size=(4, 3)), rng.normal(size=(3, 4)), rng.normal(size=(3, 3)), ports_in, ports_out, "p"
+    )
 
 
 def test_control_round_trip_keeps_names_and_units() -> None:
     model = plant()
     system = model.to_control()
     assert system.input_labels == ["w[0]", "w[1]", "u"]
-    again = Model.from_control(system, {"w": "N", "u": "N", "z": "rad", "y": "m"})
+    again = StateSpace.from_control(system, {"w": "N", "u": "N", "z": "rad", "y": "m"})
     assert again.inputs == model.inputs and again.outputs == model.outputs
     assert all(np.array_equal(a, b) for a, b in zip(model.matrices, again.matrices))
 
 
 def test_only_continuous_state_space_is_taken() -> None:
-    with pytest.raises(ValueError, match=r"continuous-time system, got sampling period 0\.1"):
-        Model.from_control(control.ss(0.5, 1, 1, 0, 0.1))
-    with pytest.raises(ValueError, match=r"expected a control\.StateSpace, got TransferFunction"):
-        Model.from_control(control.tf([1], [1, 1]))
+    with pytest.raises(ValueError, match=r"in continuous time, got sampling period 0\.1"):
+        StateSpace.from_control(control.ss(0.5, 1, 1, 0, 0.1))
+    with pytest.raises(ValueError, match=r"must be a control\.StateSpace, got TransferFunction"):
+        StateSpace.from_control(control.tf([1], [1, 1]))
 
 
 def test_channel_picks_by_name_in_the_order_asked_for() -> None:
@@ -53,13 +58,13 @@ def test_arrays_are_read_only() -> None:
 def test_transfer_and_series_are_products(s: complex) -> None:
     first, second = transfer([1, 2, 3], [2, 4, 8]), transfer([1, 0], [1, 5])
     value = (s**2 + 2 * s + 3) / (2 * s**2 + 4 * s + 8) * s / (s + 5)
-    assert direct_response(*series(first, second).matrices, s.imag).item() == pytest.approx(value)
+    assert direct_response(*cascade(first, second).matrices, s.imag).item() == pytest.approx(value)
 
 
 def test_tustin_keeps_stability_and_the_gain_at_zero() -> None:
-    sampled = plant().sampled(1e-2)
-    assert np.abs(np.linalg.eigvals(sampled.A)).max() < 1
-    dc = sampled.C @ np.linalg.solve(np.eye(4) - sampled.A, sampled.B) + sampled.D
+    system = sampled(plant(), 1e-2)
+    assert np.abs(np.linalg.eigvals(system.A)).max() < 1
+    dc = system.C @ np.linalg.solve(np.eye(4) - system.A, system.B) + system.D
     assert dc == pytest.approx(direct_response(*plant().matrices, 0.0).real)
 
 
@@ -77,11 +82,14 @@ def test_pid_response() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plant().channel(["x"], ["y"]), "input port 'x' does not exist; there are w, u"),
-        (lambda: static_gain([[1.0, 2.0]], [("a", 1), ("a", 1)], [("b", 1)]), "must be unique among the inputs"),
-        (lambda: static_gain([[1.0, 2.0]], [("a", 1)], [("b", 1)]), "the ports make 1 outputs and 1 inputs"),
+        (lambda: plant().channel(["x"], ["y"]), "p: unknown input port 'x', expected one of: w, u"),
+        (lambda: StateSpace.static([[1.0, 2.0]], [("a", 1), ("a", 1)], [("b", 1)]), "port names must be unique"),
+        (
+            lambda: StateSpace.static([[1.0, 2.0]], [("a", 1)], [("b", 1)]),
+            "matrix D must be 1 x 1 to fit states and ports, got 1 x 2",
+        ),
         (lambda: transfer([1, 0, 0], [1, 1]), "proper transfer function"),
-        (lambda: close_loop(plant(), static_gain([[1.0]], [("z", 1)], [("w", 1)]), ["u"], ["y"]), "need 2 x 1"),
+        (lambda: close_loop(plant(), StateSpace.static([[1.0]], [("z", 1)], [("w", 1)]), ["u"], ["y"]), "need 2 x 1"),
         (lambda: HinfGain((), "z"), "at least one port"),
         (lambda: HinfGain("w", "z", bound=0.0), "bound of a gain requirement must be positive"),
         (lambda: HinfGain("w", "z", weight_out=transfer([1], [1, 0])), "must be stable"),

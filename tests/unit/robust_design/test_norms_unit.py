@@ -6,9 +6,9 @@ import control
 import numpy as np
 import pytest
 
-from robust_design.frequency import FrequencyResponse, direct_response
-from robust_design.level_set import hamiltonian_test, interval_test
-from robust_design.norms import h2_norm, hinf_norm, hinf_norms, spectral_abscissa
+from lti.hinf_level_test import hamiltonian_test, interval_test
+from lti.modal_response import FrequencyResponse, direct_response
+from lti.norms import h2_norm, hinf_norm, hinf_norms, spectral_abscissa
 
 
 def flexible(seed: int, modes: int = 100, inputs: int = 5, outputs: int = 2) -> tuple[np.ndarray, ...]:
@@ -107,7 +107,7 @@ def test_batch_and_abscissa() -> None:
 @pytest.mark.parametrize(
     ("matrices", "message"),
     [
-        (([[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0]]), "matrix A must be 1 x 1, got 1 x 2"),
+        (([[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0]]), "matrix A must be 1 x 1 to fit states and ports, got 1 x 2"),
         (([[-1.0]], [[np.nan]], [[1.0]], [[0.0]]), "matrix B must be finite"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robust_design.descent import DescentOptions, Sample, minimise
-from robust_design.quadratic import simplex_minimum
+from robust_design.simplex_qp import simplex_minimum
 
 
 @pytest.mark.parametrize(("pieces", "size"), [(2, 1), (5, 3), (50, 10), (100, 150)])

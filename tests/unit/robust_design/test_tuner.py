@@ -7,28 +7,29 @@ import time
 import numpy as np
 import pytest
 
+from lti.filters import transfer
+from lti.ports import Port
+from lti.state_space_model import StateSpace
 from robust_design.certificate import certify
-from robust_design.model import Model, static_gain, transfer
 from robust_design.published_plants import PLANTS
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
-from robust_design.special_structures import StableStateSpace
+from robust_design.stable_state_space import StableStateSpace
 from robust_design.structures import gain, gain_matrix_of, state_space
 from robust_design.tuner import TuningOptions, tune
-from uncertain_systems.runtime import Port
 
 
-def lag(pole: float = -1.0, name: str = "lag") -> Model:
+def lag(pole: float = -1.0, name: str = "lag") -> StateSpace:
     """1 / (s - pole) with the disturbance at its input; effort is the command."""
     D = [[0, 0], [0, 1], [0, 0]]
-    return Model(
+    return StateSpace(
         [[pole]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)], name
     )
 
 
-def integrators() -> Model:
+def integrators() -> StateSpace:
     """1 / s^2: no static gain of the position stabilises it."""
     A, B = [[0, 1], [0, 0]], [[0, 0], [1, 1]]
-    return Model(
+    return StateSpace(
         A, B, [[1, 0], [1, 0]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], "double integrator"
     )
 
@@ -57,7 +58,7 @@ def test_many_models_share_one_controller() -> None:
 
 def test_h2_optimum_is_the_lqg_cost() -> None:
     """u = k y on 1 / (s + 1), z and effort to white noise: min (1 + k^2) / (2 (1 + k)), at k = sqrt(2) - 1."""
-    plant = Model(
+    plant = StateSpace(
         [[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], "lqg"
     )
     result = tune([plant], [H2Gain("w", "z")], STATIC, options=QUICK)
@@ -82,7 +83,7 @@ def test_stabilises_what_a_dynamic_controller_can() -> None:
 def test_unstabilisable_plant() -> None:
     """An unstable pole that the command does not reach."""
     A, B = [[1, 0], [0, -1]], [[1, 0], [0, 1]]
-    plant = Model(A, B, [[1, 1], [1, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = StateSpace(A, B, [[1, 1], [1, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     result = tune([plant], [HinfGain("w", "z")], STATIC, options=TuningOptions(starts=2, iterations=30))
     assert result.status == "not_stabilised" and result.abscissa == pytest.approx(1.0, abs=1e-6)
 
@@ -187,7 +188,7 @@ def test_pole_requirements_hold_on_the_closed_loop() -> None:
 
 def test_delay_limits_the_gain() -> None:
     """k / s with a delay T: the smallest peak of the disturbance response 1 / (s + k e^{-sT}) needs a finite k."""
-    plant = Model([[0]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = StateSpace([[0]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     result = tune([plant], [HinfGain("w", "z")], STATIC, loop_delay=0.5, options=QUICK)
     k = -result.controller.D.item()
     w = np.geomspace(1e-3, 1e2, 200001)
@@ -199,7 +200,7 @@ def test_delay_limits_the_gain() -> None:
 
 
 def test_certificate_is_independent_and_sees_a_wrong_controller() -> None:
-    wrong = static_gain([[3.0]], [("y", 1)], [("u", 1)])
+    wrong = StateSpace.static([[3.0]], [("y", 1)], [("u", 1)])
     found = certify([lag()], wrong, [HinfGain("w", "z")])
     assert not found.stable and found.values[0, 0] == np.inf
 
@@ -209,7 +210,7 @@ def test_certificate_is_independent_and_sees_a_wrong_controller() -> None:
     [
         ({"models": []}, "at least one model"),
         ({"requirements": []}, "at least one requirement"),
-        ({"requirements": [HinfGain("w", "position")]}, "'position' does not exist; there are z, effort, y"),
+        ({"requirements": [HinfGain("w", "position")]}, "'position', expected one of: z, effort, y"),
         ({"structure": gain([("x", 1)], [("u", 1)])}, "no measurement port 'x'; there are z, effort, y"),
         ({"structure": gain([("y", 2)], [("u", 1)])}, "has size 1, the controller has 2"),
         ({"initial": [[1.0, 2.0]]}, "a start must be 1 finite parameters"),
@@ -231,8 +232,8 @@ def test_mistakes_raise_one_line(arguments: dict, message: str | None) -> None:
 
 def test_nan_plant_and_h2_feedthrough_are_refused() -> None:
     with pytest.raises(ValueError, match="matrix A must be finite"):
-        Model([[np.nan]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)], "broken")
-    noisy = Model([[-1]], [[0, 1]], [[0], [1]], [[0, 1], [1, 0]], [("n", 1), ("u", 1)], [("effort", 1), ("y", 1)])
+        StateSpace([[np.nan]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)], "broken")
+    noisy = StateSpace([[-1]], [[0, 1]], [[0], [1]], [[0, 1], [1, 0]], [("n", 1), ("u", 1)], [("effort", 1), ("y", 1)])
     with pytest.raises(ValueError, match="direct feedthrough"):
         tune([noisy], [H2Gain("n", "effort")], STATIC)
     strictly = state_space([("y", 1)], [("u", 1)], 1, feedthrough=False)
@@ -256,6 +257,6 @@ def test_weights_are_folded_in() -> None:
 
 
 def test_gain_matrix_of_round_trips() -> None:
-    model = Model([[-1, 2], [0, -3]], [[1], [2]], [[3, 4]], [[5]], [("y", 1)], [("u", 1)])
+    model = StateSpace([[-1, 2], [0, -3]], [[1], [2]], [[3, 4]], [[5]], [("y", 1)], [("u", 1)])
     structure = state_space([("y", 1)], [("u", 1)], 2)
     assert np.array_equal(structure.gain_matrix(structure.parameters_of(model)), gain_matrix_of(model))

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from robust_design.model import Model, static_gain
+from lti.state_space_model import StateSpace
 from robust_design.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from robust_design.robust import tune_robust
 from robust_design.structures import gain
 from robust_design.tuner import TuningOptions
 from robust_design.worst_case import WorstCaseOptions, worst_case
 
-OPEN = static_gain([[0.0]], [("y", 1)], [("u", 1)], "no controller")
+OPEN = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
 
 
-def oscillator(p: Mapping[str, float]) -> Model:
+def oscillator(p: Mapping[str, float]) -> StateSpace:
     """Two modes whose distance depends on the parameters: their peaks add up where they meet."""
     A = np.zeros((4, 4))
     for i, w in enumerate((1.0 + 0.3 * p["a"], 1.5 + 0.3 * p["b"])):
@@ -26,7 +26,7 @@ def oscillator(p: Mapping[str, float]) -> Model:
     B = np.zeros((4, 2))
     B[1], B[3] = 1.0, 1.0
     C = np.array([[1.0, 0, 1, 0], [1, 0, 1, 0]])
-    return Model(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
 
 def test_interior_worst_case_is_found_by_the_climb() -> None:
@@ -49,10 +49,12 @@ def test_interior_worst_case_is_found_by_the_climb() -> None:
 
 
 def test_instability_is_the_worst_of_all() -> None:
-    def build(p: Mapping[str, float]) -> Model:
-        return Model([[p["pole"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    def build(p: Mapping[str, float]) -> StateSpace:
+        return StateSpace(
+            [[p["pole"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+        )
 
-    weak = static_gain([[-0.5]], [("y", 1)], [("u", 1)])
+    weak = StateSpace.static([[-0.5]], [("y", 1)], [("u", 1)])
     found = worst_case(build, {"pole": (-1.0, 1.0)}, weak, [HinfGain("w", "z")])
     assert found[0].value == np.inf and found[0].parameters["pole"] >= 0.5
 
@@ -67,12 +69,12 @@ def test_poles_over_the_box() -> None:
 def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
     """1 / (s - pole), pole in [-1, 1]: the effort |k / (k - pole)| <= 1.25 binds at pole 1 only, k >= 5."""
 
-    def build(p: Mapping[str, float]) -> Model:
+    def build(p: Mapping[str, float]) -> StateSpace:
         D = np.zeros((4, 2))
         D[1, 1] = D[2, 1] = 1.0
         C = [[1.0], [0.0], [0.0], [1.0]]
         outputs = [("z", 1), ("effort", 1), ("cost", 1), ("y", 1)]
-        return Model([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], outputs)
+        return StateSpace([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], outputs)
 
     needs = [HinfGain("w", "z", bound=0.25, hard=True), HinfGain("w", "effort", name="effort")]
     result = tune_robust(
@@ -104,11 +106,11 @@ def test_same_seed_same_answer() -> None:
 def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
 
-    def build(p: Mapping[str, float]) -> Model:
+    def build(p: Mapping[str, float]) -> StateSpace:
         A = [[0, 1], [-1, -0.05]]
         B = [[0, 0], [1, 1]]
         C = [[1.0, 0.0], [p["mix"], 1.0]]
-        return Model(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
     box = {"mix": (-2.0, 2.0)}
     structure = gain([("y", 1)], [("u", 1)])
@@ -124,16 +126,16 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
 def test_runners_up_have_their_peaks_elsewhere() -> None:
     """Two oscillators, each excited most at its own corner of the box: the second peak is reported beside the first."""
 
-    def build(p: dict) -> Model:
+    def build(p: dict) -> StateSpace:
         A = np.zeros((4, 4))
         for k, w in enumerate((1.0, 10.0)):
             A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -0.02 * w]]
         B = np.array([[0.0, 0.0], [p["slow"], 0.0], [0.0, 0.0], [0.9 * p["fast"], 0.0]])
         C = np.array([[1.0, 0.0, 10.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
-        return Model(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
     box = {"slow": (0.1, 1.0), "fast": (0.1, 1.0)}
-    none = static_gain([[0.0]], [("y", 1)], [("u", 1)])
+    none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
     (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=10, climbs=0))
     assert found.omega == pytest.approx(1.0, rel=0.05)
     assert len(found.others) == 1

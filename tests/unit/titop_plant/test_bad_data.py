@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lti import Port, connect, invert, static_gain
 from titop_plant import ports
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -31,7 +32,6 @@ from titop_plant.structures import (
 )
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters
-from uncertain_systems import Port, connect, invert, static_gain
 
 MASS = from_inertia(5.0, np.eye(3), [0.1, 0.0, 0.0])
 TURNED = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

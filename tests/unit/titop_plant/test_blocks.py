@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from lti import Port, RealParameter, connect, invert
 from titop_plant.blocks.attitude_control import attitude_control
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -18,7 +19,6 @@ from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel, spi
 from titop_plant.blocks.revolute_joint import on_revolute_joint
 from titop_plant.blocks.rotation import rotation, rotation_matrix, turned
 from titop_plant.structures import Beam, BeamFrame, ModalData, Section, from_inertia, to_modal_data
-from uncertain_systems import Port, RealParameter, connect, invert
 
 STEEL = Section(E=2.1e11, G=8.1e10, density=7850.0, A=4e-4, Iy=1.3e-8, Iz=2.0e-8, J=2.6e-8)
 

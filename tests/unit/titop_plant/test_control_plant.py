@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from lti.frequency_response import frequency_response
 from titop_plant.simulation import telescope
 from titop_plant.telescope.control_plant import (
     ACCELEROMETERS,
     COMMANDS,
     DISTURBANCES,
-    HOLD,
+    HOLD_DELAY,
     SAMPLING,
     camera_hold,
     held_commands,
     with_camera,
 )
 from titop_plant.telescope.parameters import load_parameters
-from uncertain_systems.frequency_response import frequency_response
 
 COLUMNS = {"mirror": slice(22, 24), "actuators": slice(24, 30)}
 ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
@@ -45,8 +45,8 @@ def error(trial, exact, rows, columns):
 @pytest.mark.parametrize("omega", [0.3, 5.0, 20.0, 100.0])
 def test_held_commands_are_close_to_the_sampled_plant_and_one_delay_is_not(plant, omega) -> None:
     exact = sampled_response(plant.data_at({}), omega)
-    held = frequency_response(held_commands(plant, HOLD).data_at({}), [omega])[0]
-    one_delay = frequency_response(plant.data_at({}), [omega])[0] * np.exp(-1j * omega * HOLD)
+    held = frequency_response(held_commands(plant, HOLD_DELAY).data_at({}), [omega])[0]
+    one_delay = frequency_response(plant.data_at({}), [omega])[0] * np.exp(-1j * omega * HOLD_DELAY)
     for columns in COLUMNS.values():
         assert error(held, exact, LOS, columns) < 1e-3
         assert error(held, exact, ACCELERATIONS, columns) < 0.11

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.minimal import minimal_realisation
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures import smallest_residual_fraction
@@ -23,8 +25,6 @@ from titop_plant.telescope.parameters import (
     parameters_hash,
     uncertain_parameters,
 )
-from uncertain_systems.frequency_response import frequency_grid, frequency_response, singular_values
-from uncertain_systems.minimal import minimal_realisation
 
 OCCURRENCES = {
     "wheel_1.speed": 2,

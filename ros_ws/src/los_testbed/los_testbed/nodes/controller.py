@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from los_testbed.codecs import codec_for
+from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.cores import build_controller
-from los_testbed.join import HOLD_STAMP, Part, SampleJoin
-from los_testbed.nodes.follower import Follower
-from los_testbed.nodes.raw_topics import RawPublisher, settle
-from los_testbed.nodes.shell import Shell, run_node
+from los_testbed.factories import build_controller
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
+from los_testbed.nodes.support.follower import Follower
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
 
 
@@ -32,7 +32,7 @@ class Controller(Protocol):
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: Shell) -> int:
+    def body(shell: NodeContext) -> int:
         core = build(shell.config)
         parts = [
             Part(codec_for(ISOLATOR_ACCEL), slice(2, 8)),
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
                 publisher.publish(codec.encode(stamp, values))
             held[:] = sample
 
-        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), SampleJoin(parts, 8), tick)
+        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, 8), tick)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

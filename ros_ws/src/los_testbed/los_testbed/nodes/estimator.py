@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from los_testbed.codecs import codec_for
+from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.cores import build_estimator
-from los_testbed.join import HOLD_STAMP, Part, SampleJoin
-from los_testbed.nodes.follower import Follower
-from los_testbed.nodes.raw_topics import RawPublisher, settle
-from los_testbed.nodes.shell import Shell, run_node
+from los_testbed.factories import build_estimator
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
+from los_testbed.nodes.support.follower import Follower
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
 
 
@@ -32,7 +32,7 @@ class Estimator(Protocol):
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: Shell) -> int:
+    def body(shell: NodeContext) -> int:
         core = build(shell.config)
         every = shell.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
             held[:18] = measurement[:18]
             held[20:] = measurement[20:]
 
-        follower = Follower(shell, SENSORS, SampleJoin(parts, 22), tick)
+        follower = Follower(shell, SENSORS, StampSynchronizer(parts, 22), tick)
         code = follower.run()
         settle([publisher])
         return code

@@ -14,16 +14,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from los_testbed.config import RunConfig
-from los_testbed.cores import Plant, build_plant, one_thread, plant_notes
-from los_testbed.health import ERROR, OK, WARN, LoopHealth
-from los_testbed.inprocess import SIMULATED_START_NS, LoopDivergedError, aligned_start
-from los_testbed.nodes.handshake import refuse_second_plant, wait_for_followers
-from los_testbed.nodes.lockstep import LockstepPacer
-from los_testbed.nodes.plant_io import PlantIo
-from los_testbed.nodes.shell import Shell, run_node
-from los_testbed.real_time import TickClock
-from los_testbed.statistics import Durations
+from los_testbed.factories import Plant, build_plant, plant_notes
+from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
+from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.loop.real_time import TickClock
+from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
+from los_testbed.nodes.support.handshake import refuse_second_plant, wait_for_followers
+from los_testbed.nodes.support.lockstep import LockstepPacer
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.topics import TICK_NS
+from lti.threads import one_thread
 
 RING = 64
 
@@ -37,7 +38,7 @@ CLOCK_STEP_NS = 1_000_000_000
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: Shell) -> int:
+    def body(shell: NodeContext) -> int:
         refuse_second_plant(shell)
         shell.event("alone")
         core = build(shell.config)
@@ -52,23 +53,23 @@ class PlantLoop:
 
     Parameters
     ----------
-    shell : Shell
+    shell : NodeContext
         The node.
     core : Plant
         What is simulated.
     """
 
-    def __init__(self, shell: Shell, core: Plant) -> None:
+    def __init__(self, shell: NodeContext, core: Plant) -> None:
         self.shell = shell
         self.core = core
         self.io = PlantIo(shell)
         self.ticks = 0
         self.held = 0
         self.clock = TickClock(TICK_NS)
-        self.lateness = Durations()
-        self.latency = Durations()
-        self.execution = Durations()
-        self.period = Durations()
+        self.lateness = LatencyHistogram()
+        self.latency = LatencyHistogram()
+        self.execution = LatencyHistogram()
+        self.period = LatencyHistogram()
         self.health = LoopHealth(shell.config.mode == "realtime")
         self._woke = [0] * RING
         self._command = np.zeros(8)

@@ -14,13 +14,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
-from los_testbed.bag import BagWriter, check_new_bag
-from los_testbed.codecs import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
-from los_testbed.health import OK, STALE, WARN
-from los_testbed.join import HOLD_STAMP
-from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
-from los_testbed.nodes.shell import Shell, run_node
-from los_testbed.run_record import METADATA_NAME, attachments, final_metadata, run_metadata
+from los_testbed.bags.cdr import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
+from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.loop.health import OK, STALE, WARN
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
 
 DEPTH = 5000
@@ -108,7 +108,7 @@ class Track:
 class Recorder:
     """Loop of the recorder: every 10 ms take what came, once a second write a chunk."""
 
-    def __init__(self, shell: Shell) -> None:
+    def __init__(self, shell: NodeContext) -> None:
         config, node = shell.config, shell.node
         self.shell = shell
         self.path = Path(config.output) if config.output else default_bag()

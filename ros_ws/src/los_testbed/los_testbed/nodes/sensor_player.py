@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from los_testbed.codecs import Codec, CodecError, codec_for, stamp_of
-from los_testbed.join import HOLD_STAMP
-from los_testbed.nodes.handshake import HOLD_PERIOD_S, refuse_second_plant
-from los_testbed.nodes.raw_topics import RawPublisher, RawSubscription
-from los_testbed.nodes.shell import Shell
-from los_testbed.runner import domain_lock
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, refuse_second_plant
+from los_testbed.nodes.support.node_context import NodeContext
+from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
+from los_testbed.run.runner import domain_lock
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TICK_NS, TRUTH_LOS, Topic
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
@@ -92,7 +92,7 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
         os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     with domain_lock(os.environ.get("ROS_DOMAIN_ID", "0")):
-        shell = Shell("replay", [])
+        shell = NodeContext("replay", [])
         try:
             refuse_second_plant(shell)
             return _Player(shell, run).play(timeout, progress)
@@ -103,7 +103,7 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
 class _Player:
     """Publishers of the sensors, subscriptions of the answers."""
 
-    def __init__(self, shell: Shell, run: Run) -> None:
+    def __init__(self, shell: NodeContext, run: Run) -> None:
         topics = [topic for topic in (*SENSORS, TRUTH_LOS) if topic.name in run]
         self.shell = shell
         self.sent = tuple(topic.name for topic in topics)

@@ -1,0 +1,144 @@
+"""Pictures of the design: the four stages over sampled parameters with their templates, and the controllers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import linalg
+
+from los_design.options import LOOP_DELAY
+from los_design.plant_figures import STYLE
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import disturbance_response, loop_grid
+from los_design.store import continuous, load_designs
+from los_design.verification import ARCSEC, FRAME_TICKS
+from los_estimator.kalman import kalman_observer
+from lti import SampledSystem, UncertainSystem
+from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import Parameters, load_parameters
+
+FloatArray = NDArray[np.float64]
+STAGES = {
+    "none": ("payload hard-mounted", "#444444"),
+    "isolator": ("isolator", "#2a9d4a"),
+    "fsm": ("isolator + FSM", "#c2308f"),
+    "fsm+pma": ("isolator + FSM + PMA", "#1f5fa8"),
+}
+
+
+def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
+    """Draw all pictures as PNG and SVG into a folder; returns their paths.
+
+    Parameters
+    ----------
+    output : Path
+    samples : int
+        Random parameter points beside the nominal one.
+    seed : int
+    """
+    parameters = load_parameters()
+    output.mkdir(parents=True, exist_ok=True)
+    paths: list[Path] = []
+    settings: Any = STYLE
+    with mpl.rc_context(settings):
+        for variant, title in (
+            ("implemented", "Robust design, as implemented"),
+            ("implemented_nominal", "Nominal design, as implemented, on the uncertain model"),
+        ):
+            pair = load_designs(variant)
+            paths += save_figure(_stages(parameters, pair, title, samples, seed), output / f"stages_{variant}")
+        paths += save_figure(_controllers(parameters), output / "controllers")
+    return paths
+
+
+def stage_curves(
+    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], stage: str, values: dict[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
+    if stage in ("none", "isolator"):
+        system = telescope(None, stage != "none").system
+        data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].data_at(values)
+        omega = frequency_grid(linalg.eigvals(data.A), 1e-2, 3e3, points=300, per_mode=5)
+        response = frequency_response(data, omega)
+    else:
+        plant = control_loop_plant(telescope(), parameters).data_at(values)
+        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
+        omega = loop_grid(plant, loop.hold[:-2, :-2])
+        response = disturbance_response(loop, plant, omega)[:, :2]
+    return omega, singular_values(response * weight_amplitudes(parameters, omega)[:, None, :])[:, 0]
+
+
+def _stages(
+    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], title: str, samples: int, seed: int
+) -> Figure:
+    system: UncertainSystem = control_loop_plant(telescope(), parameters)
+    members = [{}, *system.sample_values(np.random.default_rng(seed), samples)]
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes: Axes = figure.add_subplot()
+    for stage, (label, colour) in STAGES.items():
+        for i, values in enumerate(members):
+            omega, los = stage_curves(parameters, pair, stage, values)
+            axes.loglog(
+                omega, los / ARCSEC, color=colour, lw=1.1 if i == 0 else 0.5, alpha=1.0 if i == 0 else 0.45,
+                label=label if i == 0 else None, zorder=3 if i == 0 else 2,
+            )  # fmt: skip
+    _templates(axes, parameters)
+    axes.set(
+        xlim=(1e-2, 3e3), ylim=(1e-6, 3e2), xlabel="frequency [rad/s]",
+        ylabel="line of sight by normalised disturbances [arcsec]", title=f"{title}, {samples} random points",
+    )  # fmt: skip
+    axes.legend(loc="lower left", ncols=2)
+    return figure
+
+
+def _templates(axes: Axes, parameters: Parameters) -> None:
+    table = parameters["weights"]
+    omega = np.geomspace(1e-2, 3e3, 300)
+    seen = rpe_weight(omega, table["rpe_window"])
+    for limit, style, label in (
+        (np.full_like(omega, table["ape_limit"]), "-", "APE 10 arcsec"),
+        (table["rpe_limit"] / seen, "--", "RPE 100 mas, 20 ms"),
+        (table["rpe_limit_fine"] / seen, ":", "RPE 40 mas, 20 ms"),
+    ):
+        axes.loglog(omega, limit / ARCSEC, color="#b00020", ls=style, lw=1.3, label=label, zorder=4)
+
+
+def _controllers(parameters: Parameters) -> Figure:
+    k_fsm, k_pma = load_designs("implemented")
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    omega = np.geomspace(1e-2, 3e3, 400)
+    guess = kalman_observer(parameters, telescope().bodies[1], lead=LOOP_DELAY)
+    for system, colour, label in (
+        (guess, "#999999", "Kalman guess"),
+        (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
+    ):
+        for port, style in (("accel_Ip", "-"), ("camera_los", "--")):
+            gains = singular_values(frequency_response(system["los_estimate", port].data_at({}), omega))
+            left.loglog(omega, gains[:, 0], color=colour, ls=style, label=f"{label}: {port}")
+    left.set(title="Observer, largest singular value", xlabel="frequency [rad/s]", ylabel="estimate per input [rad/SI]")
+    left.legend()
+    gains = singular_values(frequency_response(continuous(k_pma).data_at({}), omega))
+    right.loglog(omega, np.maximum(gains, 1e-12 * gains.max()), color="#1f5fa8", lw=0.9)
+    right.set(
+        title="K_PMA, singular values", xlabel="frequency [rad/s]", ylabel="force per acceleration [N/SI]",
+        ylim=(1e-4 * gains.max(), 2.0 * gains.max()),
+    )  # fmt: skip
+    return figure
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
+    paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
+    with mpl.rc_context({"svg.hashsalt": "los-testbed"}):
+        figure.savefig(paths[0], dpi=130, metadata={"Software": None})
+        figure.savefig(paths[1], metadata={"Date": None, "Creator": None})
+    return paths

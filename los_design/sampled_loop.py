@@ -1,0 +1,107 @@
+"""The loop as it flies, as one sampled linear system: plant, one-tick delay, camera hold, controllers.
+
+The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, camera value
+held between frames. With camera frames every N ticks the loop is periodic; its stability is that of the
+product of the N one-tick matrices.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fsm_pma_controller.runtime import MIRROR_GAIN
+from lti import SampledSystem, StateSpace
+from titop_plant.disturbances import no_tones
+from titop_plant.sampled_plant import CAMERA, COMMANDS, MEASUREMENTS
+from titop_plant.simulation import sample
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """One-tick matrices of the closed loop.
+
+    Parameters
+    ----------
+    frame, hold : ndarray, shape (n, n)
+        Next state from state at a tick with and without a camera frame.
+    noise_frame, noise_hold : ndarray, shape (n, 22)
+        Next state from the measurement noise of the tick.
+    truth : ndarray, shape (2, n)
+        Controlled line of sight [rad] from the state.
+    frame_ticks : int
+        N.
+    plant_order : int
+        Number of plant states, the first of the state.
+    """
+
+    frame: FloatArray
+    hold: FloatArray
+    noise_frame: FloatArray
+    noise_hold: FloatArray
+    truth: FloatArray
+    frame_ticks: int
+    plant_order: int
+
+    def spectral_radius(self) -> float:
+        """Growth a tick of the slowest or least stable motion: below 1 is stable."""
+        period = np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame
+        return float(np.max(np.abs(linalg.eigvals(period))) ** (1.0 / self.frame_ticks))
+
+
+def sampled_loop(
+    plant: StateSpace, k_fsm: SampledSystem, k_pma: SampledSystem, *, loop: str, frame_ticks: int
+) -> SampledLoop:
+    """Close the sampled loop around a plant at given parameter values.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        Continuous; inputs start with the 8 commands, outputs are the 22 measurements and the
+        controlled line of sight (2), as in :func:`titop_plant.simulation.build_plant`.
+    k_fsm, k_pma : SampledSystem
+    loop : {"isolator", "fsm", "fsm+pma"}
+    frame_ticks : int
+        Ticks between camera frames.
+    """
+    n = plant.A.shape[0]
+    step = sample(plant, no_tones(), 1).step
+    mirror = -1.0 / MIRROR_GAIN if loop in ("fsm", "fsm+pma") else 0.0
+    actuators = 1.0 if loop == "fsm+pma" else 0.0
+    f, p = k_fsm.order, k_pma.order
+    places = np.cumsum([0, n, COMMANDS, f, p, 2])
+    X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(places))
+    size = int(places[-1])
+    Y = np.zeros((MEASUREMENTS, size))
+    Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
+
+    def tick(with_frame: bool) -> tuple[FloatArray, FloatArray]:
+        seen, noise = Y.copy(), np.eye(MEASUREMENTS)
+        if not with_frame:
+            seen[CAMERA], noise[CAMERA] = 0.0, 0.0
+            seen[CAMERA, H] = np.eye(2)
+        both = np.hstack([seen, noise])
+        out = np.zeros((size, size + MEASUREMENTS))
+        out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
+        out[F] = k_fsm.B @ both
+        out[F, F] += k_fsm.A
+        out[P] = k_pma.B @ both[:6]
+        out[P, P] += k_pma.A
+        out[H] = both[CAMERA]
+        out[V.start : V.start + 2] = mirror * (k_fsm.D @ both)
+        out[V.start : V.start + 2, F] += mirror * k_fsm.C
+        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ both[:6])
+        out[V.start + 2 : V.stop, P] += actuators * k_pma.C
+        return out[:, :size], out[:, size:]
+
+    frame, noise_frame = tick(True)
+    hold, noise_hold = tick(False)
+    truth = np.zeros((2, size))
+    truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
+    return SampledLoop(frame, hold, noise_frame, noise_hold, truth, frame_ticks, n)

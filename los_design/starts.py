@@ -1,0 +1,68 @@
+"""Where a robust design begins: parameter points that are bad for the stage before, and random controllers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from fsm_pma_controller.runtime import DT
+from los_design.options import CAMERA_PERIOD
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import weighted_response
+from los_design.store import design_ports
+from lti import SampledSystem, StateSpace, UncertainSystem
+from titop_plant.simulation import control_loop_plant
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.parameters import Parameters, parameter_corners
+
+SCREEN_SAMPLES = 32
+SCREEN_BANDS = (50.0, 300.0, 430.0, 520.0, 800.0)
+START_POLES = (20.0, 400.0)
+START_GAIN = 100.0
+
+
+def screened(
+    telescope: Telescope, parameters: Parameters, observer: SampledSystem | None, seed: int
+) -> list[dict[str, float]]:
+    """Parameter points to begin a robust design with: the worst relative error in each band of peaks.
+
+    Of all corners and some random points, those where the stage before (the isolator alone, or with an observer the
+    mirror loop) has its largest peak in each of the bands :data:`SCREEN_BANDS`.
+    """
+    system, rng = control_loop_plant(telescope, parameters), np.random.default_rng(seed)
+    chosen = parameter_corners(parameters) + system.sample_values(rng, SCREEN_SAMPLES)
+    k_fsm, k_pma = observer or zero_controller("k-fsm"), zero_controller("k-pma")
+    loop, frame_ticks = "isolator" if observer is None else "fsm", round(CAMERA_PERIOD / DT)
+    worst: dict[int, tuple[float, dict[str, float]]] = {}
+    for values in chosen:
+        plant = system.data_at(values)
+        closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+        omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
+        band = np.searchsorted(SCREEN_BANDS, omega)
+        for i in range(1, len(SCREEN_BANDS)):
+            peak = float(relative[band == i].max())
+            if peak > worst.get(i, (0.0, {}))[0]:
+                worst[i] = (peak, values)
+    unique: list[dict[str, float]] = []
+    for _, values in worst.values():
+        if values not in unique:
+            unique.append(values)
+    return unique
+
+
+def zero_controller(kind: str) -> SampledSystem:
+    """A controller of a kind that does nothing."""
+    inputs, outputs = design_ports(kind)
+    rows, columns = (sum(p.size for p in ports) for ports in (outputs, inputs))
+    none = np.zeros((0, 0))
+    return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
+
+
+def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
+    """A stable random K_PMA of order 4 that hardly does anything: poles spread over the isolator's band."""
+    rng = np.random.default_rng(seed)
+    poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
+    ports = [plant.output_port("accel_Ip")], [plant.input_port("pma_force")]
+    B = rng.standard_normal((ACTUATOR_ORDER, 6))
+    C = START_GAIN * rng.standard_normal((6, ACTUATOR_ORDER))
+    return StateSpace(np.diag(poles), B, C, np.zeros((6, 6)), *ports, f"start {seed}")  # type: ignore[arg-type]

@@ -1,0 +1,251 @@
+"""Transmissibility of a stage at the frequencies of the disturbance, measured and modelled.
+
+The disturbance of a run is a set of tones, each on several of the 22 channels at once. For each tone
+
+    measured = amplitude fitted to the recorded line of sight / amplitude of the disturbance
+    model    = |H(i w) a| / |a|,  H the response of the loop as it flies
+
+with the norm of both axes above and the norm of the 22 channels below, **forces in N and torques in Nm
+counted alike**. The model knows nothing of the record but the tones.
+
+H is exact: plant sampled with the tones integrated, commands one tick late, camera value held between its frames. The
+hold makes the loop periodic; a tone then answers with a period of N ticks times the tone, and H is the mean over the
+period, which is what a fit of the tone to the record gives.
+
+H is what the loop settles to. A run starts in the settled motion of the telescope without fine control, and where a
+stage shifts a mode of the structure that decays within minutes, a record of seconds shows the beat of both. So
+the model is also run from that start, with the limits of the commands, and its record fitted as the measured one is
+(`expected`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from los_design.sampled_loop import SampledLoop, sampled_loop
+from lti import StateSpace
+from lti.sampled_system import SampledSystem
+from lti.threads import one_thread
+from pointing_analysis.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.prediction import ToneComparison
+from pointing_analysis.read import Run
+from pointing_analysis.spectra import background, lines
+from titop_plant.disturbances import Tones
+from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
+from titop_plant.simulation import DT, PlantConfig, command_limits, frame_ticks, plant_and_tones, sample
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+WINDOW = 0.02
+
+
+@dataclass(frozen=True)
+class ToneResponse:
+    """One tone of the disturbance and what it does to the line of sight.
+
+    Parameters
+    ----------
+    omega : float
+        rad/s.
+    disturbance : float
+        Norm of the amplitudes on the 22 channels [N, Nm].
+    measured, expected, model : float
+        Amplitude of the line of sight [rad], norm of both axes: in the record; in the record of the model, from
+        the same start; of the model when all has settled.
+    """
+
+    omega: float
+    disturbance: float
+    measured: float
+    expected: float
+    model: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Figures for JSON: transmissibility in mas per N."""
+        scale = self.disturbance * RAD_PER_MAS
+        return {
+            "rad_s": round(self.omega, 6),
+            "disturbance_n": float(f"{self.disturbance:.6g}"),
+            "measured_mas_per_n": float(f"{self.measured / scale:.5g}"),
+            "model_same_start_mas_per_n": float(f"{self.expected / scale:.5g}"),
+            "model_settled_mas_per_n": float(f"{self.model / scale:.5g}"),
+        }
+
+
+@dataclass(frozen=True)
+class LoopModel:
+    """The loop as it flies with the tones of a run.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    plant : StateSpace
+        Continuous, inputs: commands, disturbances.
+    omega : ndarray, shape (K,)
+        rad/s, rising.
+    amplitude : ndarray, shape (22, K), complex
+        On the disturbance inputs.
+    limits : ndarray, shape (8,)
+        Largest commands: mirror [rad], actuators [N].
+    """
+
+    loop: SampledLoop
+    plant: StateSpace
+    omega: FloatArray
+    amplitude: ComplexArray
+    limits: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        physical: PlantConfig,
+        controllers: Mapping[str, SampledSystem],
+        *,
+        loop: str,
+        authority: tuple[float, float],
+    ) -> LoopModel:
+        """Model of a run. Tones of the same frequency are added up as phasors.
+
+        Parameters
+        ----------
+        physical : PlantConfig
+            Telescope and disturbance of the run.
+        controllers : mapping
+            ``k_fsm`` and ``k_pma``.
+        loop : {"none", "isolator", "fsm", "fsm+pma"}
+            Stage.
+        authority : (float, float)
+            Largest commands of the run: mirror [rad], actuators [N].
+
+        Raises
+        ------
+        ValueError
+            A telescope outside its family.
+        """
+        plant, tones = plant_and_tones(physical)
+        closed = sampled_loop(
+            plant, controllers["k_fsm"], controllers["k_pma"], loop=loop, frame_ticks=frame_ticks(physical.camera_rate)
+        )
+        limits = np.minimum(np.r_[np.full(2, authority[0]), np.full(6, authority[1])], command_limits(physical))
+        omega = np.unique(tones.frequency)
+        amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
+        seen = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
+        return cls(closed, plant, np.asarray(omega[seen]), np.asarray(amplitude[:, seen]), limits)
+
+    def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """What unit phasors add: to the next state on a tick with a frame and without (n, K); to the line of sight."""
+        n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
+        nothing = np.zeros(self.omega.size)
+        tones = Tones(self.omega, self.amplitude, nothing, nothing.astype(np.int64))
+        step = sample(self.plant, tones, 1).step[:, n + COMMANDS :]
+        factors = (
+            step[:, 1::2] + 1j * step[:, 0::2]
+        )  # columns act on the real and imaginary parts of the phasor in turn
+        drive = np.zeros((size, self.omega.size), complex)
+        drive[:n] = factors[:n]
+        felt = factors[n : n + MEASUREMENTS]
+        frame, hold = drive + self.loop.noise_frame @ felt, drive + self.loop.noise_hold @ felt
+        return np.asarray(frame, complex), np.asarray(hold, complex), np.asarray(factors[n + MEASUREMENTS :], complex)
+
+    def settled(self) -> ComplexArray:
+        """Amplitudes of the line of sight [rad], shape (2, K), mean over a camera period, when all has settled."""
+        N, size, turn = self.loop.frame_ticks, self.loop.hold.shape[0], np.exp(1j * self.omega * DT)
+        frame, hold, through = self.forcing()
+
+        def period(state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+            """State after a camera period and sum of the line of sight over it, per unit of the first phasor."""
+            seen = np.zeros((2, self.omega.size), complex)
+            for k in range(N):
+                seen += self.loop.truth @ state / turn**k
+                A, pushed = (self.loop.hold, hold) if k else (self.loop.frame, frame)
+                state = np.asarray(A @ state + pushed * turn**k)
+            return state, seen
+
+        forced, _ = period(np.zeros((size, self.omega.size), complex))
+        whole = np.linalg.matrix_power(self.loop.hold, N - 1) @ self.loop.frame
+        start = np.empty((size, self.omega.size), complex)
+        for k, full in enumerate(turn**N):
+            start[:, k] = linalg.solve(full * np.eye(size) - whole, forced[:, k])
+        return np.asarray(period(start)[1] / N + through, dtype=np.complex128)
+
+    def record(self, ticks: int) -> FloatArray:
+        """Line of sight [rad], shape (ticks, 2), from the settled motion without fine control, commands limited."""
+        n, loop = self.plant.A.shape[0], self.loop
+        frame, hold, through = self.forcing()
+        state, los = np.zeros(loop.hold.shape[0]), np.empty((ticks, 2))
+        drive = self.plant.B[:, COMMANDS:] @ self.amplitude
+        for k, w in enumerate(self.omega):
+            state[:n] += linalg.solve(1j * w * np.eye(n) - self.plant.A, drive[:, k]).imag
+        for k in range(ticks):
+            phasor = np.exp(1j * self.omega * DT * k)
+            los[k] = loop.truth @ state + (through @ phasor).imag
+            A, pushed = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
+            state = A @ state + (pushed @ phasor).imag
+            command = state[n : n + COMMANDS]
+            np.clip(command, -self.limits, self.limits, out=command)
+        return los
+
+
+def compare_tones(
+    run: Run, model: LoopModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
+) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
+    """Amplitudes in the record and in that of the model, run from the same start, and the seconds they are fitted to.
+
+    Tones that the run cannot tell apart are fitted as one in both; those beyond half the sampling rate and those slower
+    than one period are left out.
+
+    Parameters
+    ----------
+    run : Run
+        Its first sample is the first tick of the run.
+    model : LoopModel
+    transient : float, optional
+        Seconds of start-up to leave out.
+    stop : float
+        Only up to this second of the run. The model costs a step of python for each tick before it.
+    taper : bool
+        Fit both with Hann weights, so that drift and noise below a tone stay out of it; tones with less than 2.5
+        periods in the part are left out, too.
+    """
+    series = performance_error(run, transient)
+    first = round(series.start / series.dt)
+    measured = series.values[: max(0, round(min(stop, 1e9) / series.dt) - first)]
+    if not len(measured):
+        return (), (series.start, series.start)
+    with one_thread(), np.errstate(all="ignore"):
+        record = model.record(first + len(measured))[first:]
+        if not np.isfinite(record).all():
+            raise ValueError("the model of the loop diverges")
+        pairs = [lines(values, series.dt, model.omega, WINDOW, taper) for values in (measured, record)]
+        noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
+    expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
+    found = [
+        ToneComparison(line.omega, line.merged, expected[line.omega], float(np.hypot(*line.amplitude)), float(floor))
+        for line, floor in zip(pairs[0], noise)
+        if line.omega in expected and not (taper and np.isnan(floor))
+    ]
+    seconds = (series.start, series.start + series.dt * len(measured))
+    return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
+
+
+def tone_responses(run: Run, model: LoopModel, transient: float | None = None) -> tuple[ToneResponse, ...]:
+    """Measured and modelled response at each tone of a run.
+
+    Tones that the run cannot tell apart are left out, and those beyond half the sampling rate.
+    """
+    with one_thread():
+        settled = np.linalg.norm(model.settled(), axis=0)
+    disturbance = np.linalg.norm(model.amplitude, axis=0)
+    found = []
+    for tone in compare_tones(run, model, transient)[0]:
+        k = int(np.argmin(np.abs(model.omega - tone.omega)))
+        if tone.merged == 1:
+            fitted = tone.measured, tone.predicted
+            found.append(ToneResponse(float(model.omega[k]), float(disturbance[k]), *fitted, float(settled[k])))
+    return tuple(found)

@@ -1,0 +1,105 @@
+"""Named groups of signals (numpy only)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named group of signals.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the inputs (or outputs) of a system.
+    size : int
+        Number of scalar signals, at least 1.
+    unit : str
+        SI unit of the signals, one per component separated by commas where they differ; ports are
+        only connected to ports of the same unit.
+
+    Examples
+    --------
+    >>> Port("accel_Ip", 6, "m/s2,rad/s2").signals[0]
+    'accel_Ip[0]'
+    """
+
+    name: str
+    size: int
+    unit: str = "1"
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise ValueError("the name of a port must be a text of at least one letter, got an empty one")
+        if self.size < 1:
+            raise ValueError(f"size of port {self.name!r} must be at least 1, got {self.size}")
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the scalar signals: the port's own name if it has one, else ``name[i]``."""
+        if self.size == 1:
+            return (self.name,)
+        return tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
+    """Ports given as such or as (name, size); names must be unique.
+
+    Raises
+    ------
+    ValueError
+        A name that is used twice; `what` says where.
+    """
+    made = tuple(p if isinstance(p, Port) else Port(*p) for p in ports)
+    names = [p.name for p in made]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ValueError(f"{what}: port names must be unique, got {', '.join(map(repr, twice))} twice")
+    return made
+
+
+def read_only(array: ArrayLike) -> FloatArray:
+    """Contiguous float copy that refuses to be written to."""
+    copy = np.array(array, dtype=float, order="C")
+    copy.setflags(write=False)
+    return copy
+
+
+def port_slices(ports: Iterable[Port]) -> dict[str, slice]:
+    """Slice of each port in the stacked signal vector, by name."""
+    slices, start = {}, 0
+    for port in ports:
+        slices[port.name] = slice(start, start + port.size)
+        start += port.size
+    return slices
+
+
+def total_size(ports: Iterable[Port]) -> int:
+    """Number of scalar signals of all ports together."""
+    return sum(port.size for port in ports)
+
+
+def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str = "") -> NDArray[np.intp]:
+    """Indices of the signals of the ports `names`, in the order asked for, in the stacked vector of all `ports`.
+
+    Raises
+    ------
+    ValueError
+        A port that does not exist; the message lists those that do. `kind` and `of` say of which system.
+    """
+    slices = port_slices(ports)
+    chosen: list[int] = []
+    for name in names:
+        if name not in slices:
+            known = ", ".join(slices) or "(none)"
+            raise ValueError(f"{of + ': ' if of else ''}unknown {kind} port {name!r}, expected one of: {known}")
+        chosen.extend(range(slices[name].start, slices[name].stop))
+    return np.array(chosen, dtype=np.intp)

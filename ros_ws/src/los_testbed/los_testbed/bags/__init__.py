@@ -1,0 +1,1 @@
+"""Bags: messages as bytes, MCAP files, what a bag says about its run."""

@@ -1,0 +1,200 @@
+"""Bags: a rosbag2 folder (metadata.yaml version 9, one MCAP file) that any ROS 2 reader opens.
+
+The recorder node and the run in one process write through the same :class:`BagWriter`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from los_testbed.bags.mcap_blocks import McapBlockWriter
+from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
+
+QOS = [
+    {
+        "history": "keep_last",
+        "depth": DEPTH,
+        "reliability": "reliable",
+        "durability": "volatile",
+        "deadline": {"sec": 9223372036, "nsec": 854775807},
+        "lifespan": {"sec": 9223372036, "nsec": 854775807},
+        "liveliness": "automatic",
+        "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+        "avoid_ros_namespace_conventions": False,
+    }
+]
+"""Quality of service that every topic was offered with."""
+
+
+def check_new_bag(path: Path) -> None:
+    """Refuse a place where no new bag can be made.
+
+    Raises
+    ------
+    ValueError
+        Something is there already, or the parent is no folder one may write to.
+    """
+    if path.exists():
+        raise ValueError(f"the bag {path} exists already: expected a new name, bags are never overwritten")
+    parent = path.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir():
+        raise ValueError(f"the bag {path} cannot be made: {parent} is not a folder")
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """YAML without anchors, which not every reader of metadata.yaml resolves."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _yaml(content: Any) -> str:
+    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
+
+
+class BagWriter:
+    """A new bag with all topics of the table.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to make; its file is called ``<folder>_0.mcap``.
+    metadata : mapping of str to mapping
+        Named tables of strings for the head of the file (run parameters, seed, hashes).
+    attachments : mapping of str to (media type, bytes)
+        Files to keep with the data: controllers, run configuration.
+    diagnostics : bool
+        Whether ``/diagnostics`` has a channel.
+
+    Raises
+    ------
+    ValueError
+        The folder exists, or cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Mapping[str, tuple[str, bytes]] | None = None,
+        diagnostics: bool = False,
+    ) -> None:
+        check_new_bag(path)
+        try:
+            path.mkdir(parents=True)
+        except OSError as error:
+            raise ValueError(f"the bag {path} cannot be made: {error.strerror}") from None
+        self.path = path
+        self.file_name = f"{path.name}_0.mcap"
+        self._mcap = McapBlockWriter(path / self.file_name)
+        self._types = {topic.path: topic.type_name for topic in TOPICS}
+        if diagnostics:
+            self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
+        for name, table in metadata.items():
+            self._mcap.add_metadata(name, table)
+        for name, (media_type, data) in (attachments or {}).items():
+            self._mcap.add_attachment(name, media_type, data)
+        qos = _yaml(QOS).strip()
+        self._channels = {
+            name: self._mcap.add_channel(
+                name,
+                type_name,
+                DEFINITIONS[type_name],
+                {"offered_qos_profiles": qos, "topic_type_hash": TYPE_HASHES[type_name]},
+            )
+            for name, type_name in self._types.items()
+        }
+        self._closed = False
+
+    def write(
+        self,
+        topic: str,
+        log_times: NDArray[np.int64],
+        publish_times: NDArray[np.int64],
+        messages: NDArray[np.uint8],
+    ) -> None:
+        """Append messages (n, length) of one topic with their times (n,) [ns]."""
+        self._mcap.add_block(self._channels[topic], log_times, publish_times, messages)
+
+    def end_chunk(self) -> None:
+        """Compress and write out what came since the last call; called once per second of data."""
+        self._mcap.flush_chunk()
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names of the topics that have a channel."""
+        return frozenset(self._channels)
+
+    def counts(self) -> dict[str, int]:
+        """Messages so far per topic."""
+        return {name: self._mcap.counts[channel] for name, channel in self._channels.items()}
+
+    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        """Write `metadata` (results of the run), the index and metadata.yaml."""
+        if self._closed:
+            return
+        self._closed = True
+        self._mcap.flush_chunk()
+        for name, table in (metadata or {}).items():
+            self._mcap.add_metadata(name, table)
+        description = self._description()
+        text = _yaml(description)
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
+        self._mcap.finish()
+        partial = self.path / "metadata.yaml.partial"
+        partial.write_text(_yaml({"rosbag2_bagfile_information": description}), "utf-8")
+        partial.replace(self.path / "metadata.yaml")
+
+    def _description(self) -> dict[str, Any]:
+        start, end = self._mcap.start_time, self._mcap.end_time
+        counts = self.counts()
+        total = sum(counts.values())
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "duration": {"nanoseconds": end - start},
+            "message_count": total,
+        }
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "duration": span["duration"],
+            "starting_time": span["starting_time"],
+            "message_count": total,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": name,
+                        "type": type_name,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": QOS,
+                        "type_description_hash": TYPE_HASHES[type_name],
+                    },
+                    "message_count": counts[name],
+                }
+                for name, type_name in self._types.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self.file_name],
+            "files": [{"path": self.file_name, **span}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,266 @@
+"""Command group ``los-testbed design``: make, compare, draw and check the implemented controllers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from los_design.options import DesignOptions
+    from lti import SampledSystem
+
+MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
+
+**Examples**
+
+    los-testbed design {kind}                          # as implemented, over the whole box of parameters
+
+    los-testbed design {kind} --loop-delay 0           # the paper's continuous problem
+
+    los-testbed design {kind} --nominal                # on the nominal model alone
+
+    los-testbed design {kind} --output mine.json --time-limit 60
+"""
+
+NOMINAL_POINTS = 60
+"""Parameter points at which `verify` looks at the nominal design."""
+
+design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
+
+Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
+Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
+Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
+Seed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
+Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
+Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
+Json = Annotated[bool, typer.Option("--json", help="The output is one JSON object.")]
+
+
+@design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
+def k_fsm(
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    starts: Starts = 0, output: Output = None, json_: Json = False,
+) -> None:  # fmt: skip
+    """See MAKE_EXAMPLES."""
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+
+
+@design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
+def k_pma(
+    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    starts: Starts = 0, output: Output = None, json_: Json = False,
+) -> None:  # fmt: skip
+    """See MAKE_EXAMPLES."""
+    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+
+
+def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
+    from los_design.options import DesignOptions
+
+    for name, value, least in (("loop-delay", loop_delay, 0.0), ("seed", seed, 0), ("starts", starts, 0)):
+        if not value >= least:
+            raise ValueError(f"--{name} must not be negative, got {value}")
+    if not time_limit > 0.0:
+        raise ValueError(f"--time-limit must be positive, got {time_limit} s")
+    return DesignOptions(
+        nominal=nominal,
+        loop_delay=loop_delay,
+        wall_limit=time_limit,
+        seed=seed,
+        starts=starts,
+        progress=sys.stderr.isatty(),
+    )
+
+
+def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -> None:
+    from los_design.store import design_file
+    from los_design.synthesis import design_actuators, design_observer
+    from lti import SampledSystem
+    from lti.threads import one_thread
+    from titop_plant.simulation import telescope
+    from titop_plant.telescope.parameters import load_parameters
+
+    parameters, assembled = load_parameters(), telescope()
+    with one_thread():
+        if kind == "k-fsm":
+            system = design_observer(assembled, parameters, options)
+        else:
+            observer = SampledSystem.from_file(design_file("k-fsm", options.variant))
+            system = design_actuators(assembled, parameters, observer, options)
+    path = output or design_file(kind, options.variant)
+    system.to_file(path)
+    _show_design(system, path, json_)
+
+
+def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
+    provenance = system.provenance
+    if json_:
+        wanted = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
+        sys.stdout.write(json.dumps({"file": str(path), **wanted}) + "\n")
+        return
+    table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
+    for column in ("requirement", "tuned", "worst found", "at [rad/s]"):
+        table.add_column(column, justify="left" if column == "requirement" else "right")
+    worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
+    for name, value in provenance["tuned_values"].items():
+        found = worst.get(name)
+        row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
+        table.add_row(name, f"{value:.4f}", *row)
+    console = Console()
+    console.print(table)
+    console.print(f"written to {path}", soft_wrap=True)
+
+
+@design_app.command()
+def table(json_: Json = False) -> None:
+    """The gammas of the stored designs beside the paper's, with the worst-case parameters."""
+    from los_design.store import DESIGN_PACKAGES, VARIANTS, design_file
+    from los_design.verification import PAPER_NOMINAL, PAPER_ROBUST
+    from lti import SampledSystem
+
+    rows: list[dict[str, Any]] = []
+    for kind in DESIGN_PACKAGES:
+        short = "fsm" if kind == "k-fsm" else "pma"
+        for variant in VARIANTS:
+            path = design_file(kind, variant)
+            if not path.exists():
+                continue
+            provenance = SampledSystem.from_file(path).provenance
+            worst = {w["requirement"]: w["value"] for w in provenance.get("worst_cases", [])}
+            values = {**provenance.get("tuned_values", {}), **worst}
+            rows.append({"design": kind, "variant": variant, "gammas": values, "status": provenance.get("status", "")})
+        rows.append({"design": kind, "variant": "published, robust", "gammas": PAPER_ROBUST[short]})
+        rows.append({"design": kind, "variant": "published, nominal", "gammas": PAPER_NOMINAL[short]})
+    if json_:
+        sys.stdout.write(json.dumps(rows) + "\n")
+        return
+    shown = Table(title="Gammas (1 is the limit)")
+    for column in ("design", "problem", "gammas", "status"):
+        shown.add_column(column)
+    for row in rows:
+        gammas = row["gammas"]
+        text = (
+            ", ".join(f"{name} {value:.4f}" for name, value in gammas.items())
+            if isinstance(gammas, dict)
+            else ", ".join(f"{value:.4f}" for value in gammas)
+        )
+        shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
+    Console().print(shown)
+
+
+@design_app.command()
+def verify(
+    samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    json_: Json = False,
+) -> None:
+    """Recompute all figures of the stored designs: certified norms, and the sampled loop as it flies."""
+    if samples < 0:
+        raise ValueError(f"--samples must not be negative, got {samples}")
+    from lti.threads import one_thread
+
+    with one_thread():
+        result = _verified(samples)
+    if json_:
+        sys.stdout.write(json.dumps(result) + "\n")
+        return
+    for name, content in result.items():
+        Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
+
+
+def _verified(samples: int) -> dict[str, Any]:
+    from los_design.store import load_designs
+    from los_design.verification import check_implemented, check_paper, verification_points
+    from titop_plant.simulation import control_loop_plant, telescope
+    from titop_plant.telescope.parameters import load_parameters, parameter_corners
+
+    parameters, assembled = load_parameters(), telescope()
+    system = control_loop_plant(assembled, parameters)
+    at = verification_points(parameters, system, samples)
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    with bar:
+        some = at[:: max(1, len(at) // NOMINAL_POINTS)]
+        task = bar.add_task("as implemented", total=len(at) + len(some) + 1)
+
+        def tick() -> None:
+            bar.advance(task)
+
+        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, tick)
+        nominal = load_designs("implemented_nominal")
+        alone = check_implemented(system, parameters, *nominal, [{}], tick)
+        spread = check_implemented(system, parameters, *nominal, some, tick)
+    paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
+    robust = load_designs("paper")
+    for design in robust:
+        paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
+    return {
+        "paper": check_paper(assembled, parameters, *robust, paper_points),
+        "implemented": implemented.to_mapping(),
+        "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
+        "worst_parameters": {name: dict(values) for name, values in implemented.worst.items()},
+    }
+
+
+def _rng() -> Any:
+    import numpy as np
+
+    return np.random.default_rng(1)
+
+
+@design_app.command()
+def figures(
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    samples: Annotated[int, typer.Option(help="Random parameter points in the clouds.")] = 12,
+) -> None:
+    """Draw the four stages over sampled parameters with their templates, and the controllers."""
+    from los_design.figures import draw
+    from lti.threads import one_thread
+
+    with one_thread():
+        for path in draw(output, samples):
+            sys.stdout.write(f"{path}\n")
+
+
+@design_app.command("trade-off")
+def trade_off(
+    output: Annotated[Path, typer.Option(help="Folder for the picture.")] = Path("figures"),
+    bounds: Annotated[
+        str,
+        typer.Option(help="Bounds on the disturbance's relative error, in 100 mas, with commas; default 0.17 to 1."),
+    ] = "",
+    json_: Json = False,
+) -> None:
+    """Least sensor noise in the relative error for each bound on the disturbance's part (about 8 minutes)."""
+    from los_design.trade_off import LEVELS, check_levels, draw_trade_off
+    from los_design.trade_off import trade_off as curve
+    from lti.threads import one_thread
+
+    try:
+        levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
+    except ValueError:
+        raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
+    check_levels(levels)
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    with bar, one_thread():
+        task = bar.add_task("trade-off", total=2 * len(levels))
+        points = curve(levels, lambda: bar.advance(task))
+    output.mkdir(parents=True, exist_ok=True)
+    paths = draw_trade_off(points, output)
+    if json_:
+        sys.stdout.write(json.dumps([vars(point) for point in points]) + "\n")
+        return
+    shown = Table(title="Relative error, 20 ms [mas]")
+    for column in ("bound", "disturbance", "noise rms", "status"):
+        shown.add_column(column, justify="left" if column == "status" else "right")
+    for p in points:
+        bound = "as stored" if p.bound is None else f"{100.0 * p.bound:g}"
+        shown.add_row(bound, f"{p.disturbance:.1f}", f"{p.noise:.1f}", p.status)
+    Console().print(shown)
+    for path in paths:
+        sys.stdout.write(f"{path}\n")

@@ -1,0 +1,138 @@
+"""Command group ``los-testbed plant``: the telescope's model in figures and pictures."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from los_testbed.variants import CASES, check_ranges, named_cases
+
+if TYPE_CHECKING:
+    from titop_plant.telescope.summary import PlantSummary
+
+PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bodies.
+
+**Examples**
+
+    los-testbed plant                                  # the reference telescope
+
+    los-testbed plant --json                           # one JSON object
+
+    los-testbed plant --parameters my_telescope.toml   # your own
+
+    los-testbed plant figures --output pictures        # what disturbs its line of sight, PNG and SVG
+"""
+
+FIGURES_EXAMPLES = """Draw how wheels and array drives reach the line of sight.
+
+**Example**
+
+    los-testbed plant figures --output pictures
+"""
+
+CASES_EXAMPLES = """List the named telescopes that `los-testbed run --case NAME` flies.
+
+**Example**
+
+    los-testbed plant cases
+"""
+
+plant_app = typer.Typer(rich_markup_mode="markdown")
+
+
+@plant_app.callback(invoke_without_command=True, help=PLANT_EXAMPLES)
+def plant(
+    context: typer.Context,
+    parameters: Annotated[
+        str, typer.Option(metavar="FILE", help="Parameter file; default: the reference telescope.")
+    ] = "",
+    json_: Annotated[bool, typer.Option("--json", help="The output is one JSON object.")] = False,
+) -> None:
+    """See PLANT_EXAMPLES."""
+    if context.invoked_subcommand is not None:
+        context.obj = parameters
+        return
+    from lti.threads import one_thread
+    from titop_plant.simulation import telescope
+    from titop_plant.telescope.summary import summarise
+
+    with one_thread():
+        found = summarise(telescope(parameters or None))
+    if json_:
+        sys.stdout.write(json.dumps(found.to_mapping()) + "\n")
+    else:
+        show(Console(), found)
+
+
+@plant_app.command(help=FIGURES_EXAMPLES)
+def figures(
+    context: typer.Context,
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+) -> None:
+    """See FIGURES_EXAMPLES."""
+    from los_design.plant_figures import draw_figures
+    from lti.threads import one_thread
+
+    with one_thread():
+        paths = draw_figures(output, parameters or context.obj or None)
+    console = Console()
+    for path in paths:
+        console.print(str(path), soft_wrap=True, highlight=False)
+
+
+@plant_app.command(help=CASES_EXAMPLES)
+def cases(
+    file: Annotated[Path, typer.Option(help="YAML file of cases of your own.")] = CASES,
+) -> None:
+    """See CASES_EXAMPLES."""
+    from los_testbed.config import RunConfig
+
+    table = Table("case", "telescope", title_justify="left")
+    for name, settings in named_cases(file).items():
+        given = {key: value for key, value in settings.items() if key != "description"}
+        check_ranges(RunConfig.from_mapping(given))
+        table.add_row(name, str(settings.get("description", given)))
+    Console().print(table)
+
+
+def show(console: Console, found: PlantSummary) -> None:
+    """Print a model's figures as tables."""
+    stable = "all poles in the left half plane" if found.hurwitz else "[red]not stable[/red]"
+    inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
+    console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)
+    console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
+    console.print(_table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(found)))
+    heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
+    console.print(_table("bodies", heads, _bodies(found)))
+
+
+def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for i, head in enumerate(heads):
+        table.add_column(head, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row))
+    return table
+
+
+def _parameters(found: PlantSummary) -> list[tuple[Any, ...]]:
+    return [
+        (p.name, found.occurrences[p.name], p.nominal, p.lower, p.upper, "" if p.unit == "1" else p.unit)
+        for p in found.parameters
+    ]
+
+
+def _bodies(found: PlantSummary) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = []
+    for b in found.bodies:
+        span = f"{b.frequencies[0]:.4g} .. {b.frequencies[1]:.4g}" if b.modes else "rigid"
+        fraction = b.min_residual_fraction if abs(b.min_residual_fraction) > 1e-9 else 0.0  # rounding
+        rows.append((b.name, b.mass, b.modes, span, f"{100.0 * fraction:.2g} %"))
+    return rows

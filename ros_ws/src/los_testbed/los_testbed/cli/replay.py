@@ -1,0 +1,148 @@
+"""Command ``los-testbed replay``: the sensors of a bag through its own controllers, through others, or to ROS."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from pointing_analysis.read import Run
+    from pointing_analysis.replay import Comparison
+
+DIFFERENT = 1
+"""Exit code of a replay through the recorded controllers that did not give the recording again."""
+
+REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
+
+Through the controllers that flew, the recorded estimates and commands come out again, bit by bit: the proof that the
+bag holds all that the loop saw (exit code 1 if not). Through others: their estimates, knowledge errors and the
+commands they would have sent. The recorded telescope does not answer to those.
+
+**Examples**
+
+    los-testbed replay bags/run-20260101-120000
+
+    los-testbed replay bags/night --k-fsm my_observer.json --output bags/night-my_observer
+
+    los-testbed replay bags/isolator --loop fsm+pma         # what the controllers would have commanded
+
+    los-testbed replay bags/night --to-ros --domain 7       # drives the nodes that run on this domain
+"""
+
+ROWS = (
+    ("knowledge error, rms", "ake_rms_arcsec", "arcsec"),
+    ("knowledge error, 99.7 %", "ake_p997_arcsec", "arcsec"),
+    ("RKE rms, 20 ms windows", "rke_rms_mas", "mas"),
+    ("largest mirror command", "fsm_peak_rad", "rad"),
+    ("largest force", "pma_peak_n", "N"),
+)
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
+    k_fsm: Annotated[Path | None, typer.Option(help="Observer file instead of the recorded one.")] = None,
+    k_pma: Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the recorded one.")] = None,
+    loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
+    output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
+    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out of the figures.")] = None,
+    to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
+    domain: Annotated[int, typer.Option(help="ROS domain for --to-ros; -1 for ROS_DOMAIN_ID or 0.")] = -1,
+    timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
+    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+) -> None:
+    """See REPLAY_EXAMPLES."""
+    from los_testbed.bags.writer import check_new_bag
+    from pointing_analysis.read import Run
+
+    if to_ros and (k_fsm or k_pma or loop):
+        raise ValueError("--to-ros drives nodes with controllers of their own: expected no --k-fsm, --k-pma, --loop")
+    if output is not None:
+        check_new_bag(output)
+    run, console = Run.open(bag), Console(stderr=json_)
+    if to_ros:
+        content = _to_ros(console, run, output, domain, timeout)
+    else:
+        content = _through(console, run, (k_fsm, k_pma, loop), output, transient)
+    if json_:
+        sys.stdout.write(json.dumps(content) + "\n")
+    if content["as_recorded"] and not content["identical"]:
+        raise typer.Exit(DIFFERENT)
+
+
+def _through(
+    console: Console,
+    run: Run,
+    others: tuple[Path | None, Path | None, str | None],
+    output: Path | None,
+    transient: float | None,
+) -> dict[str, Any]:
+    from los_testbed.run import replay as replay_run
+    from pointing_analysis.replay import compare
+
+    chosen = replay_run.controllers(run, *others)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("replay", total=1)
+        replayed = replay_run.drive(run, chosen, lambda done, total: bar.update(task, completed=done, total=total))
+    comparison = compare(run, replayed)
+    found = replay_run.figures(run, replayed, transient)
+    _show(console, comparison, found, chosen.as_recorded)
+    content = replay_run.as_dict(run, chosen, comparison, found)
+    if output is not None:
+        replay_run.write_bag(output, run, replayed, chosen)
+        console.print(f"bag     {output}", soft_wrap=True, highlight=False)
+    return {**content, "output": None if output is None else str(output)}
+
+
+def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeout: float) -> dict[str, Any]:
+    from los_testbed.bags.metadata import METADATA_NAME
+    from los_testbed.bags.writer import BagWriter
+    from los_testbed.run import replay as replay_run
+    from los_testbed.run.runner import check_ros
+    from pointing_analysis.replay import compare
+
+    check_ros()
+    from los_testbed.nodes.sensor_player import play
+
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("sensors to ROS", total=1)
+        played = play(run, domain, timeout, lambda done, total: bar.update(task, completed=done, total=total))
+    for warning in played.warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
+    console.print(f"{played.ticks} ticks sent, {played.late} of them a millisecond or more late", highlight=False)
+    content: dict[str, Any] = {"bag": str(run.path), "as_recorded": False, "ticks": played.ticks, "late": played.late}
+    content["answers"] = {name: len(stamps) for name, (stamps, _) in played.answers.items()}
+    content["identical"] = None
+    if played.answers:
+        comparison = compare(run, played.replayed())
+        content["identical"] = comparison.identical
+        console.print(f"answers of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
+    if output is not None:
+        signals = {name: (run[name].stamp, run[name].values) for name in played.sent}
+        with BagWriter(output, {METADATA_NAME: {"mode": "replay to ROS", "replay_of": run.path.name}}) as bag:
+            replay_run.write_signals(bag, {**signals, **played.answers})
+        console.print(f"bag     {output}", soft_wrap=True, highlight=False)
+    return {**content, "output": None if output is None else str(output)}
+
+
+def _show(
+    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool
+) -> None:
+    console.print(f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}", soft_wrap=True)
+    if comparison.incomplete:
+        console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
+    table = Table(title="Recorded and replayed", title_justify="left")
+    for head in ("figure", "recorded", "replayed"):
+        table.add_column(head, justify="left" if head == "figure" else "right")
+    for text, key, unit in ROWS:
+        values = [f"{found[side][key]:.4g} {unit}" if key in found[side] else "-" for side in ("recorded", "replayed")]
+        if set(values) != {"-"}:
+            table.add_row(text, *values)
+    console.print(table)

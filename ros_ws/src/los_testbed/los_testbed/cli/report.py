@@ -1,0 +1,86 @@
+"""Command ``los-testbed report``: one HTML page from one or several bags."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from pointing_analysis.summary import Summary
+
+REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, pictures, provenance.
+
+For bags of this testbed it also says what the model of the loop predicts of each tone of the disturbance, beside what
+was measured. The page holds everything it shows, opens from disk and prints.
+
+**Examples**
+
+    los-testbed report bags/run-20260101-120000                    # into the bag's folder
+
+    los-testbed report bags/none bags/isolator bags/fsm bags/fsm+pma --output stages.html
+
+    los-testbed report bags/long --requirements mission.toml --transient 5
+
+    los-testbed report bags/night --start 3600 --stop 4200         # ten minutes of a large bag
+"""
+
+
+def report(
+    bags: Annotated[list[Path], typer.Argument(help="Bags: folders or .mcap files.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(help="HTML file. Default: report.html in the folder of a single bag, else in this folder."),
+    ] = None,
+    requirements: Annotated[
+        Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
+    ] = None,
+    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out.")] = None,
+    start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
+    stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
+    namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+) -> None:
+    """See REPORT_EXAMPLES."""
+    from los_testbed.run.predictions import predictions
+    from pointing_analysis import requirements as texts
+    from pointing_analysis.read import Run
+    from pointing_analysis.report import labels, write_report
+    from pointing_analysis.summary import summarise
+
+    wanted = None if requirements is None else texts.load(requirements)
+    target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
+    runs = [Run.open(bag, namespace=namespace, start=start, stop=stop) for bag in bags]
+    found = [summarise(run, transient=transient, wanted=wanted) for run in runs]
+    expected = predictions(runs, transient, start, stop)
+    write_report(runs, target, transient=transient, wanted=wanted, predictions=expected)
+    console = Console(stderr=json_)
+    show(console, labels(runs), found)
+    console.print(f"report  {target}", soft_wrap=True, highlight=False)
+    if json_:
+        content = {"report": str(target), "runs": [s.as_dict() for s in found]}
+        sys.stdout.write(json.dumps(content) + "\n")
+
+
+def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
+    """Print the figures of some runs, one line each, and what was found in the bags."""
+    from pointing_analysis.report import digits, overall
+
+    table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
+    table.add_column("run", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
+    for head in ("APE max, 99.7 % \\[arcsec]", "RPE rms, 99.7 % \\[mas]", "left out", "lost"):
+        table.add_column(head, justify="right")
+    for name, s in zip(names, found):
+        ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
+        table.add_row(name, overall(s.verdicts), ape, rpe, f"{s.transient:g} s", str(s.samples_lost))
+    console.print(table)
+    for name, s in zip(names, found):
+        for problem in s.problems:
+            console.print(f"[yellow]note:[/yellow] {name}: {problem}", soft_wrap=True)

@@ -1,0 +1,130 @@
+"""Command ``los-testbed stages``: the four loop stages in one table and one report."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from los_testbed.run.stages import Plan, StageResult, StageRun
+
+STAGES_EXAMPLES = """Compare the four stages: none, isolator, fsm, fsm+pma.
+
+Same seed and disturbance for all, several telescopes of the family, the disturbance and the sensor noise also alone;
+the transmissibility of each stage beside that of the model. Writes stages.md, stages.json and one report per scenario.
+
+**Examples**
+
+    los-testbed stages                                       # both scenarios, three telescopes; some minutes
+
+    los-testbed stages --scenario design --samples 1 --no-parts --json
+
+    los-testbed stages --k-fsm my_observer.json --duration 30
+
+    los-testbed stages --mode realtime --samples 1 --no-parts     # on ROS 2, in real time
+"""
+
+
+def stages(
+    scenario: Annotated[str, typer.Option(help="design, imbalance or both.")] = "both",
+    samples: Annotated[int, typer.Option(help="Telescopes: the nominal one and random members.", min=1, max=100)] = 3,
+    duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
+    mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
+    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the one that ships.")] = "",
+    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file.")] = "",
+    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = 50.0,
+    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+    parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
+    output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+) -> None:
+    """See STAGES_EXAMPLES."""
+    from los_testbed.bags.writer import check_new_bag
+    from los_testbed.config import SCENARIOS, RunConfig
+    from los_testbed.factories import build_controller, build_estimator
+    from los_testbed.run.runner import check_ros
+    from los_testbed.run.stages import PARTS, Plan, perform
+
+    if scenario not in (*SCENARIOS, "both"):
+        raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
+    base = RunConfig(
+        duration=duration, seed=seed, mode=mode, k_fsm=k_fsm, k_pma=k_pma, camera_rate=camera_rate,
+        parameters=parameters,
+    )  # fmt: skip
+    folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
+    check_new_bag(folder)
+    build_estimator(base)
+    build_controller(base)
+    if mode != "inprocess":
+        check_ros()
+    chosen = SCENARIOS if scenario == "both" else (scenario,)
+    plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep)
+    console = Console(stderr=json_)
+    with _bar(console) as bar:
+        runs = plan.runs()
+        task = bar.add_task("stages", total=len(runs) * base.ticks)
+        place = {run.name: i for i, run in enumerate(runs)}
+
+        def progress(run: StageRun, ticks: int) -> None:
+            bar.update(task, description=run.name, completed=place[run.name] * base.ticks + ticks)
+
+        results = perform(plan, progress)
+    content = _write(console, results, plan)
+    if json_:
+        sys.stdout.write(json.dumps(content) + "\n")
+
+
+def _bar(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:
+    """Tables, files and reports."""
+    from los_testbed.run import stages_tables
+
+    for table in stages_tables.screen(results, plan):
+        console.print(table)
+    for result in results:
+        if result.note:
+            console.print(f"[yellow]note:[/yellow] {result.run.name}: {result.note}", soft_wrap=True)
+    content = stages_tables.as_json(results, plan)
+    (plan.folder / "stages.md").write_text(stages_tables.markdown(results, plan), "utf-8")
+    content["reports"] = [str(path) for path in _reports(results, plan)]
+    (plan.folder / "stages.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+    for path in (plan.folder / "stages.md", plan.folder / "stages.json", *content["reports"]):
+        console.print(str(path), soft_wrap=True, highlight=False)
+    return content
+
+
+def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
+    """One report per scenario: the four stages side by side, the model beside the measured lines."""
+    from los_testbed.config import LOOPS
+    from los_testbed.run.predictions import predictions
+    from los_testbed.run.stages import select
+    from pointing_analysis.read import Run
+    from pointing_analysis.report import labels, write_report
+
+    paths = []
+    for scenario in plan.scenarios:
+        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in LOOPS]
+        runs = [Run.open(bag) for bag in kept if bag is not None]
+        model = {}
+        for run, label in zip(runs, labels(runs)):
+            alone = select(results, scenario, str(run.parameters["loop"]), "disturbance").get("nominal")
+            if alone is not None and alone.tones:
+                model[label] = alone.model()
+        if runs:
+            page = plan.folder / f"report-{scenario}.html"
+            paths.append(write_report(runs, page, model=model, predictions=predictions(runs)))
+    return paths

@@ -1,0 +1,88 @@
+"""Running figures of a loop: counts and latency histograms of fixed size, nothing kept per tick."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class LatencyHistogram:
+    """Histogram of durations with 1 microsecond cells up to 20 ms; longer ones share the last cell.
+
+    Examples
+    --------
+    >>> durations = LatencyHistogram()
+    >>> for microseconds in (100, 200, 300):
+    ...     durations.add(microseconds * 1000)
+    >>> durations.quantile_us(0.5), durations.maximum_us
+    (200.0, 300.0)
+    """
+
+    CELLS = 20_000
+
+    def __init__(self) -> None:
+        self.cells: NDArray[np.int64] = np.zeros(self.CELLS, np.int64)
+        self._cells = memoryview(self.cells)  # type: ignore[arg-type, unused-ignore]
+        self.count = 0
+        self.total_ns = 0
+        self.maximum_ns = 0
+        self._window = (0, 0)
+        self._window_maximum_ns = 0
+
+    def add(self, duration_ns: int) -> None:
+        """Count one duration [ns]; negative ones (a stepped clock) count as zero."""
+        cell = duration_ns // 1000
+        self._cells[0 if cell < 0 else cell if cell < self.CELLS else self.CELLS - 1] += 1
+        self.count += 1
+        self.total_ns += duration_ns
+        if duration_ns > self.maximum_ns:
+            self.maximum_ns = duration_ns
+        if duration_ns > self._window_maximum_ns:
+            self._window_maximum_ns = duration_ns
+
+    def window(self, name: str) -> dict[str, float]:
+        """Mean and longest [us] of those that were added since the last call, NaN if there were none.
+
+        Examples
+        --------
+        >>> durations = LatencyHistogram()
+        >>> durations.add(3000), durations.window("execution")
+        (None, {'execution_mean_us': 3.0, 'execution_max_us': 3.0})
+        >>> durations.window("execution")
+        {'execution_mean_us': nan, 'execution_max_us': nan}
+        """
+        count, total = self.count - self._window[0], self.total_ns - self._window[1]
+        longest = self._window_maximum_ns / 1000 if count else float("nan")
+        self._window, self._window_maximum_ns = (self.count, self.total_ns), 0
+        return {f"{name}_mean_us": total / count / 1000 if count else float("nan"), f"{name}_max_us": longest}
+
+    @property
+    def maximum_us(self) -> float:
+        """Longest one [us]."""
+        return self.maximum_ns / 1000
+
+    @property
+    def mean_us(self) -> float:
+        """Mean [us]; NaN without data."""
+        return self.total_ns / self.count / 1000 if self.count else float("nan")
+
+    def quantile_us(self, probability: float) -> float:
+        """Smallest cell that at least this share of the durations does not exceed [us]; NaN without data."""
+        if not self.count:
+            return float("nan")
+        rank = max(1, int(np.ceil(probability * self.count)))
+        cell = int(np.searchsorted(np.cumsum(self.cells), rank))
+        return float(cell) if cell < self.CELLS - 1 else self.maximum_us
+
+    def histogram(self) -> dict[int, int]:
+        """Cells [us] that are not empty, and how many durations fell into each."""
+        return {int(cell): int(self.cells[cell]) for cell in np.flatnonzero(self.cells)}
+
+    def summary(self, name: str) -> dict[str, str]:
+        """Median, tail and extreme as diagnostic values."""
+        return {
+            f"{name}_median_us": f"{self.quantile_us(0.5):g}",
+            f"{name}_p99_us": f"{self.quantile_us(0.99):g}",
+            f"{name}_p999_us": f"{self.quantile_us(0.999):g}",
+            f"{name}_max_us": f"{self.maximum_us:g}",
+        }

@@ -1,0 +1,165 @@
+"""Plant, estimator and controller in one process, without ROS: the same cores, the same bag.
+
+Tick k: the plant applies the command that was computed from tick k - 1, then measures; estimator and
+controller compute the next command from that measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.runtime import FsmPmaController
+from los_estimator.runtime import LosEstimator
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
+from los_testbed.bags.writer import BagWriter
+from los_testbed.config import RunConfig
+from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes
+from los_testbed.topics import TICK_NS, TOPICS
+from lti.threads import one_thread
+
+BLOCK = 1000
+"""Ticks that are simulated before they are written: one chunk of the bag."""
+
+SIMULATED_START_NS = 1_000_000_000
+"""Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
+
+
+class LoopDivergedError(RuntimeError):
+    """The loop left the finite numbers: the controllers do not stabilise this plant."""
+
+
+def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
+    """First tick of a run [ns]: a whole number of camera periods, so that stamps tell the frames.
+
+    Examples
+    --------
+    >>> aligned_start(1_000_000_001, 20)
+    1020000000
+    """
+    period = frame_ticks * TICK_NS
+    return -(-not_before_ns // period) * period
+
+
+@dataclass(frozen=True)
+class Block:
+    """Signals of some consecutive ticks; row i belongs to stamp i."""
+
+    size: int
+    stamps: NDArray[np.int64] = field(init=False)
+    measurement: NDArray[np.float64] = field(init=False)
+    truth: NDArray[np.float64] = field(init=False)
+    los_estimate: NDArray[np.float64] = field(init=False)
+    command: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
+        for name, width in (("measurement", 22), ("truth", 2), ("los_estimate", 2), ("command", 8)):
+            object.__setattr__(self, name, np.zeros((self.size, width)))
+
+
+def simulate(
+    plant: Plant,
+    estimator: LosEstimator,
+    controller: FsmPmaController,
+    ticks: int,
+    sink: Callable[[Block, int], None],
+) -> None:
+    """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
+
+    Raises
+    ------
+    LoopDivergedError
+        A signal is no longer finite.
+    """
+    block, command = Block(BLOCK), np.zeros(8)
+    start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
+    plant_step, estimate, control = plant.step, estimator.step, controller.step
+    for first in range(0, ticks, BLOCK):
+        rows = min(BLOCK, ticks - first)
+        block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
+        for y, truth, los, u in zip(
+            block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+        ):
+            plant_step(command, y, truth)
+            estimate(y, los)
+            control(los, y[:6], u)
+            command[:] = u
+        sink(block, rows)
+        if not (np.isfinite(block.truth[:rows]).all() and np.isfinite(block.command[:rows]).all()):
+            raise LoopDivergedError(f"the loop diverged within the first {first + rows} ms")
+
+
+class BagSink:
+    """Writes blocks into a bag; log and publishing times are the stamps."""
+
+    def __init__(self, bag: BagWriter, frame_ticks: int) -> None:
+        self._bag = bag
+        self._frame_ns = frame_ticks * TICK_NS
+        self._codecs = [(topic, codec_for(topic)) for topic in TOPICS]
+
+    def __call__(self, block: Block, rows: int) -> None:
+        """Write the first `rows` ticks of the block as one chunk."""
+        stamps = block.stamps[:rows]
+        frames = stamps % self._frame_ns == 0
+        for topic, codec in self._codecs:
+            values = getattr(block, topic.vector)[:rows, topic.columns]
+            times = stamps
+            if topic.rate == "camera":
+                values, times = values[frames], stamps[frames]
+            self._bag.write(topic.path, times, times, codec.encode_many(times, values))
+        self._bag.end_chunk()
+
+
+def run_in_process(
+    config: RunConfig,
+    bag_path: Path,
+    plant: Plant | None = None,
+    progress: Callable[[int], None] = lambda ticks: None,
+) -> dict[str, dict[str, str]]:
+    """Simulate and record a run; returns the statistics as the bag holds them.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The run; its mode is not looked at.
+    bag_path : Path
+        Folder to make.
+    plant : Plant, optional
+        Another plant than the one of the configuration.
+    progress : callable
+        Called with the number of ticks done, once per block.
+
+    Raises
+    ------
+    ValueError
+        A controller that cannot be used, a bag that exists.
+    LoopDivergedError
+        The controllers do not stabilise the plant; the bag holds the run up to there.
+    """
+    estimator, controller = build_estimator(config), build_controller(config)
+    if plant is None:
+        plant = build_plant(config)
+    statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant)}}
+    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config)}, attachments(config))
+    sink, done = BagSink(bag, plant.frame_ticks), 0
+
+    def write(block: Block, rows: int) -> None:
+        nonlocal done
+        sink(block, rows)
+        done += rows
+        progress(done)
+
+    try:
+        with one_thread():
+            simulate(plant, estimator, controller, config.ticks, write)
+    finally:
+        statistics["plant"]["ticks"] = str(done)
+        statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
+        bag.close({METADATA_NAME: final_metadata(config, statistics)})
+    return statistics

@@ -1,0 +1,39 @@
+"""Settings of the middleware (Fast DDS) for a process; to be chosen before rclpy starts.
+
+Nodes talk UDP, not shared memory: as fast for such small messages (measured), and without its faults. A process that
+is killed while it holds the lock of a segment takes others with it, a writer that meets a new or dead neighbour is held
+up for a third of a second by a health check, and files stay behind in /dev/shm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from pathlib import Path
+
+_PROFILES = Path(__file__).parents[2] / "profiles"
+NETWORK_PROFILE = _PROFILES / "fastdds.xml"
+LOCALHOST_PROFILE = _PROFILES / "fastdds_localhost.xml"
+"""Times of discovery and resending; the second one also keeps discovery to this machine."""
+
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Fast DDS 2 and 3 call it differently."""
+
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+
+
+def choose_middleware(environment: MutableMapping[str, str]) -> None:
+    """Set profile, transport and range of discovery in `environment`; a profile that the user names goes before it.
+
+    For the range ``LOCALHOST`` the ROS middleware layer adds shared memory to every participant, whatever the
+    transport variable says. So that range is made by a profile, and the layer is told ``SUBNET``, which leaves
+    the profile alone (and still honours ``ROS_STATIC_PEERS``).
+    """
+    environment.setdefault(TRANSPORT_VARIABLE, "UDPv4")
+    if any(variable in environment for variable in PROFILE_VARIABLES):
+        return
+    profile = NETWORK_PROFILE
+    if environment.get(RANGE_VARIABLE) == "LOCALHOST":
+        profile = LOCALHOST_PROFILE
+        environment[RANGE_VARIABLE] = "SUBNET"
+    environment.update(dict.fromkeys(PROFILE_VARIABLES, str(profile)))

@@ -1,0 +1,136 @@
+"""What the four nodes share: start, parameters, diagnostics, events for the runner, signals, a clean end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from los_testbed.loop.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, keep_awake, sharpen_timers
+from los_testbed.nodes.support.middleware import choose_middleware
+from los_testbed.nodes.support.parameters import declare_config
+from los_testbed.nodes.support.security import refuse_missing_security
+from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
+
+EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+"""If set, a node tells its parent process what happens, one JSON object per line on its output."""
+
+
+class NodeContext:
+    """A node in namespace ``/telescope`` with the run's configuration as parameters.
+
+    Parameters
+    ----------
+    name : str
+        plant, estimator, controller or recorder.
+    arguments : sequence of str
+        Command line, ``--ros-args`` included.
+    """
+
+    def __init__(self, name: str, arguments: Sequence[str]) -> None:
+        self.name = name
+        self.stop = False
+        self._events = bool(os.environ.get(EVENTS_VARIABLE))
+        if self._events:
+            end_with_parent()
+        sharpen_timers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        choose_middleware(os.environ)
+        rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
+        refuse_missing_security()
+        self.node = rclpy.create_node(name, namespace=NAMESPACE)
+        self.config = declare_config(self.node)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10))
+        self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
+
+    def _on_signal(self, number: int, frame: Any) -> None:
+        self.stop = True
+
+    def become_real_time(self) -> None:
+        """Raise the process to real time, or say once what was not permitted."""
+        if not self.config.priority or self.config.mode != "realtime":
+            return
+        if self.name == "plant":
+            keep_awake()
+        place = PLACES[self.name] if self.config.pin else None
+        refused = become_real_time(PRIORITIES[self.name], place)
+        if refused:
+            self.event("warning", message=f"not permitted: {', '.join(refused)}; running without")
+            if not self._events:
+                self.node.get_logger().warning(f"not permitted: {', '.join(refused)}; running without")
+
+    def service(self) -> None:
+        """Answer parameter requests, if there are any; about 0.1 ms."""
+        self._executor.spin_once(timeout_sec=0.0)
+
+    def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
+        """Publish the state of this node on /diagnostics."""
+        array = DiagnosticArray()
+        array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
+        array.status = [
+            DiagnosticStatus(
+                level=bytes([level]),
+                name=f"telescope: {self.name}",
+                message=message,
+                hardware_id="los_testbed",
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+        ]
+        self._diagnostics.publish(array)
+
+    def plot(self, values: Mapping[str, float]) -> None:
+        """Publish figures since the last report on ``~/statistics``.
+
+        The numbers are in ``data``; ``layout.dim[0].label`` holds their names in the same order, with commas.
+        """
+        message = Float64MultiArray(data=[float(value) for value in values.values()])
+        size = len(values)
+        message.layout.dim = [MultiArrayDimension(label=",".join(values), size=size, stride=size)]
+        self._statistics.publish(message)
+
+    def event(self, kind: str, **content: Any) -> None:
+        """Tell the runner, if one listens."""
+        if self._events:
+            try:
+                os.write(1, (json.dumps({"event": kind, "node": self.name, **content}) + "\n").encode())
+            except OSError:
+                self._events = False
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeContext], int]) -> int:
+    """Run `body` inside a node; a mistake of the user is one line and exit code 2."""
+    shell = None
+    try:
+        shell = NodeContext(name, sys.argv[1:] if arguments is None else arguments)
+        return body(shell)
+    except (InvalidHandle, ExternalShutdownException):
+        return 0 if shell is not None and shell.stop else 1
+    except (ValueError, RuntimeError, OSError) as error:
+        message = " ".join(str(error).split())
+        if shell is not None:
+            shell.event("error", message=message)
+        sys.stderr.write(f"los_testbed {name}: {message}\n")
+        return 2 if isinstance(error, ValueError) else 1
+    finally:
+        if shell is not None:
+            shell.close()

@@ -1,0 +1,83 @@
+"""Topics of the plant node: sensors and truth out, commands in through their gates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.bags.cdr import codec_for
+from los_testbed.loop.command_gate import CommandGate
+from los_testbed.nodes.support.node_context import NodeContext
+from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
+from los_testbed.topics import (
+    FSM_COMMAND,
+    HEADER,
+    PMA_COMMAND,
+    PROGRESS_TOPIC,
+    SENSORS,
+    TICK_NS,
+    TRUTH_LOS,
+    Topic,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+class PlantIo:
+    """Publishers, subscriptions and gates of the plant."""
+
+    def __init__(self, shell: NodeContext) -> None:
+        config, node = shell.config, shell.node
+
+        def output(topic: Topic) -> tuple[Topic, RawPublisher]:
+            return topic, RawPublisher(node, topic.name, topic.type_name)
+
+        self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
+        self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
+        self._frame_ns = config.frame_ticks * TICK_NS
+        every = config.mode == "lockstep"  # time stands still until a lost command was sent again
+        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, READER_DEPTH, every)
+        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH, every)
+        self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
+        hold = config.hold_ticks, config.fade_ticks
+        self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), config.fsm_authority, *hold)
+        self.pma_gate = CommandGate(codec_for(PMA_COMMAND), config.pma_authority, *hold)
+        self.start = 0
+
+    def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray) -> None:
+        """Send a tick; the camera only on its frames. The estimator's trigger goes before the truth."""
+        for topic, publisher, codec in self._sensors:
+            if topic.rate == "tick" or stamp % self._frame_ns == 0:
+                publisher.publish(codec.encode(stamp, measurement[topic.columns]))
+        publisher, codec = self._truth
+        publisher.publish(codec.encode(stamp, truth))
+
+    def settle(self) -> None:
+        """Let the readers take in what was sent last."""
+        settle([publisher for _, publisher, _ in self._sensors] + [self._truth[0]])
+
+    def begin(self, start: int) -> None:
+        """Drop what is left of the handshake; the run begins at `start`."""
+        self.start = start
+        for subscription in (self.fsm_input, self.pma_input):
+            while subscription.take() is not None:
+                pass
+        self.fsm_gate.begin(start)
+        self.pma_gate.begin(start)
+
+    def fading(self) -> bool:
+        """Whether an actuator is being brought to zero for want of commands."""
+        return self.fsm_gate.fading or self.pma_gate.fading
+
+    def rejected_total(self) -> int:
+        """Rejected commands of both topics."""
+        return sum(self.fsm_gate.rejected.values()) + sum(self.pma_gate.rejected.values())
+
+    def rejections(self) -> dict[str, str]:
+        """Rejected commands by topic and reason."""
+        gates = (("fsm", self.fsm_gate), ("pma", self.pma_gate))
+        return {
+            f"rejected_{name}_{reason}": str(count)
+            for name, gate in gates
+            for reason, count in sorted(gate.rejected.items())
+        }

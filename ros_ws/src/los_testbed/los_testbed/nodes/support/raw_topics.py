@@ -1,0 +1,119 @@
+"""Publishers and subscriptions that carry bytes, and a wait on them, all outside any executor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped, Vector3Stamped
+from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from los_testbed.topics import ACCEL, DEPTH, HEADER, JOINT_STATE, VECTOR3
+
+MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
+READER_DEPTH = 200
+"""Messages of an intruder must not push the right ones out of a reader's queue within some ticks."""
+
+SETTLE_S = 1.0
+"""Readers get this much time for the last messages of a node that leaves; a dead reader costs all of it."""
+
+
+class _NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
+    """Group of entities that no executor touches: their messages are taken by the loop."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        return None
+
+
+class RawPublisher:
+    """Publisher of serialised messages on a topic relative to the node's namespace."""
+
+    def __init__(self, node: Node, name: str, type_name: str, depth: int = DEPTH) -> None:
+        self._publisher = node.create_publisher(MESSAGES[type_name], name, QoSProfile(depth=depth))
+        self._handle = self._publisher.handle
+        self._handle.__enter__()  # keeps it alive; entered once instead of at every message
+        self.publish = self._handle.publish_raw
+
+    def settle(self, deadline: float) -> bool:
+        """Wait until every reader has what was sent, at most until `deadline` (steady clock [s]); whether it has."""
+        rest = max(0.0, deadline - time.monotonic())
+        return bool(self._publisher.wait_for_all_acked(Duration(nanoseconds=int(rest * 1e9))))
+
+    def close(self) -> None:
+        """Release the handle."""
+        self._handle.__exit__(None, None, None)
+
+
+def settle(publishers: Sequence[RawPublisher]) -> bool:
+    """Wait until what these sent last has arrived, at most :data:`SETTLE_S`; whether all of it has.
+
+    A process that leaves at once may be faster than its last messages: readers drop what they did not yet take
+    in when its farewell comes, which travels on another port.
+    """
+    deadline = time.monotonic() + SETTLE_S
+    arrived = [publisher.settle(deadline) for publisher in publishers]
+    return all(arrived)
+
+
+class RawSubscription:
+    """Subscription whose messages are taken as bytes.
+
+    A reliable reader hands on nothing until a lost message was sent again. That is right for a recorder; a loop
+    would rather miss one sample than get all the following ones late, so it reads without that (`reliable` False)
+    from the same reliable publishers.
+    """
+
+    def __init__(self, node: Node, name: str, message: Any, depth: int = DEPTH, reliable: bool = True) -> None:
+        self.message = MESSAGES[message] if isinstance(message, str) else message
+        self._node = node
+        how = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        quality = QoSProfile(depth=depth, reliability=how)
+        self._subscription = node.create_subscription(
+            self.message, name, _ignore, quality, callback_group=_NoExecutorGroup(), raw=True
+        )
+        self.handle = self._subscription.handle
+        self.handle.__enter__()
+        self._take = self.handle.take_message
+
+    def take(self) -> tuple[bytes, dict[str, int]] | None:
+        """Oldest message with its times, or None."""
+        return self._take(self.message, True)  # type: ignore[no-any-return, unused-ignore]
+
+    def close(self) -> None:
+        """Release the handle and leave the topic."""
+        self.handle.__exit__(None, None, None)
+        self._node.destroy_subscription(self._subscription)
+
+
+class Waiter:
+    """Wait until one of some subscriptions has a message."""
+
+    def __init__(self, node: Node, subscriptions: Sequence[RawSubscription]) -> None:
+        self._handles = [subscription.handle for subscription in subscriptions]
+        with node.context.handle:
+            self._set = rclpy_implementation.WaitSet(len(self._handles), 0, 0, 0, 0, 0, node.context.handle)
+
+    def wait(self, timeout_ns: int) -> None:
+        """Return when there is a message or after `timeout_ns`."""
+        waiting = self._set
+        waiting.clear_entities()
+        for handle in self._handles:
+            waiting.add_subscription(handle)
+        waiting.wait(timeout_ns)
+
+
+def _ignore(message: bytes) -> None:
+    """Callback that is never called."""

@@ -1,0 +1,1 @@
+"""Runs: processes, stages, replay, summaries."""

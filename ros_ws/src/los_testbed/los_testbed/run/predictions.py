@@ -1,0 +1,104 @@
+"""Predicted against measured, for the report: what the model as implemented says of a recorded run, from the bag alone.
+
+Configuration and controllers are those that travel in the bag. The telescope's parameter file does not: its figures
+must still be those of the run, by the hash in the bag.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+
+import yaml
+
+from los_design.tone_model import compare_tones
+from los_testbed.config import RunConfig
+from los_testbed.factories import plant_config, tone_model
+from los_testbed.run.replay import controller_of
+from los_testbed.topics import TICK_NS
+from pointing_analysis.prediction import Prediction
+from pointing_analysis.read import Run
+from titop_plant.simulation import configuration_hash
+
+LONGEST = 60.0
+"""Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""
+
+CONTROLLERS = ("k_fsm", "k_pma")
+LATE = 100
+"""Ticks that may be missing at the end of a record; where more are, its recorder may have come late."""
+
+
+def predictions(
+    runs: Sequence[Run], transient: float | None = None, start: float = 0.0, stop: float = math.inf
+) -> list[Prediction | None]:
+    """For each run the predicted and measured amplitude of its tones.
+
+    Only the first 60 s of a run are compared (`LONGEST`), start-up left out.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    transient : float, optional
+        Seconds of start-up to leave out.
+    start, stop : float
+        The part of each run that was read [s].
+
+    Returns
+    -------
+    list of Prediction or None
+        None where there is nothing to predict: a bag of somebody else, no tones, a telescope that changes during the
+        run, a plant of another kind, a replay. A prediction without tones says in its note why it failed.
+    """
+    return [_prediction(run, transient, start, stop) for run in runs]
+
+
+def _prediction(run: Run, transient: float | None, start: float, stop: float) -> Prediction | None:
+    known = run.parameters.get("plant_parameters_hash")
+    if not run.parameters.get("tones_rad_s") or known is None or "run.yaml" not in run.attachments:
+        return None
+    if run.parameters.get("mode") == "replay":
+        return None
+    try:
+        config = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
+        physical = plant_config(config)
+        if physical.ramps:
+            return None
+        if _as_read(configuration_hash(physical)) != known:
+            raise ValueError("the telescope's figures are no longer those of the run")
+        _check(run, config, start, stop)
+        controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
+        model = tone_model(config, controllers)
+        tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
+    except (ValueError, TypeError, OSError, yaml.YAMLError) as error:
+        text = " ".join(str(error).split()).replace(str(run.path), run.path.name)
+        return Prediction(note=text)
+    if not tones:
+        return Prediction(note=f"too few periods of each tone within the first {LONGEST:g} s, start-up left out")
+    return Prediction(tones, first, last)
+
+
+def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
+    """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
+    gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
+    if gone:
+        raise ValueError(f"the bag does not hold {' and '.join(gone)}")
+    if config.camera_dropout:
+        raise ValueError("camera frames were dropped at random and the model has them all")
+    if start > 0:
+        raise ValueError("the prediction starts with the run, and only a later part of it is shown")
+    stamp = run["truth/los"].stamp
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
+    recorded = round((int(stamp[-1]) - int(stamp[0])) / TICK_NS) + 1 if len(stamp) else 0
+    missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
+    if not recorded or int(stamp[0]) % (config.frame_ticks * TICK_NS) or missing > LATE:
+        raise ValueError("the record does not begin with the run")
+
+
+def _as_read(text: str) -> object:
+    """A text as the reader of bags gives it back: digits alone are a number there."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,218 @@
+"""Replay of a bag: its sensors through controllers, the result as a new bag and as a comparison."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.runtime import FSM_AUTHORITY, LOOPS, PMA_AUTHORITY, FsmPmaController
+from los_estimator.runtime import LosEstimator
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.metadata import METADATA_NAME
+from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.topics import TICK_NS, TOPICS
+from lti.sampled_system import SampledSystem
+from lti.threads import one_thread
+from pointing_analysis import replay
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, knowledge_error_of
+from pointing_analysis.mcap_records import BagError
+from pointing_analysis.metrics import radial, rpe_rms
+from pointing_analysis.read import Run
+
+WINDOW = 0.02
+CHUNK_NS = 1000 * TICK_NS
+
+Signals = Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+
+
+@dataclass(frozen=True)
+class Controllers:
+    """Controllers of a replay.
+
+    Parameters
+    ----------
+    files : mapping of str to bytes
+        Contents of ``k_fsm.json`` and ``k_pma.json``.
+    loop : str
+        Stage.
+    as_recorded : bool
+        Whether all of this is what the bag says it flew.
+    estimator, controller
+        The cores.
+    """
+
+    files: Mapping[str, bytes]
+    loop: str
+    as_recorded: bool
+    estimator: LosEstimator
+    controller: FsmPmaController
+
+
+def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[SampledSystem, bytes]:
+    """A controller and its file: the given one, else the one that travels in the bag.
+
+    Raises
+    ------
+    ValueError
+        A file that is no controller, a bag without it.
+    """
+    if given is not None:
+        return SampledSystem.from_file(given), given.read_bytes()
+    data = run.attachments.get(f"{name}.json")
+    if data is None:
+        raise BagError(
+            f"{run.path}: expected the controller {name}.json in the bag; it holds "
+            f"{', '.join(sorted(run.attachments)) or 'no files'}: give --{name.replace('_', '-')} FILE"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.json"
+        path.write_bytes(data)
+        try:
+            return SampledSystem.from_file(path), data
+        except ValueError as error:
+            raise BagError(str(error).replace(str(path), f"{run.path}: {name}.json")) from None
+
+
+def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, loop: str | None = None) -> Controllers:
+    """Controllers as recorded, or others in their place.
+
+    Raises
+    ------
+    ValueError
+        A file that is no controller, a bag without controllers or without its loop stage, an unknown stage.
+    """
+    recorded = run.parameters.get("replay_loop", run.parameters.get("loop"))
+    stage = recorded if loop is None else loop
+    if stage not in LOOPS:
+        where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
+        raise BagError(
+            f"{where}: expected one of {', '.join(LOOPS)}; got {stage!r}" + ("" if loop else ": give --loop")
+        )
+    fsm, fsm_file = controller_of(run, "k_fsm", k_fsm)
+    pma, pma_file = controller_of(run, "k_pma", k_pma)
+    limits = [
+        float(run.parameters.get(name, default))
+        for name, default in (("fsm_authority", FSM_AUTHORITY), ("pma_authority", PMA_AUTHORITY))
+    ]
+    files = {"k_fsm.json": fsm_file, "k_pma.json": pma_file}
+    as_recorded = stage == recorded and all(run.attachments.get(n) == data for n, data in files.items())
+    return Controllers(files, stage, as_recorded, LosEstimator(fsm), FsmPmaController(pma, stage, *limits))
+
+
+def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -> replay.Replayed:
+    """Drive the cores with the sensors of the bag.
+
+    Raises
+    ------
+    BagError
+        A sensor is missing in the bag.
+    LoopDivergedError
+        The observer leaves the finite numbers.
+    """
+    with one_thread(), np.errstate(all="ignore"):
+        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress)
+    wrong = np.flatnonzero(~np.isfinite(replayed.estimate).all(axis=1))
+    if wrong.size:
+        seconds = (replayed.stamp[wrong[0]] - replayed.stamp[0]) * 1e-9
+        raise LoopDivergedError(f"the observer diverges on the sensors of {run.path} within {seconds:g} s")
+    return replayed
+
+
+def _knowledge(series: ErrorSeries) -> dict[str, float]:
+    size = radial(series.values)
+    rke = float(np.hypot(*rpe_rms(series.values, series.dt, WINDOW))) if series.duration >= WINDOW else float("nan")
+    return {
+        "ake_rms_arcsec": float(np.sqrt(np.nanmean(size**2))) / RAD_PER_ARCSEC,
+        "ake_p997_arcsec": float(np.nanquantile(size, 0.997)) / RAD_PER_ARCSEC,
+        "rke_rms_mas": rke / RAD_PER_MAS,
+    }
+
+
+def _commands(signals: Signals) -> dict[str, float]:
+    found = {}
+    for name, key in (("fsm/command", "fsm_peak_rad"), ("pma/command", "pma_peak_n")):
+        if name in signals and len(signals[name][1]):
+            found[key] = float(np.abs(signals[name][1]).max())
+    return found
+
+
+def figures(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
+    """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
+    recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
+    found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
+    if {"truth/los", "fsm/strain_gauge"} <= set(run.topics):
+        if "los_estimate" in recorded:
+            found["recorded"] = {**_knowledge(knowledge_error(run, transient)), **found["recorded"]}
+        series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
+        found["replayed"] = {**_knowledge(series), **found["replayed"]}
+    return found
+
+
+def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controllers) -> None:
+    """Write sensors and truth of `run` with the replayed estimates and commands as a new bag.
+
+    **The truth is that of the recorded loop**, whose name the new bag keeps as ``loop``: it does not answer to the
+    replayed commands. ``replay_loop`` is the stage of the controllers that were replayed.
+
+    Raises
+    ------
+    ValueError
+        The bag exists or cannot be made.
+    """
+    check_new_bag(path)
+    signals: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {
+        name: (run[name].stamp, run[name].values) for name in run.topics
+    }
+    signals.update(replayed.topics())
+    sources = {f"{name}_sha256": hashlib.sha256(data).hexdigest() for name, data in chosen.files.items()}
+    left_out = ("statistics", "mode", "output", "k_fsm", "k_pma")
+    recorded = {
+        key: value if isinstance(value, str) else json.dumps(value)
+        for key, value in run.parameters.items()
+        if key not in left_out
+    }
+    metadata = {**recorded, **sources, "mode": "replay", "replay_loop": chosen.loop, "replay_of": run.path.name}
+    others = {name: data for name, data in run.attachments.items() if name not in chosen.files}
+    files = {name: ("application/octet-stream", data) for name, data in others.items()}
+    files.update({name: ("application/json", data) for name, data in chosen.files.items()})
+    with BagWriter(path, {METADATA_NAME: metadata}, files) as bag:
+        write_signals(bag, signals)
+
+
+def write_signals(bag: BagWriter, signals: Signals) -> None:
+    """Write stamped signals, named without namespace, second by second; times are the stamps."""
+    known = [(topic, codec_for(topic), *signals[topic.name]) for topic in TOPICS if topic.name in signals]
+    known = [row for row in known if len(row[2])]
+    first, last = min(int(row[2][0]) for row in known), max(int(row[2][-1]) for row in known)
+    for begin in range(first, last + 1, CHUNK_NS):
+        for topic, codec, stamps, values in known:
+            low, high = np.searchsorted(stamps, (begin, begin + CHUNK_NS))
+            if high > low:
+                part = np.ascontiguousarray(values[low:high, : topic.size])
+                bag.write(topic.path, stamps[low:high], stamps[low:high], codec.encode_many(stamps[low:high], part))
+        bag.end_chunk()
+
+
+def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The replay as one JSON object."""
+    return {
+        "bag": str(run.path),
+        "loop": chosen.loop,
+        "as_recorded": chosen.as_recorded,
+        "identical": comparison.identical,
+        "incomplete_ticks": comparison.incomplete,
+        "differences": [vars(d) for d in comparison.differences],
+        **{
+            key: {name: float(f"{x:.6g}") if np.isfinite(x) else None for name, x in values.items()}
+            for key, values in found.items()
+        },
+    }

@@ -1,0 +1,372 @@
+"""Start the four nodes as processes, watch them, end them in the right order, collect their results."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib
+import importlib.util
+import os
+import selectors
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from los_testbed.bags.writer import check_new_bag
+from los_testbed.config import RATE, RunConfig
+from los_testbed.factories import build_controller, build_estimator
+from los_testbed.run.node_process import NodeProcess
+
+RESTARTS = 3
+"""A node that dies during the run is started again this often."""
+
+NODES = ("plant", "estimator", "controller", "recorder")
+STOP_S = 10.0
+EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+
+
+class RunError(RuntimeError):
+    """A node failed; `code` is the exit code that fits."""
+
+    def __init__(self, message: str, code: int = 1) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass
+class Results:
+    """What the nodes said at the end.
+
+    Attributes
+    ----------
+    statistics : last figures of each node
+    bag : folder of the bag; None if nothing was recorded
+    warnings, failures : what was not permitted; which nodes died, one line each
+    latency : histogram of the plant's latencies, whole microseconds and how often
+    earlier : bags of the same run from before its plant was started again
+    interrupted : whether the run was ended before its time
+    """
+
+    statistics: dict[str, dict[str, str]] = field(default_factory=dict)
+    bag: Path | None = None
+    warnings: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    latency: dict[int, int] = field(default_factory=dict)
+    earlier: list[Path] = field(default_factory=list)
+    interrupted: bool = False
+
+
+def node_command(name: str) -> list[str]:
+    """Command that starts a node with this interpreter."""
+    return [sys.executable, "-m", f"los_testbed.nodes.{name}"]
+
+
+def check_ros() -> None:
+    """Refuse to start processes that cannot run.
+
+    Raises
+    ------
+    ValueError
+        rclpy is not installed.
+    """
+    if importlib.util.find_spec("rclpy") is None:
+        raise ValueError(
+            "ROS 2 is not installed: expected rclpy for this mode; install the extra with "
+            "`pip install los-testbed[ros]`, or use --mode inprocess"
+        )
+
+
+def parameter_file(config: RunConfig, path: Path) -> None:
+    """Write the ROS parameter file of a run."""
+    values = {name: value for name, value in config.to_mapping().items() if value != []}
+    values["use_sim_time"] = config.mode == "lockstep"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), "utf-8")
+
+
+def environment(config: RunConfig, logs: Path) -> dict[str, str]:
+    """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
+    variables = dict(os.environ)
+    variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    variables.setdefault("ROS_LOG_DIR", str(logs))
+    variables["OPENBLAS_NUM_THREADS"] = "1"
+    variables[EVENTS_VARIABLE] = "1"
+    if config.domain >= 0:
+        variables["ROS_DOMAIN_ID"] = str(config.domain)
+    if Path(sys.prefix, "share", "ament_index").is_dir():
+        variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    return variables
+
+
+@contextlib.contextmanager
+def domain_lock(domain: str) -> Iterator[None]:
+    """Hold the domain for one run on this machine.
+
+    Raises
+    ------
+    ValueError
+        Another run holds it.
+    """
+    path = Path(tempfile.gettempdir()) / f"los_testbed_domain_{domain}.lock"
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError:  # another user's file: the plant still listens before it talks
+        yield
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        raise ValueError(
+            f"another run holds ROS domain {domain} on this machine: expected a free one, see --domain"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def run_alone(name: str, config: RunConfig) -> int:
+    """Run one node in this process, for a loop over several hosts; returns its exit code.
+
+    Discovery is left as the environment has it: the other nodes may be anywhere.
+
+    Raises
+    ------
+    ValueError
+        No such node, a mode without nodes, or ROS missing.
+    """
+    if name not in NODES:
+        raise ValueError(f"--only expects one of {', '.join(NODES)}, got {name!r}")
+    if config.mode == "inprocess":
+        raise ValueError("--only expects the mode realtime or lockstep, got inprocess")
+    check_ros()
+    if name == "recorder":
+        check_new_bag(Path(config.output))
+    if config.domain >= 0:
+        os.environ["ROS_DOMAIN_ID"] = str(config.domain)
+    with tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+        parameters = Path(folder) / "run.yaml"
+        parameter_file(config, parameters)
+        os.environ.setdefault("ROS_LOG_DIR", folder)
+        node = importlib.import_module(f"los_testbed.nodes.{name}")
+        return int(node.main(["--ros-args", "--params-file", str(parameters)]))
+
+
+class Runner:
+    """One run with processes.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The run; its `output` is the folder of the bag.
+    progress : callable
+        Called with the number of ticks done.
+    commands : mapping, optional
+        Commands for nodes that are not the package's own (another plant, another controller).
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        progress: Callable[[int], None] = lambda ticks: None,
+        commands: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self._config = config
+        self._progress = progress
+        self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
+        self._nodes: dict[str, NodeProcess] = {}
+        self._selector = selectors.DefaultSelector()
+        self._seen: dict[tuple[str, str], dict[str, Any]] = {}
+        self._errors: list[tuple[str, str]] = []
+        self._restarts = 0
+        self._ticks_done = 0
+        self._before = 0
+        self._parameters = Path()
+        self._variables: Mapping[str, str] = {}
+        self.results = Results()
+
+    @property
+    def processes(self) -> dict[str, int]:
+        """Process numbers of the nodes that run."""
+        return {name: node.process.pid for name, node in self._nodes.items()}
+
+    @property
+    def ticks_done(self) -> int:
+        """Ticks done as far as the plant told, those before a restart included."""
+        return self._ticks_done
+
+    @property
+    def domain(self) -> int:
+        """ROS domain of the run."""
+        own = self._config.domain
+        return own if own >= 0 else int(os.environ.get("ROS_DOMAIN_ID", "0"))
+
+    def run(self) -> Results:
+        """Start, watch and end the nodes.
+
+        Raises
+        ------
+        ValueError
+            A mistake that shows before anything is started.
+        RunError
+            A node failed; the others were ended.
+        """
+        check_ros()
+        check_new_bag(Path(self._config.output))
+        build_estimator(self._config)
+        build_controller(self._config)
+        with domain_lock(str(self.domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+            self._parameters = Path(folder) / "run.yaml"
+            parameter_file(self._config, self._parameters)
+            self._variables = environment(self._config, Path(folder) / "log")
+            try:
+                self._perform()
+            finally:
+                self._end_all()
+        return self.results
+
+    def _perform(self) -> None:
+        try:
+            self._start("plant")
+            self._until("plant", "alone", 30.0)
+            for name in NODES[1:]:
+                self._start(name)
+            self._until("plant", "running", self._config.start_timeout + 120.0)
+            self._until("plant", "done", None)
+        except KeyboardInterrupt:
+            self.results.interrupted = True
+            if ("plant", "running") not in self._seen:
+                return
+            self._nodes["plant"].interrupt()
+            self._until("plant", "done", STOP_S)
+        self._finish()
+
+    def _finish(self) -> None:
+        """Followers first, so that their last samples reach the recorder; then the recorder."""
+        for name in ("estimator", "controller"):
+            self._nodes[name].interrupt()
+        self._await_exit(("plant", "estimator", "controller"))
+        self._nodes["recorder"].interrupt()
+        self._until("recorder", "done", 60.0)
+        self._await_exit(("recorder",))
+        for name in NODES:
+            self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
+        histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
+        self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
+        bag = self._seen[("recorder", "done")].get("bag")
+        bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
+        self.results.bag = bags[-1] if bags else None
+        for path in bags[:-1]:
+            self.results.failures.append(f"what came before the plant was started again is in {path}")
+
+    def _start(self, name: str) -> None:
+        command = [*self._commands[name], "--ros-args", "--params-file", str(self._parameters)]
+        if name == "recorder" and self._restarts:  # what the first one wrote is left alone
+            command += ["-p", f"output:={self._config.output}-{self._restarts + 1}"]
+        if name == "plant" and self._before:  # the run ends when it was to end
+            command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
+        node = self._nodes[name] = NodeProcess(name, command, self._variables)
+        for stream in node.streams:
+            os.set_blocking(stream.fileno(), False)
+            self._selector.register(stream, selectors.EVENT_READ, node)
+
+    def _until(self, name: str, kind: str, timeout: float | None) -> None:
+        """Watch everybody until this node said this."""
+        end = None if timeout is None else time.monotonic() + timeout
+        while (name, kind) not in self._seen:
+            self._poll(0.1)
+            self._check()
+            if end is not None and time.monotonic() > end:
+                raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s")
+
+    def _poll(self, timeout: float) -> None:
+        for key, _ in self._selector.select(timeout):
+            node: NodeProcess = key.data
+            data = os.read(key.fd, 65536)
+            if not data:
+                self._selector.unregister(key.fileobj)
+            elif key.fileobj is node.streams[1]:
+                node.errors = (node.errors + data.decode(errors="replace"))[-4000:]
+            else:
+                for event in node.feed(data):
+                    self._handle(node.name, event)
+
+    def _handle(self, name: str, event: dict[str, Any]) -> None:
+        kind = str(event["event"])
+        if kind == "progress":
+            self._ticks_done = self._before + int(event["tick"])
+            self._progress(self._ticks_done)
+        elif kind == "warning":
+            message = str(event["message"])
+            if message not in self.results.warnings:
+                self.results.warnings.append(message)
+        elif kind == "bag":
+            self.results.earlier.append(Path(event["path"]))
+        elif kind == "error":
+            self._errors.append((name, str(event["message"])))
+        self._seen[(name, kind)] = event
+
+    def _check(self) -> None:
+        """Raise if a node ended that was not asked to."""
+        for node in list(self._nodes.values()):
+            code = node.process.poll()
+            if code is None or node.asked_to_stop or (code == 0 and (node.name, "done") in self._seen):
+                continue
+            self._poll(0.1)
+            told = [message for name, message in self._errors if name == node.name]
+            if told:
+                raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 else 1)
+            last = node.errors.strip().splitlines()[-1:] or [""]
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
+            return
+
+    def _replace(self, node: NodeProcess, what: str) -> None:
+        """The others go on: start the node again, or give up if it happens too often.
+
+        A plant starts anew from its initial state: estimator and controller start anew with it when it holds, the
+        recorder ends its bag and begins another, and the run ends when it was to end.
+        """
+        # in lockstep the tick that waits for the node can no longer be answered
+        running = ("plant", "running") in self._seen and self._config.mode == "realtime"
+        rest = self._config.ticks - self._ticks_done
+        if not running or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
+            raise RunError(what)
+        self._restarts += 1
+        if node.name == "plant":
+            self._before = self._ticks_done
+        self.results.failures.append(f"{what}; it was started again")
+        for stream in node.streams:
+            with contextlib.suppress(KeyError):
+                self._selector.unregister(stream)
+            stream.close()
+        self._seen.pop((node.name, "done"), None)
+        self._start(node.name)
+
+    def _await_exit(self, names: Sequence[str]) -> None:
+        end = time.monotonic() + STOP_S
+        while any(self._nodes[name].process.poll() is None for name in names) and time.monotonic() < end:
+            self._poll(0.02)
+        self._poll(0.02)
+
+    def _end_all(self) -> None:
+        """Whatever happened: no process stays behind."""
+        alive = [node for node in self._nodes.values() if node.process.poll() is None]
+        for node in alive:
+            node.interrupt()
+        end = time.monotonic() + STOP_S
+        for node in alive:
+            while node.process.poll() is None:
+                if time.monotonic() > end:
+                    node.process.kill()
+                time.sleep(0.01)
+        for node in self._nodes.values():
+            for stream in node.streams:
+                stream.close()
+        self._selector.close()

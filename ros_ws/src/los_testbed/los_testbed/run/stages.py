@@ -1,0 +1,238 @@
+"""The four loop stages side by side: same seed, same disturbance, several telescopes, both parts of the error.
+
+Every figure is read from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
+noise) and the noise alone (no disturbance).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_design.tone_model import ToneResponse, tone_responses
+from los_testbed.bags.metadata import run_metadata
+from los_testbed.config import LOOPS, SCENARIOS, RunConfig
+from los_testbed.factories import controller_files, tone_model
+from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from los_testbed.run.runner import Runner
+from los_testbed.variants import check_ranges, random_member
+from pointing_analysis.read import Run
+from pointing_analysis.summary import Summary, summarise
+
+FloatArray = NDArray[np.float64]
+
+PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, False)}
+"""Parts of the error: whether there is noise and whether there is a disturbance."""
+
+FIGURES = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Duration, seed, mode, controllers and all that the stages share.
+    folder : Path
+        New folder for bags and results.
+    scenarios : tuple of str
+    samples : int
+        Telescopes: the one of `base`, then random members 1, 2, ... of its family.
+    parts : tuple of str
+        Keys of :data:`PARTS`.
+    keep : bool
+        Keep the bags of all runs; otherwise those of the first telescope with both parts of the error.
+    """
+
+    base: RunConfig
+    folder: Path
+    scenarios: tuple[str, ...] = SCENARIOS
+    samples: int = 3
+    parts: tuple[str, ...] = tuple(PARTS)
+    keep: bool = False
+
+    def members(self) -> dict[str, RunConfig]:
+        """Telescopes by name."""
+        found = {"nominal": self.base}
+        for seed in range(1, self.samples):
+            values = {**self.base.to_mapping(), **random_member(seed, self.base.parameters)}
+            if values.get("tau"):
+                values["theta"] = 0.0
+            found[f"sample-{seed}"] = RunConfig.from_mapping(values)
+        return found
+
+    def runs(self) -> list[StageRun]:
+        """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
+        first = self.scenarios[0]
+        return [
+            StageRun(
+                scenario,
+                member,
+                loop,
+                part,
+                replace(config, scenario=scenario, loop=loop, noise=PARTS[part][0], disturbance=PARTS[part][1]),
+            )
+            for scenario in self.scenarios
+            for member, config in self.members().items()
+            for loop in LOOPS
+            for part in self.parts
+            if part != "noise" or scenario == first
+        ]
+
+
+@dataclass(frozen=True)
+class StageRun:
+    """One run of the plan."""
+
+    scenario: str
+    member: str
+    loop: str
+    part: str
+    config: RunConfig
+
+    @property
+    def name(self) -> str:
+        """Folder of its bag."""
+        scenario = "any" if self.part == "noise" else self.scenario
+        return f"{scenario}-{self.member}-{self.loop}" + ("" if self.part == "all" else f"-{self.part}-alone")
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """Figures of one run.
+
+    Parameters
+    ----------
+    run : StageRun
+    figures : mapping of str to float
+        By :data:`FIGURES`; NaN where the loop diverged.
+    transient : float
+        Seconds of start-up left out.
+    tones : tuple of ToneResponse
+        Of runs with the disturbance alone.
+    bag : Path or None
+        Where it is kept.
+    note : str
+    """
+
+    run: StageRun
+    figures: Mapping[str, float]
+    transient: float
+    tones: tuple[ToneResponse, ...] = ()
+    bag: Path | None = None
+    note: str = ""
+
+    def model(self) -> tuple[FloatArray, FloatArray]:
+        """What the model expects at the tones: frequencies [rad/s] and rms of the line of sight [rad]."""
+        omega = np.array([tone.omega for tone in self.tones])
+        return omega, np.array([tone.expected for tone in self.tones]) / np.sqrt(2.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        r = self.run
+        return {
+            "scenario": "any" if r.part == "noise" else r.scenario,
+            "telescope": r.member,
+            "loop": r.loop,
+            "part": r.part,
+            **{k: float(f"{v:.5g}") if math.isfinite(v) else None for k, v in self.figures.items()},
+            "transient_s": self.transient,
+            "bag": None if self.bag is None else self.bag.name,
+            **({"note": self.note} if self.note else {}),
+        }
+
+
+def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, ticks: None) -> tuple[StageResult, ...]:
+    """Run everything.
+
+    Parameters
+    ----------
+    plan : Plan
+    progress : callable
+        Called with the run and the ticks it has done.
+
+    Raises
+    ------
+    ValueError
+        A folder that exists, a telescope outside its family, a file that is no controller.
+    """
+    for config in plan.members().values():
+        check_ranges(config)
+    plan.folder.mkdir(parents=True)
+    results = []
+    for run in plan.runs():
+        bag = plan.folder / run.name
+        try:
+            note = record(replace(run.config, output=str(bag)), bag, partial(progress, run))
+            results.append(replace(judge(plan, run, bag), note=note))
+        except LoopDivergedError as error:
+            results.append(StageResult(run, dict.fromkeys(FIGURES, math.nan), 0.0, note=str(error)))
+        if not (plan.keep or (run.member == "nominal" and run.part == "all")):
+            shutil.rmtree(bag, ignore_errors=True)
+    return tuple(results)
+
+
+def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str:
+    """One run in the mode of the configuration; what went wrong and was mended."""
+    if config.mode == "inprocess":
+        run_in_process(config, bag, progress=progress)
+        return ""
+    results = Runner(replace(config, wait_for_recorder=True), progress).run()
+    if results.interrupted or results.bag is None:
+        raise KeyboardInterrupt
+    return "; ".join([*results.warnings, *results.failures])
+
+
+def judge(plan: Plan, run: StageRun, bag: Path) -> StageResult:
+    """Figures of a recorded run."""
+    opened = Run.open(bag)
+    summary: Summary = summarise(opened, wanted=())
+    values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_p997)
+    tones = (
+        tone_responses(opened, tone_model(run.config))
+        if run.part == "disturbance" and not run.config.ramp_duration
+        else ()
+    )
+    kept = plan.keep or (run.member == "nominal" and run.part == "all")
+    return StageResult(run, dict(zip(FIGURES, values)), summary.transient, tones, bag if kept else None)
+
+
+def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) -> dict[str, StageResult]:
+    """Results of one cell of the table, by telescope; the noise alone is the same in every scenario."""
+    return {
+        r.run.member: r
+        for r in results
+        if r.run.loop == loop and r.run.part == part and (part == "noise" or r.run.scenario == scenario)
+    }
+
+
+def provenance(plan: Plan) -> dict[str, Any]:
+    """Birth certificate of the figures."""
+    keys = ("software_version", "commit", "python")
+    metadata = run_metadata(plan.base)
+    designs = {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in controller_files(plan.base).items()
+    }
+    return {
+        **{key: metadata[key] for key in keys},
+        "mode": plan.base.mode,
+        "duration_s": plan.base.duration,
+        "seed": plan.base.seed,
+        "camera_rate": plan.base.camera_rate,
+        "telescopes": {
+            name: {key: c.to_mapping()[key] for key in ("theta", "tau", "wheel_speed", "omega_1", "omega_2")}
+            for name, c in plan.members().items()
+        },
+        "controllers_sha256": designs,
+    }

@@ -1,0 +1,165 @@
+"""Tables of the stage comparison: on the screen, as Markdown, as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from los_testbed.config import LOOPS
+from los_testbed.run.stages import Plan, StageResult, provenance, select
+from pointing_analysis.errors import RAD_PER_MAS
+
+TONES_SHOWN = 12
+SETTLED = 0.02
+"""The settled response of the model is shown where it differs by more from that in the record."""
+HEADS = {
+    "ape_max_arcsec": "APE max [arcsec]",
+    "ape_p997_arcsec": "APE 99.7 % [arcsec]",
+    "rpe_rms_mas": "RPE rms [mas]",
+    "rpe_p997_mas": "RPE 99.7 % [mas]",
+}
+PART_FIGURES = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
+"""What is shown of each part of the error."""
+
+
+def digits(value: float) -> str:
+    """Three digits, no powers of ten where they can be avoided."""
+    if not math.isfinite(value):
+        return "diverged"
+    if value == 0.0:
+        return "0"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else f"{value:.1e}"
+
+
+def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, figure: str) -> str:
+    """Figure of the nominal telescope and, in brackets, the largest of all telescopes."""
+    found = {name: r.figures[figure] for name, r in select(results, scenario, loop, part).items()}
+    if not found:
+        return "-"
+    first = found["nominal"]
+    worst = max(found.values(), key=lambda x: math.inf if math.isnan(x) else x)
+    return digits(first) if len(found) == 1 else f"{digits(first)} ({digits(worst)})"
+
+
+def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
+    """Part, figure and heading of each column."""
+    parts = dict.fromkeys(r.run.part for r in results)
+    return [
+        (part, figure, HEADS[figure] if part == "all" else f"{part} alone: {HEADS[figure]}")
+        for part in parts
+        for figure in PART_FIGURES[part]
+    ]
+
+
+def rows(results: Sequence[StageResult], scenario: str, chosen: Sequence[tuple[str, str, str]]) -> list[list[str]]:
+    """Rows of the table of a scenario: the stages."""
+    return [[loop, *(cell(results, scenario, loop, part, figure) for part, figure, _ in chosen)] for loop in LOOPS]
+
+
+def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[str]], int]:
+    """Transmissibility of the nominal telescope at the strongest tones, stage by stage, and the number of all tones."""
+    found = {
+        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in LOOPS
+    }
+    omegas = sorted(set().union(*found.values()), key=lambda w: -max(f[w].model for f in found.values() if w in f))
+    table = []
+    for omega in sorted(omegas[:TONES_SHOWN]):
+        row = [f"{omega / (2 * math.pi):.3f}"]
+        for loop in LOOPS:
+            tone = found[loop].get(omega)
+            if tone is None:
+                row.append("-")
+                continue
+            scale = tone.disturbance * RAD_PER_MAS
+            text = f"{digits(tone.measured / scale)} / {digits(tone.expected / scale)}"
+            settled = abs(tone.model / tone.expected - 1.0) < SETTLED
+            row.append(text if settled else f"{text} ({digits(tone.model / scale)})")
+        table.append(row)
+    return table, len(omegas)
+
+
+def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
+    """Tables for the terminal."""
+    for scenario in plan.scenarios:
+        whole = [c for c in columns(results) if c[0] == "all"]
+        for chosen in (whole, [c for c in columns(results) if c[0] != "all"]):
+            title = caption(results, plan) if chosen is whole else "parts of the error, each alone"
+            table = Table(title=f"{scenario}: {title}", title_justify="left")
+            table.add_column("stage", no_wrap=True)
+            for _, _, head in chosen:
+                table.add_column(head.replace(" alone", "").replace("[", "\\["), justify="right")
+            for row in rows(results, scenario, chosen):
+                table.add_row(*row)
+            if chosen:
+                yield table
+        if "disturbance" in plan.parts:
+            found, total = tone_rows(results, scenario)
+            yield _tone_table(
+                found,
+                f"{scenario}: transmissibility \\[mas per N], measured / model (when settled), {_of(found, total)}",
+            )
+
+
+def _of(found: Sequence[Any], total: int) -> str:
+    return f"the {len(found)} strongest of {total} tones" if len(found) < total else f"{total} tones"
+
+
+def _tone_table(found: list[list[str]], title: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for head in ("Hz", *LOOPS):
+        table.add_column(head, justify="right")
+    for row in found:
+        table.add_row(*row)
+    return table
+
+
+def caption(results: Sequence[StageResult], plan: Plan) -> str:
+    """How the figures came about."""
+    settled = max(r.transient for r in results)
+    text = f"{plan.base.duration:g} s, first {settled:g} s left out, seed {plan.base.seed}, {plan.base.mode}"
+    return text + (f"; in brackets the worst of {plan.samples} telescopes" if plan.samples > 1 else "")
+
+
+def _markdown_table(heads: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
+    return lines + ["| " + " | ".join(row) + " |" for row in body]
+
+
+def markdown(results: Sequence[StageResult], plan: Plan) -> str:
+    """All tables as Markdown."""
+    lines, shown = [], columns(results)
+    for scenario in plan.scenarios:
+        lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
+        lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
+        if "disturbance" in plan.parts:
+            found, total = tone_rows(results, scenario)
+            lines += [
+                "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
+                f"when settled, where it differs), {_of(found, total)}:",
+                "",
+                *_markdown_table(["Hz", *LOOPS], found),
+                "",
+            ]
+    return "\n".join(lines)
+
+
+def as_json(results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:
+    """Everything as one JSON object."""
+    return {
+        "command": "los-testbed stages",
+        **provenance(plan),
+        "runs": [r.as_dict() for r in results],
+        "transmissibility": [
+            {
+                "scenario": r.run.scenario,
+                "telescope": r.run.member,
+                "loop": r.run.loop,
+                "tones": [tone.as_dict() for tone in r.tones],
+            }
+            for r in results
+            if r.tones
+        ],
+    }

@@ -1,0 +1,122 @@
+"""The figures of recorded runs: the table on the screen, the JSON object, the HTML report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from pointing_analysis.read import Run
+from pointing_analysis.report import digits, write_report
+from pointing_analysis.requirements import Verdict
+from pointing_analysis.summary import Summary, summarise
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Figures of some runs and where the report is."""
+
+    summaries: tuple[Summary, ...]
+    runs: tuple[dict[str, Any], ...]
+    report: Path | None
+
+
+def judge(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> Judgement:
+    """Read bags, compute the figures, write the report.
+
+    Raises
+    ------
+    ValueError
+        A bag that cannot be read or holds no run.
+    """
+    opened = [Run.open(bag) for bag in bags]
+    summaries = tuple(summarise(run, transient=transient) for run in opened)
+    if report is not None:
+        from los_testbed.run.predictions import predictions
+
+        write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
+    return Judgement(summaries, tuple(_figures(r, s) for r, s in zip(opened, summaries)), report)
+
+
+def _figures(run: Run, summary: Summary) -> dict[str, Any]:
+    """One run as the JSON object of the command line."""
+    statistics = run.parameters.get("statistics", {})
+    plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
+    recorder: Mapping[str, str] = statistics.get("recorder", {}) if isinstance(statistics, dict) else {}
+    return {
+        **summary.as_dict(),
+        "bag": str(summary.path),
+        "mode": summary.mode,
+        "loop": summary.loop,
+        "ticks": int(plant.get("ticks", summary.ticks)),
+        "missed_ticks": int(plant["missed_ticks"]) if "missed_ticks" in plant else None,
+        "latency_us": _latency(run, plant),
+        "samples_lost": max(summary.samples_lost, int(recorder.get("samples_lost", 0))),
+    }
+
+
+def _latency(run: Run, plant: Mapping[str, str]) -> dict[str, float | None]:
+    """Wake-up of the plant to arrival of the mirror command; from the bag's own times if nobody told."""
+    names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
+    if all(name in plant for name in names.values()):
+        return {key: _number(float(plant[name])) for key, name in names.items()}
+    return dict.fromkeys(names)
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def show(console: Console, judgement: Judgement) -> None:
+    """Print a table for each run, and the paths."""
+    for summary, figures in zip(judgement.summaries, judgement.runs):
+        console.print(_table(summary, figures))
+        for problem in summary.problems:
+            console.print(f"[yellow]note:[/yellow] {problem}")
+        console.print(f"bag     {summary.path}", soft_wrap=True)
+    if judgement.report is not None:
+        console.print(f"report  {judgement.report}", soft_wrap=True)
+
+
+def _table(summary: Summary, figures: Mapping[str, Any]) -> Table:
+    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
+    title += f"first {summary.transient:g} s (start-up) left out"
+    table = Table(title=title)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("limit", justify="right")
+    table.add_column("verdict")
+    strictest = {v.requirement.index: v for v in sorted(summary.verdicts, key=lambda v: -v.requirement.limit)}
+    ape, rpe = strictest.get("APE"), strictest.get("RPE")
+    _row(table, "APE max", summary.ape_max, "arcsec", ape, judged=False)
+    _row(table, "APE 99.7 %", summary.ape_p997, "arcsec", ape)
+    _row(table, "RPE rms, 20 ms windows", summary.rpe_rms, "mas", rpe, judged=False)
+    _row(table, "RPE 99.7 %, 20 ms windows", summary.rpe_p997, "mas", rpe)
+    lost = figures["samples_lost"]
+    table.add_row("samples lost", str(lost), "0", "met" if not lost else "[red]not met[/red]")
+    missed, ticks = figures["missed_ticks"], figures["ticks"]
+    if summary.mode == "realtime" and missed is not None:
+        share = 100.0 * missed / max(ticks, 1)
+        ok = "met" if share <= 0.5 else "[red]not met[/red]"
+        table.add_row("missed ticks", f"{missed} of {ticks} ({share:.2f} %)", "0.5 %", ok)
+        latency = figures["latency_us"]
+        texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
+        table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs", "", "")
+    return table
+
+
+def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | None, judged: bool = True) -> None:
+    """One figure against its limit; only the quantile the requirement names carries its verdict."""
+    limit, status = "", ""
+    if verdict is not None:
+        bound = verdict.requirement.limit / verdict.requirement.scale
+        limit = f"{bound:g} {unit}"
+        status = str(verdict.status) if judged else "below" if value < bound else "above"
+        if status in ("not compliant", "above"):
+            status = f"[red]{status}[/red]"
+    table.add_row(name, f"{digits(value)} {unit}", limit, status)

@@ -1,0 +1,206 @@
+"""Members of the telescope's uncertain family: ranges, random ones, named cases.
+
+What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the four wheels
+(``wheel_speed`` [rad/s]) and the first two frequencies of the arrays (``omega_1``, ``omega_2`` [rad/s]). The
+ranges are those of the parameter file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from los_testbed.config import RunConfig, read_yaml
+
+if TYPE_CHECKING:
+    from lti import RealParameter
+
+CASES = Path(__file__).with_name("plant_cases.yaml")
+"""Named cases that ship."""
+
+
+def family(parameters: str = "") -> dict[str, RealParameter]:
+    """Uncertain parameters of a parameter file, or of the reference telescope, in the order of Delta.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read or is no parameter file.
+    """
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
+
+    return uncertain_parameters(load_parameters(parameters or REFERENCE))
+
+
+def check_ranges(config: RunConfig) -> None:
+    """Refuse a configuration whose plant is not in the family, at its start or at the end of its ramps.
+
+    Raises
+    ------
+    ValueError
+        Names the parameter, its range and what came.
+
+    Examples
+    --------
+    >>> check_ranges(RunConfig(omega_1=2.0))
+    Traceback (most recent call last):
+        ...
+    ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
+    """
+    table = family(config.parameters)
+    for i in (1, 2):
+        omega = getattr(config, f"omega_{i}")
+        if omega:
+            _within(f"omega_{i}", table[f"solar_array.omega_{i}"], omega)
+    tau, turn = table["solar_array.tau"], config.theta_rate * config.ramp_duration
+    if config.tau:
+        _within("tau", tau, config.tau)
+    low, high = 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper)
+    for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
+        _between("theta", low, high, "rad", angle, when)
+    for i, speed in enumerate(config.wheel_speed, start=1):
+        _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
+    if config.wheel_acceleration and config.ramp_duration:
+        for i, (speed, gain) in enumerate(zip(_start_speeds(config), config.wheel_acceleration), start=1):
+            end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
+            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
+
+
+def _start_speeds(config: RunConfig) -> tuple[float, ...]:
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    parameters = load_parameters(config.parameters or REFERENCE)
+    return config.wheel_speed or tuple(parameters["reaction_wheel"]["default_speed"])
+
+
+def _within(name: str, parameter: RealParameter, value: float, when: str = "") -> None:
+    _between(name, parameter.lower, parameter.upper, "" if parameter.unit == "1" else parameter.unit, value, when)
+
+
+def _between(name: str, low: float, high: float, unit: str, value: float, when: str) -> None:
+    if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
+        unit = f" {unit}" if unit else ""
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}{unit}{when}")
+
+
+def random_member(seed: int, parameters: str = "") -> dict[str, Any]:
+    """Settings of a random member of the family: uniform in the ranges, the same for the same seed.
+
+    It is the member that ``system.sample_values(numpy.random.default_rng(seed))`` of the telescope's
+    :class:`~lti.UncertainSystem` draws first.
+
+    Parameters
+    ----------
+    seed : int
+        Not negative.
+    parameters : str
+        Parameter file; empty for the reference telescope.
+
+    Returns
+    -------
+    dict
+        ``tau``, ``wheel_speed`` [rad/s], ``omega_1``, ``omega_2`` [rad/s].
+
+    Raises
+    ------
+    ValueError
+        A negative seed.
+
+    Examples
+    --------
+    >>> random_member(3) == random_member(3), random_member(3) == random_member(4)
+    (True, False)
+    """
+    import numpy as np
+
+    if seed < 0:
+        raise ValueError(f"sample must be a seed that is not negative, got {seed}")
+    rng = np.random.default_rng(seed)
+    drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
+    return {
+        "tau": drawn["solar_array.tau"],
+        "wheel_speed": [drawn[f"wheel_{i}.speed"] for i in range(1, 5)],
+        "omega_1": drawn["solar_array.omega_1"],
+        "omega_2": drawn["solar_array.omega_2"],
+    }
+
+
+def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:
+    """Cases of a file: name to a table of run parameters, with an optional ``description``.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read or is not a table of tables.
+    """
+    content = read_yaml(path)
+    for name, settings in content.items():
+        if not isinstance(settings, dict):
+            raise ValueError(f"{path}: case {name!r} must be a table of parameters, got {settings!r}")
+    return content
+
+
+def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
+    """Settings of one named case.
+
+    Raises
+    ------
+    ValueError
+        No such case; the nearest one is proposed.
+
+    Examples
+    --------
+    >>> case_settings("arrays_half_turn")
+    {'tau': 1.0}
+    """
+    cases = named_cases(path)
+    if name not in cases:
+        near = difflib.get_close_matches(name, cases, 1)
+        hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(cases)}"
+        raise ValueError(f"{path.name} has no case {name!r}: {hint}")
+    return {key: value for key, value in cases[name].items() if key != "description"}
+
+
+def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of all layers; a later one wins, also its ``tau`` over an earlier ``theta`` and the other way round.
+
+    Examples
+    --------
+    >>> layered({"theta": 0.5, "seed": 1}, {"tau": 0.3})
+    {'seed': 1, 'tau': 0.3}
+    """
+    values: dict[str, Any] = {}
+    for layer in layers:
+        for name, other in (("tau", "theta"), ("theta", "tau")):
+            if name in layer and other not in layer:
+                values.pop(other, None)
+        values.update(layer)
+    return values
+
+
+def chosen_member(
+    case: str | None, cases: Path | None, sample: str | None, before: Mapping[str, Any], after: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings that ``--case`` and ``--sample`` stand for.
+
+    The ranges of a random member are those of the parameter file that the rest of the configuration names.
+
+    Raises
+    ------
+    ValueError
+        No such case, a file of cases without a case, a seed that is no whole number.
+    """
+    if cases is not None and case is None:
+        raise ValueError(f"--cases {cases} needs --case NAME")
+    named = {} if case is None else case_settings(case, cases or CASES)
+    if sample is None:
+        return named, {}
+    try:
+        seed = int(sample)
+    except ValueError:
+        raise ValueError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
+    path = layered(before, named, after).get("parameters", "")
+    return named, random_member(seed, str(path))

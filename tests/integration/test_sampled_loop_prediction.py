@@ -1,0 +1,84 @@
+"""What the loop does in time is what the matrices of the sampled loop predict."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import controller_files
+
+from fsm_pma_controller.runtime import FsmPmaController
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import disturbance_response, sampled_loop_metrics
+from los_estimator.runtime import LosEstimator
+from lti import SampledSystem
+from titop_plant.disturbances import Tones, no_tones
+from titop_plant.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation import DISTURBANCES, DT, MEASURED, sample, telescope
+from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.parameters import load_parameters
+
+POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}
+
+
+@pytest.fixture(scope="module")
+def case():
+    parameters = load_parameters()
+    whole = with_camera(telescope().system, parameters)
+    data = whole.select(
+        inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+    ).data_at(POINT)
+    files = controller_files(RunConfig())
+    return parameters, data, SampledSystem.from_file(files["k_fsm"]), SampledSystem.from_file(files["k_pma"])
+
+
+def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int, sigma: np.ndarray | None = None):
+    _, data, k_fsm, k_pma = case
+    sensors = SensorModel(np.zeros(22) if sigma is None else sigma, np.zeros(22), frame_ticks, 0.0, 3)
+    limits = np.full(8, 1e6)
+    plant = SampledPlant([sample(data, tones, 10**9)], state, sensors, limits, dt=DT, tones=tones.frequency,
+                         parameters_hash="test")  # fmt: skip
+    estimator, controller = LosEstimator(k_fsm), FsmPmaController(k_pma, "fsm+pma")
+    measured, estimate, command = np.zeros(22), np.zeros(2), np.zeros(8)
+    los = np.zeros((ticks, 2))
+    for k in range(ticks):
+        plant.step(command, measured, los[k])
+        estimator.step(measured, estimate)
+        controller.step(estimate, measured[:6], command)
+    return los
+
+
+@pytest.mark.parametrize("omega", [60.0, 145.0, 440.0])
+def test_a_tone_has_the_predicted_amplitude(case, omega: float) -> None:
+    """Camera at every tick: the loop is time-invariant and the prediction exact. Within 2 %."""
+    _, data, k_fsm, k_pma = case
+    loop = sampled_loop(data, k_fsm, k_pma, loop="fsm+pma", frame_ticks=1)
+    if loop.spectral_radius() >= 1.0:
+        pytest.skip("these controllers are not made for a camera at every tick")
+    predicted = disturbance_response(loop, data, np.array([omega]))[0, :2]
+    amplitude = np.zeros((22, 1), complex)
+    amplitude[:5, 0] = [1e-2, -1e-2j, 0.0, 5e-3, 2e-3j]
+    tones = Tones(np.array([omega]), amplitude, np.zeros(1), np.array([-1]))
+    start = np.linalg.solve(1j * omega * np.eye(len(data.A)) - data.A, data.B[:, 8:] @ amplitude[:, 0]).imag
+    los = simulate(case, tones, start, 40000, 1)[25000:]
+    t = DT * np.arange(25000, 40000)
+    basis = np.column_stack([np.cos(omega * t), np.sin(omega * t), np.ones_like(t), t])
+    fit = np.linalg.lstsq(basis, los, rcond=None)[0]
+    found = np.sqrt(np.sum(fit[:2] ** 2))
+    p = predicted @ amplitude[:, 0]
+    expected = np.sqrt(np.sum(np.abs(p) ** 2))
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def test_noise_has_the_predicted_variance(case) -> None:
+    """Sensor noise alone, frames at 50 Hz: rms over a long run against the Lyapunov equation."""
+    parameters, data, k_fsm, k_pma = case
+    sensors = parameters["sensors"]
+    sigma = np.r_[np.tile(sensors["accelerometer_noise"], 3), [sensors["camera_noise"]] * 2,
+                  [sensors["strain_gauge_noise"]] * 2]  # fmt: skip
+    los = simulate(case, no_tones(), np.zeros(len(data.A)), 60000, 20, sigma)[5000:]
+    figures = sampled_loop_metrics(data, k_fsm, k_pma, parameters, loop="fsm+pma", frame_ticks=20)
+    windows = los[: len(los) // 20 * 20].reshape(-1, 20, 2)
+    relative = np.sqrt(windows.var(axis=1).sum(axis=1).mean())
+    assert relative == pytest.approx(figures.noise_rpe, rel=0.25)
+    assert figures.radius < 1.0

@@ -1,0 +1,149 @@
+"""Connections by name: laws and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lti import (
+    Port,
+    close,
+    connect,
+    invert,
+    parallel,
+    series,
+    star,
+    static_gain,
+    transform,
+)
+
+S = 1.3j
+POINT = {"k": 0.9, "m": 0.3}
+
+
+def response(system, s=S):
+    return system.at({n: POINT[n] for n in system.occurrences()})(s)
+
+
+def test_order_of_systems_and_connections_does_not_matter(make) -> None:
+    rng = np.random.default_rng(5)
+    a = make(rng, 3, {"u": 1, "r": 1}, {"y": 1}, ("k",))
+    b = make(rng, 2, {"v": 1}, {"x": 1}, ("m", "k"))
+    wires = [("a.y", "b.v"), (("ref", "-b.x"), "a.u"), ("ref", "a.r")]
+    out = {"y": "a.y", "x": "b.x"}
+    first = connect({"a": a, "b": b}, wires, inputs=[Port("ref", 1)], outputs=out)
+    second = connect({"b": b, "a": a}, wires[::-1], inputs=[Port("ref", 1)], outputs=out)
+    np.testing.assert_allclose(response(first), response(second), rtol=1e-12)
+    assert first.occurrences() == second.occurrences() == {"k": 2, "m": 1}
+
+
+def test_feedback_equals_the_textbook_formula(make) -> None:
+    rng = np.random.default_rng(6)
+    g = make(rng, 3, {"u": 2}, {"y": 2}, ("k",))
+    k = make(rng, 2, {"y": 2}, {"u": 2}, ("m",))
+    loop = connect(
+        {"g": g, "k": k},
+        [(("d", "k.u"), "g.u"), ("g.y", "k.y")],
+        inputs=[Port("d", 2)],
+        outputs={"y": "g.y"},
+    )
+    G, K = response(g), response(k)
+    np.testing.assert_allclose(response(loop), np.linalg.solve(np.eye(2) - G @ K, G), rtol=1e-11)
+
+
+def test_closing_a_controller_commutes_with_choosing_parameters(make) -> None:
+    rng = np.random.default_rng(7)
+    plant = make(rng, 4, {"w": 1, "u": 2}, {"z": 1, "y": 2}, ("k", "m", "k"))
+    controller = make(rng, 2, {"y": 2}, {"u": 2}, ())
+    loop = close(plant, controller, {"y": "y", "u": "u"})
+    assert [p.name for p in loop.inputs] == ["w"] and [p.name for p in loop.outputs] == ["z"]
+    P, K = response(plant), response(controller)
+    direct = P[:1, :1] + P[:1, 1:] @ K @ np.linalg.solve(np.eye(2) - P[1:, 1:] @ K, P[1:, :1])
+    np.testing.assert_allclose(response(loop), direct, rtol=1e-11)
+
+
+def test_star_product_in_either_order(make) -> None:
+    rng = np.random.default_rng(8)
+    a = make(rng, 2, {"a1": 1, "b2": 1}, {"c1": 1, "d1": 1}, ("k",))
+    b = make(rng, 2, {"d2": 1, "e": 1}, {"b1": 1, "f": 1}, ("m",))
+    one = star(a, b, {"upper.d1": "lower.d2", "lower.b1": "upper.b2"})
+    two = star(b, a, {"lower.d1": "upper.d2", "upper.b1": "lower.b2"})
+    np.testing.assert_allclose(response(one["c1", ("a1", "e")]), response(two["c1", ("a1", "e")]), rtol=1e-12)
+
+
+def test_series_and_parallel(make) -> None:
+    rng = np.random.default_rng(9)
+    a, b = make(rng, 2, {"u": 2}, {"v": 2}, ("k",)), make(rng, 2, {"v": 2}, {"y": 2}, ("m",))
+    np.testing.assert_allclose(response(series(a, b, {"v": "v"})), response(b) @ response(a), rtol=1e-12)
+    c = make(rng, 3, {"u": 2}, {"v": 2}, ("m",))
+    np.testing.assert_allclose(response(parallel(a, c, -1.0)), response(a) - response(c), rtol=1e-12)
+    with pytest.raises(ValueError, match="same input and output ports"):
+        parallel(a, b)
+
+
+def test_inverting_a_channel_twice_gives_the_system_back(make) -> None:
+    system = make(np.random.default_rng(10), 3, {"u": 2, "w": 1}, {"y": 2, "z": 1}, ("k", "m"))
+    turned = invert(system, {"u": "y"})
+    assert [p.name for p in turned.inputs] == ["y", "w"] and [p.name for p in turned.outputs] == ["u", "z"]
+    np.testing.assert_allclose(response(invert(turned, {"y": "u"})), response(system), rtol=1e-9, atol=1e-12)
+    H, T = response(system), response(turned)
+    np.testing.assert_allclose(T[:2, :2] @ H[:2, :2], np.eye(2), atol=1e-10)
+
+
+def test_a_channel_without_feedthrough_is_not_invertible() -> None:
+    with pytest.raises(ValueError, match="channel u -> y is not invertible"):
+        invert(static_gain(np.zeros((1, 1)), [Port("u", 1)], [Port("y", 1)]), {"u": "y"})
+
+
+def test_transform_of_ports(make) -> None:
+    system = make(np.random.default_rng(11), 2, {"u": 2}, {"y": 2}, ("k",))
+    T = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, -1.0]])
+    wide = transform(system, inputs={"u": (T, Port("x", 3))}, outputs={"y": (T.T, Port("z", 3))})
+    np.testing.assert_allclose(response(wide), T.T @ response(system) @ T, rtol=1e-12)
+    with pytest.raises(ValueError, match="expected a 2 x 3 matrix"):
+        transform(system, inputs={"u": (np.eye(2), Port("x", 3))})
+
+
+def two(b_in: Port | None = None):
+    u, y = Port("u", 1), Port("y", 1)
+    second = b_in or u
+    return {"a": static_gain([[1.0]], [u], [y]), "b": static_gain(np.ones((1, second.size)), [second], [y])}
+
+
+@pytest.mark.parametrize(
+    ("systems", "wires", "message"),
+    [
+        (two(), [("r", "a.u"), ("a.y", "b.u"), ("r", "b.u")], "'b.u' has two drivers: a.y and r"),
+        (two(), [("r", "a.u")], "unconnected input: b.u"),
+        (two(), [("r", "a.u"), ("a.y", "b.w")], "unknown input 'b.w', expected one of: a.u, b.u"),
+        (two(), [("r", "a.u"), ("c.y", "b.u")], "unknown source 'c.y'"),
+        (two(b_in=Port("u", 2)), [("r", "a.u"), ("a.y", "b.u")], "sizes differ, 1 and 2"),
+        (two(b_in=Port("u", 1, "N")), [("r", "a.u"), ("a.y", "b.u")], "units differ, '1' and 'N'"),
+        (two(), [("b.y", "a.u"), ("a.y", "b.u")], "not well posed"),
+        ({"a.x": two()["a"]}, [], "must not hold a dot"),
+    ],
+)
+def test_connect_refuses_doubt(systems, wires, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        connect(systems, wires, inputs=[Port("r", 1)], outputs={"y": next(iter(systems)) + ".y"})
+
+
+OPERATIONS = {
+    "select": lambda s: s.select(inputs=["u", "w"], outputs=["y", "z"]),
+    "normalised": lambda s: s.normalised(),
+    "sorted": lambda s: s.sorted_channels(),
+    "transform": lambda s: transform(s, inputs={"u": (np.eye(2), Port("u", 2))}),
+    "parallel": lambda s: parallel(s, s),
+    "connect": lambda s: connect(
+        {"s": s}, [("u", "s.u"), ("w", "s.w")], inputs=s.inputs, outputs={"y": "s.y", "z": "s.z"}
+    ),
+}
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_every_operation_keeps_names_and_parameters(make, operation: str) -> None:
+    system = make(np.random.default_rng(12))
+    result = OPERATIONS[operation](system)
+    assert [p.name for p in result.inputs] == ["u", "w"]
+    assert [p.name for p in result.outputs] == ["y", "z"]
+    assert set(result.occurrences()) == {"k", "m"}
