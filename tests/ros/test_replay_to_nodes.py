@@ -68,7 +68,7 @@ def test_a_recorded_run_comes_out_again_bit_by_bit(recorded, tmp_path):
     config, bag = recorded
     code, found, errors = call(config, tmp_path, bag, "--json")
     assert code == 0, errors
-    assert found["implemented"] and found["identical"]
+    assert found["as_recorded"] and found["identical"]
     assert {d["topic"] for d in found["differences"]} == {"los_estimate", "fsm/command", "pma/command"}
     assert min(d["compared"] for d in found["differences"]) >= 1900
     assert found["recorded"] == found["replayed"]
