@@ -142,6 +142,7 @@ def _provenance(
     """How a design was made, for its file."""
     tuning = result.tuning if isinstance(result, RobustResult) else result
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
+    flags += f" --starts {options.starts}" if options.starts else ""
     content: dict[str, Any] = {
         "command": f"los-testbed design {kind}{flags}",
         "commit": commit(),

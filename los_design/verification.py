@@ -150,7 +150,9 @@ def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedC
     checks : mapping
         Name to result of :func:`check_implemented`.
     """
-    found = [f"the paper's problem, {kind}: unstable" for kind, gammas in paper.items() if not np.isfinite(gammas).all()]
+    found = [
+        f"the paper's problem, {kind}: unstable" for kind, gammas in paper.items() if not np.isfinite(gammas).all()
+    ]
     for name, check in checks.items():
         if check.stable < check.count:
             found.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")

@@ -1,4 +1,4 @@
-"""A plant of ten states with the ports of the telescope, and controllers with a direct camera path, for exact checks."""
+"""A plant of ten states with the ports of the telescope, and controllers with a direct camera path."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, parameters) -
     peaks = omega[norms.argmax(axis=1)]
     limits = np.array([4.84813681109536e-05, 5.3e-3, 31.6])
     expected = np.diag(gains(loop, peaks, parameters)) / limits
-    assert [found.ape, found.mirror, found.force] == pytest.approx(expected, rel=1e-6)
+    assert [found.ape, found.mirror, found.force] == pytest.approx(expected, rel=1e-8)
     others = np.random.default_rng(3).uniform(np.log(1.0), np.log(2e3), 60)
     elsewhere = gains(loop, np.exp(others), parameters).max(axis=0) / limits
     assert np.all(elsewhere <= 1.001 * np.array([found.ape, found.mirror, found.force]))
@@ -222,3 +222,9 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, parameters) -> 
     values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
     assert values == (np.inf,) * 7
     assert np.isnan(found.omega_rpe)
+
+
+def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(parameters, monkeypatch) -> None:
+    monkeypatch.setattr(SampledLoop, "spectral_radius", lambda _: 1.0)
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), parameters, loop="fsm", frame_ticks=20)
+    assert not found.stable and found.ape == np.inf
