@@ -63,7 +63,7 @@ def certified(system, plant, measured, requirements, options: DesignOptions, poi
 
 
 def test_designs_of_the_nominal_model_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
-    """Two iterations each: the files fit the runtime and hold how they were made; their gammas are the certified ones."""
+    """Two iterations each: the files fit the runtime, their provenance is whole, their gammas are the certified ones."""
     monkeypatch.setattr(synthesis, "MAX_NOMINAL_ITERATIONS", 2)
     assembled, options = telescope(), DesignOptions(nominal=True, seed=3)
     k_fsm = synthesis.design_observer(assembled, parameters, options)
