@@ -32,13 +32,13 @@ class Controller(Protocol):
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
         parts = [
             Part(codec_for(ISOLATOR_ACCEL), slice(2, 8)),
             Part(codec_for(LOS_ESTIMATE), slice(0, 2)),
         ]
-        outputs = [(RawPublisher(shell.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
+        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, held, nothing = np.zeros(8), np.zeros(8), np.zeros(8)
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
                 publisher.publish(codec.encode(stamp, values))
             held[:] = sample
 
-        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, 8), tick)
+        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, 8), tick)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

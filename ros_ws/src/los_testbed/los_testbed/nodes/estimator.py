@@ -32,12 +32,12 @@ class Estimator(Protocol):
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
-        every = shell.config.frame_ticks
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
+        every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
-        publisher = RawPublisher(shell.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
+        publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, held, nothing = np.zeros(2), np.zeros(22), np.zeros(2)
         held[18:20] = np.nan
 
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
             held[:18] = measurement[:18]
             held[20:] = measurement[20:]
 
-        follower = Follower(shell, SENSORS, StampSynchronizer(parts, 22), tick)
+        follower = Follower(context, SENSORS, StampSynchronizer(parts, 22), tick)
         code = follower.run()
         settle([publisher])
         return code
