@@ -15,12 +15,12 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import Descent, DescentOptions, Sample, minimise
 from robust_design.problem import MIN_DECAY, Evaluation, Problem, worst_values
-from robust_design.progress import Progress
 from robust_design.requirements import Requirement
 from robust_design.starts import lowered_gain, start_checked, starts_of
 from robust_design.structures import Structure, controller
@@ -222,7 +222,7 @@ def tune(
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
-    with one_thread(), Progress(options.progress, "tuning") as progress:
+    with one_thread(), Progress("tuning", options.progress) as progress:
         if options.workers == 1 or len(jobs) == 1:
             runs = _serial(problem, jobs, options, deadline, progress)
         else:
@@ -303,7 +303,7 @@ def _serial(
     runs: list[Run] = []
     for x, seed in jobs:
         runs.append(tune_from(problem, x, seed, options, deadline))
-        progress.report(len(runs), len(jobs), min(runs, key=_rank).soft)
+        progress.report(len(runs), len(jobs), best=min(runs, key=_rank).soft)
         if runs[-1].status in ("interrupted", "target") or time.monotonic() > deadline:
             break
     return runs
@@ -320,7 +320,7 @@ def _parallel(
         try:
             for future in as_completed(futures):
                 runs[futures[future]] = future.result()
-                progress.report(len(runs), len(jobs), min(runs.values(), key=_rank).soft)
+                progress.report(len(runs), len(jobs), best=min(runs.values(), key=_rank).soft)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             x = jobs[0][0]

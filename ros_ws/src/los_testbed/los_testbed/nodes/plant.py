@@ -204,7 +204,7 @@ class PlantLoop:
         rejected = self.io.rejected_total()
         news = (self.missed - self._reported[0], rejected - self._reported[1])
         self._reported = (self.missed, rejected)
-        level, message, figures = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
+        level, message, values = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         self._faded = self.io.fading()
         if self._faded:
             level, message = ERROR, "no valid commands: actuators brought to zero"
@@ -216,7 +216,7 @@ class PlantLoop:
             level, message = max(level, WARN), f"{news[0]} ticks missed"
         elif last:
             level, message = OK, "finished"
-        self.context.diagnose(level, message, {**figures, **self.statistics()}, now)
+        self.context.diagnose(level, message, {**values, **self.statistics()}, now)
         self.context.plot(self._plotted(news))
 
     def _plotted(self, news: tuple[int, int]) -> dict[str, float]:

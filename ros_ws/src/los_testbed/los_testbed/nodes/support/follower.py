@@ -140,14 +140,14 @@ class Follower:
         }
 
     def _report(self) -> None:
-        level, message, figures = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
+        level, message, values = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
         troubles = (self._synchronizer.gaps, self._synchronizer.rejected.total())
         if level == OK and troubles != self._troubles:
             level, message = WARN, "samples missing or rejected"
         news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
         period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}
-        self._context.diagnose(level, message, {**figures, **period, **self.statistics()}, self._synchronizer.stamp)
+        self._context.diagnose(level, message, {**values, **period, **self.statistics()}, self._synchronizer.stamp)
         self._context.plot(
             {
                 **self._period.window("period"),
