@@ -23,7 +23,7 @@ from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.stages import STAGES_EXAMPLES, stages
 from los_testbed.config import RunConfig, parse_value, read_yaml
-from los_testbed.factories import build_controller, build_estimator
+from los_testbed.factories import check_controllers
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.runner import Results
 from los_testbed.variants import check_ranges, chosen_member, layered
@@ -241,8 +241,8 @@ def new_bag(config: RunConfig) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def check(config: RunConfig) -> None:
-    """Refuse what can be refused before anything is started or written.
+def check(config: RunConfig) -> tuple[str, ...]:
+    """Refuse what can be refused before anything is started or written; warnings about the controllers.
 
     Raises
     ------
@@ -251,17 +251,19 @@ def check(config: RunConfig) -> None:
     """
     check_new_bag(Path(config.output))
     check_ranges(config)
-    build_estimator(config)
-    build_controller(config)
+    warnings = check_controllers(config)
     if config.mode != "inprocess":
         from los_testbed.run.runner import check_ros
 
         check_ros()
+    return warnings
 
 
 def execute(config: RunConfig, console: Console) -> tuple[Path, Results]:
     """Run, with a progress bar; the bag and what happened."""
-    check(config)
+    said = check(config)
+    for warning in said:
+        sys.stderr.write(f"warning: {warning}\n")
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} ms"),
         TimeElapsedColumn(), TimeRemainingColumn(),
@@ -283,6 +285,7 @@ def execute(config: RunConfig, console: Console) -> tuple[Path, Results]:
         results = Runner(replace(config, wait_for_recorder=True), progress).run()
     if results.bag is None:
         raise KeyboardInterrupt
+    results.warnings = [warning for warning in results.warnings if warning not in said]
     return results.bag, results
 
 

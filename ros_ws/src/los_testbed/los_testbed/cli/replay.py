@@ -88,6 +88,8 @@ def _through(
     from pointing_analysis.replay import compare
 
     chosen = replay_run.controllers(run, *others)
+    for warning in chosen.warnings:
+        sys.stderr.write(f"warning: {warning}\n")
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("replay", total=1)
         replayed = replay_run.drive(run, chosen, lambda done, total: bar.update(task, completed=done, total=total))
