@@ -89,8 +89,8 @@ class LoopGains:
             model.A, model.B[:, columns], model.C[rows], model.D[np.ix_(rows, columns)]
         )
         self._split = (len(rz), len(cw))
-        self._columns = [_places(cw, model.input_indices(r.inputs)) for r in requirements]
-        self._rows = [_places(rz, model.output_indices(r.outputs)) for r in requirements]
+        self._columns = [_positions(cw, model.input_indices(r.inputs)) for r in requirements]
+        self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
         self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
         self._grid = self._arrays(self._frequencies(per_decade))
 
@@ -155,7 +155,7 @@ class LoopGains:
         closed_loop_poles: ComplexArray,
         band: float,
         floor: float = 0.0,
-        most: int = 24,
+        max_peaks: int = 24,
         gradients: bool = True,
     ) -> list[list[Peak]]:
         """For each requirement the local maxima above `band` times its largest gain (and above `floor`).
@@ -171,7 +171,7 @@ class LoopGains:
             Between 0 and 1.
         floor : float
             Peaks below this value are of no interest (the largest one is always given).
-        most : int
+        max_peaks : int
             Largest number of peaks for a requirement.
         """
         which = tuple(range(len(self.requirements)))
@@ -190,10 +190,10 @@ class LoopGains:
             parts = [gains_above(response[i], min(band, 0.5)) for response in responses]
             w, gains = self._split_high_cells(omega, np.concatenate(parts)[index], gain_matrix, order, i)
             top = float(gains.max())
-            places = _local_maxima(gains, max(band * top, min(floor, top)))[:most]
-            at, value = self._refined(w, gains, places, gain_matrix, order, i)
+            maxima = _local_maxima(gains, max(band * top, min(floor, top)))[:max_peaks]
+            at, value = self._refined(w, gains, maxima, gain_matrix, order, i)
             if gradients:
-                also = _shoulders(gains, band * top, places)
+                also = _shoulders(gains, band * top, maxima)
                 at, value = np.concatenate([at, w[also]]), np.concatenate([value, gains[also]])
             found.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
         return found
@@ -202,8 +202,8 @@ class LoopGains:
         """Frequencies of closed-loop resonances that the grid does not resolve."""
         light = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.5 * np.abs(poles))]
         grid = self._grid.omega
-        place = np.clip(np.searchsorted(grid, light.imag), 1, len(grid) - 1)
-        gap = np.minimum(np.abs(grid[place] - light.imag), np.abs(light.imag - grid[place - 1]))
+        right = np.clip(np.searchsorted(grid, light.imag), 1, len(grid) - 1)
+        gap = np.minimum(np.abs(grid[right] - light.imag), np.abs(light.imag - grid[right - 1]))
         missing = light[gap > 0.4 * np.abs(light.real)]
         steps = np.array([-1.0, -0.4, 0.0, 0.4, 1.0])
         near = (missing.imag[:, None] + steps * np.abs(missing.real)[:, None]).ravel()
@@ -228,15 +228,15 @@ class LoopGains:
         return np.concatenate([w, middle])[index], added[index]
 
     def _refined(
-        self, w: FloatArray, gains: FloatArray, places: NDArray[np.intp], K: FloatArray, order: int, i: int
+        self, w: FloatArray, gains: FloatArray, maxima: NDArray[np.intp], K: FloatArray, order: int, i: int
     ) -> tuple[FloatArray, FloatArray]:
         """Peaks between the grid points: golden sections and parabolas in all brackets at once."""
-        inner = (places > 0) & (places < len(w) - 2) & np.isfinite(w[np.minimum(places + 1, len(w) - 1)])
-        omega, value = w[places].copy(), gains[places].copy()
+        inner = (maxima > 0) & (maxima < len(w) - 2) & np.isfinite(w[np.minimum(maxima + 1, len(w) - 1)])
+        omega, value = w[maxima].copy(), gains[maxima].copy()
         act = np.flatnonzero(inner)
         if len(act) == 0:
             return omega, value
-        p = places[act]
+        p = maxima[act]
         x = np.column_stack([w[p - 1], w[p], w[p + 1]])
         y = np.column_stack([gains[p - 1], gains[p], gains[p + 1]])
         for step in range(REFINEMENTS):
@@ -305,7 +305,7 @@ def controller_factors(K: FloatArray, order: int, omega: FloatArray) -> tuple[Co
 
 def _resolvent(A: FloatArray, omega: FloatArray) -> ComplexArray:
     n = len(A)
-    # an exact controller integrator has no value at 0: the limit is taken a hair above
+    # an exact controller integrator has no value at 0: the limit is taken at 1e-12 rad/s
     w = np.where(omega == 0.0, 1e-12, omega)
     shifted = 1j * w[:, None, None] * np.eye(n) - A
     return solve(shifted, np.broadcast_to(np.eye(n, dtype=complex), shifted.shape))
@@ -318,19 +318,19 @@ def _weight(weight: StateSpace | None) -> FrequencyResponse | None:
 def _local_maxima(gains: FloatArray, level: float) -> NDArray[np.intp]:
     padded = np.concatenate([[-np.inf], gains, [-np.inf]])
     top = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (gains >= level)
-    places = np.flatnonzero(top)
-    return places[np.argsort(-gains[places], kind="stable")]
+    maxima = np.flatnonzero(top)
+    return maxima[np.argsort(-gains[maxima], kind="stable")]
 
 
-def _shoulders(gains: FloatArray, level: float, peaks: NDArray[np.intp], most: int = 10) -> NDArray[np.intp]:
+def _shoulders(gains: FloatArray, level: float, peaks: NDArray[np.intp], max_points: int = 10) -> NDArray[np.intp]:
     """Grid points above `level` beside the peaks (Apkarian and Noll's extended set of frequencies).
 
     Each is a lower bound of the norm in its own right; with them a step sees a peak that would grow beside the present
     one, most of all at zero frequency.
     """
     high = np.setdiff1d(np.flatnonzero(gains >= level), peaks)
-    if len(high) > most:
-        high = high[np.unique(np.linspace(0, len(high) - 1, most).astype(int))]
+    if len(high) > max_points:
+        high = high[np.unique(np.linspace(0, len(high) - 1, max_points).astype(int))]
     return high
 
 
@@ -368,6 +368,6 @@ def _narrow(x: FloatArray, y: FloatArray, trial: FloatArray, value: FloatArray) 
             x[j, 0], y[j, 0] = t, v
 
 
-def _places(chosen: NDArray[np.intp], wanted: NDArray[np.intp]) -> NDArray[np.intp]:
-    where = {int(index): place for place, index in enumerate(chosen)}
-    return np.array([where[int(index)] for index in wanted], dtype=np.intp)
+def _positions(chosen: NDArray[np.intp], indices: NDArray[np.intp]) -> NDArray[np.intp]:
+    position = {int(index): k for k, index in enumerate(chosen)}
+    return np.array([position[int(index)] for index in indices], dtype=np.intp)

@@ -10,7 +10,8 @@ from lti.ports import Port
 from lti.state_space_model import StateSpace
 from robust_design.decentralised import Decentralised
 from robust_design.gains import LoopGains
-from robust_design.problem import Piece, Problem
+from robust_design.pieces import Piece
+from robust_design.problem import Problem
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
 from robust_design.stable_state_space import StableStateSpace
 from robust_design.structures import Structure, gain, gain_matrix_of, pid, state_space
@@ -82,7 +83,10 @@ def test_gradient_equals_central_differences(name: str, delay: float) -> None:
     pieces = largest(found.pieces)
     for piece in pieces:
         g = slopes[:, piece.requirement, piece.model]
-        assert np.abs(g - piece.gradient).max() <= 1e-6 * max(1.0, np.abs(g).max()), (piece.requirement, piece.place)
+        assert np.abs(g - piece.gradient).max() <= 1e-6 * max(1.0, np.abs(g).max()), (
+            piece.requirement,
+            piece.peak_frequency,
+        )
     assert {p.requirement for p in pieces} >= ({0, 1, 2, 3, 4} if structure.order else {0, 1, 2, 3})
 
 
