@@ -15,6 +15,7 @@ from lti.state_space_model import StateSpace
 from robust_design.gains import LoopGains
 from robust_design.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
 from robust_design.pieces import Piece
+from robust_design.plant_responses import PlantResponses
 from robust_design.requirements import (
     ClosedLoopPoles,
     ControllerPoles,
@@ -144,7 +145,7 @@ class Problem:
             self._refuse_feedthrough(variances[i], r.name)
         gains = [self.requirements[i] for i in self._hinf]
         self._gains.append(
-            LoopGains(model, self._measurements, self._commands, tuple(gains), self.loop_delay)  # type: ignore[arg-type]
+            LoopGains(PlantResponses(model, self._measurements, self._commands, tuple(gains), self.loop_delay))  # type: ignore[arg-type]
             if gains
             else None
         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
-from robust_design.gains import controller_response
+from robust_design.controller_response import controller_response
 from robust_design.requirements import HinfGain, Requirement
 from robust_design.structures import gain_matrix_of
 
