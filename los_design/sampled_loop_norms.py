@@ -23,13 +23,12 @@ from lti.eigenvectors import eigenpairs
 from lti.frequency_response import frequency_grid, singular_values
 from lti.sampling import sampled
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
-from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-DT = 1e-3
 SIDEBANDS = 4
 """Sidebands of the camera's frame rate that are included on each side."""
 
@@ -98,10 +97,12 @@ def sampled_loop_metrics(
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
-    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     radius = closed.spectral_radius()
     if not radius < 1.0:
-        return SampledLoopMetrics(*(np.inf for _ in range(7)), radius=radius, omega_rpe=np.nan)
+        inf = np.inf
+        return SampledLoopMetrics(inf, inf, inf, inf, inf, inf, inf, radius, omega_rpe=np.nan)
     omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
     los = singular_values(response[:, :2])[:, 0]

@@ -7,11 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg
 
-from fsm_pma_controller import runtime as pma
-from los_estimator import runtime as fsm
 from lti import Port, SampledSystem, StateSpace
+from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
-DT = 1e-3
 FREQUENCIES = (12.0, 60.0, 180.0, 420.0)
 INPUTS = (Port("command", 8), Port("disturbance", 22))
 OUTPUTS = (Port("measured", 22), Port("los_controlled", 2))
@@ -53,13 +51,14 @@ def small_controllers() -> tuple[SampledSystem, SampledSystem]:
     rng = np.random.default_rng(6)
     B = 1e-2 * rng.standard_normal((3, 22))
     D = 1e-3 * rng.standard_normal((2, 22))
-    D[:, fsm.CAMERA] = [[0.6, 0.1], [-0.15, 0.5]]
+    D[:, CAMERA] = [[0.6, 0.1], [-0.15, 0.5]]
     D[:, 20:] = -0.05 * np.eye(2)
     A = np.diag([0.95, 0.8, 0.4])
-    k_fsm = SampledSystem(A, B, 1e-2 * rng.standard_normal((2, 3)), D, fsm.INPUTS, fsm.OUTPUTS, DT, "observer")
+    k_fsm = SampledSystem(A, B, 1e-2 * rng.standard_normal((2, 3)), D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT, "observer",
+                          design_basis={"los_sensitivity": 0.1})  # fmt: skip
     k_pma = SampledSystem(
         np.diag([0.9, 0.5]), rng.standard_normal((2, 6)), rng.standard_normal((6, 2)), rng.standard_normal((6, 6)),
-        pma.INPUTS, pma.OUTPUTS, DT, "force law",
+        K_PMA_INPUTS, K_PMA_OUTPUTS, DT, "force law",
     )  # fmt: skip
     return k_fsm, k_pma
 

@@ -20,16 +20,26 @@ STAGES = ("none", "isolator", "fsm", "fsm+pma")
 
 @pytest.mark.parametrize("frame_ticks", [1, 5, 20])
 @pytest.mark.parametrize("stage", STAGES)
-def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame_ticks: int) -> None:
-    """From a random state, with a constant error on every sensor in the place of noise."""
+@pytest.mark.parametrize("basis", [{"los_sensitivity": 0.125}, {}])
+def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame_ticks: int, basis: dict) -> None:
+    """From a random state, with a constant error on every sensor in the place of noise.
+
+    The mirror law divides by the sensitivity of the observer's file, else by that of the telescope, here 0.2.
+    """
     data, (k_fsm, k_pma) = small_plant(), small_controllers()
+    k_fsm = replace(k_fsm, design_basis=basis)
     rng = np.random.default_rng(0)
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
     plant = SampledPlant([sample(data, no_tones(), 1)], state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0),
                          parameters_hash="")  # fmt: skip
-    estimator, controller = LosEstimator(k_fsm), FsmPmaController(k_pma, stage, 1e9, 1e9)
-    loop = sampled_loop(data, k_fsm, k_pma, loop=stage, frame_ticks=frame_ticks)
+    estimator, controller = (
+        LosEstimator(k_fsm),
+        FsmPmaController(
+            k_pma, stage, los_sensitivity=basis.get("los_sensitivity", 0.2), fsm_authority=1e9, pma_authority=1e9
+        ),
+    )
+    loop = sampled_loop(data, k_fsm, k_pma, loop=stage, frame_ticks=frame_ticks, los_sensitivity=0.2)
     z = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, command, los = np.zeros(22), np.zeros(2), np.zeros(8), np.zeros(2)

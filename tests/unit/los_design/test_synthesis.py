@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from small_loop import SmallFamily, small_controllers, small_plant
 
-from fsm_pma_controller import runtime as pma
-from fsm_pma_controller.problem import MEASUREMENTS as PMA_MEASUREMENTS
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements
 from los_design import starts, synthesis, trade_off
 from los_design.options import LOOP_DELAY, DesignOptions
@@ -19,14 +17,14 @@ from los_design.sampled_loop_norms import sampled_loop_metrics, weighted_respons
 from los_design.starts import screened, zero_controller
 from los_design.store import continuous, load_designs
 from los_design.trade_off import TradeOffPoint, undominated
-from los_estimator import runtime as fsm
-from los_estimator.problem import MEASUREMENTS as FSM_MEASUREMENTS
 from los_estimator.problem import observer_plant, observer_requirements
 from lti import StateSpace
 from robust_design import certify
+from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
+from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
 
+PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
 STATUSES = {"converged", "iterations", "stalled", "infeasible", "wall_limit", "out_of_time", "inaccurate"}
 
 
@@ -37,19 +35,18 @@ def parameters():
 
 def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path) -> None:
     """Ports, period, provenance; written and read back without a change."""
-    ports = fsm if kind == "k-fsm" else pma
-    system.require(ports.INPUTS, ports.OUTPUTS, 1e-3)
+    system.require(*PORTS[kind], 1e-3)
     provenance = system.provenance
     nominal = " --nominal" if options.nominal else ""
     assert provenance["command"] == f"los-testbed design {kind}{nominal} --loop-delay 0.0015 --seed {options.seed}"
     assert (provenance["seed"], provenance["loop_delay"]) == (options.seed, LOOP_DELAY)
-    assert provenance["parameters_hash"] == parameters_hash(parameters)
+    assert system.design_basis == design_basis(parameters).to_mapping()
     assert provenance["status"] in STATUSES
     assert provenance["commit"]
     system.to_file(tmp_path / "design.json")
     again = type(system).from_file(tmp_path / "design.json")
     assert all(np.array_equal(getattr(system, key), getattr(again, key)) for key in "ABCD")
-    assert again.provenance == provenance and again.name == system.name
+    assert again.provenance == provenance and again.design_basis == system.design_basis and again.name == system.name
     assert continuous(again).order == 4
 
 
@@ -63,22 +60,22 @@ def certified(system, plant, measured, requirements, options: DesignOptions, poi
 
 
 def test_designs_of_the_nominal_model_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
-    """Two iterations each: the files fit the runtime, their provenance is whole, their gammas are the certified ones."""
+    """Two iterations each: files fit the runtime, their provenance is whole, their gammas are the certified ones."""
     monkeypatch.setattr(synthesis, "MAX_NOMINAL_ITERATIONS", 2)
     assembled, options = telescope(), DesignOptions(nominal=True, seed=3)
     k_fsm = synthesis.design_observer(assembled, parameters, options)
     check_file(k_fsm, "k-fsm", options, parameters, tmp_path)
     plant = observer_plant(assembled, parameters, **options.hold_delays)
     requirements = observer_requirements(parameters, implemented=True)
-    found = certified(k_fsm, plant, FSM_MEASUREMENTS, requirements, options, [{}])
+    found = certified(k_fsm, plant, MEASURED, requirements, options, [{}])
     assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
-    assert not continuous(k_fsm).data_at({}).D[:, fsm.CAMERA].any()  # no direct path from a zero-order-hold camera
+    assert not continuous(k_fsm).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
 
     k_pma = synthesis.design_actuators(assembled, parameters, k_fsm, options)
     check_file(k_pma, "k-pma", options, parameters, tmp_path)
     plant = actuator_plant(assembled, parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
     requirements = actuator_requirements(parameters, implemented=True)
-    found = certified(k_pma, plant, PMA_MEASUREMENTS, requirements, options, [{}])
+    found = certified(k_pma, plant, ("accel_Ip",), requirements, options, [{}])
     assert k_pma.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
 
     data = control_loop_plant(assembled, parameters).data_at({})
@@ -102,12 +99,12 @@ def test_a_robust_observer_from_end_to_end(parameters, tmp_path, monkeypatch) ->
     assert active[:2] == [nominal, {"wheel_1.speed": 200.0}]
     plant = observer_plant(assembled, parameters, **options.hold_delays)
     requirements = observer_requirements(parameters, implemented=True)
-    found = certified(k_fsm, plant, FSM_MEASUREMENTS, requirements, options, active)
+    found = certified(k_fsm, plant, MEASURED, requirements, options, active)
     assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
     worst = {case["requirement"]: case for case in k_fsm.provenance["worst_cases"]}
     assert set(worst) == set(found)
     for name, case in worst.items():
-        at = certified(k_fsm, plant, FSM_MEASUREMENTS, requirements, options, [case["parameters"]])
+        at = certified(k_fsm, plant, MEASURED, requirements, options, [case["parameters"]])
         assert at[name] == pytest.approx(case["value"], rel=5e-3)
 
 
@@ -184,8 +181,7 @@ def test_screened_points_are_the_worst_in_their_bands(with_observer: bool, param
 @pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])
 def test_a_zero_controller_fits_the_runtime_and_does_nothing(kind: str) -> None:
     system = zero_controller(kind)
-    ports = fsm if kind == "k-fsm" else pma
-    system.require(ports.INPUTS, ports.OUTPUTS, 1e-3)
+    system.require(*PORTS[kind], 1e-3)
     assert system.order == 0 and not system.D.any()
 
 
@@ -218,7 +214,7 @@ def test_one_level_of_the_trade_off(parameters, monkeypatch) -> None:
     k_fsm, _ = load_designs("implemented")
     at = k_fsm.provenance["active_models"][:1]
     requirements = observer_requirements(parameters, implemented=True)
-    known = certified(k_fsm, plant, FSM_MEASUREMENTS, requirements, DesignOptions(), at)
+    known = certified(k_fsm, plant, MEASURED, requirements, DesignOptions(), at)
     assert stored.disturbance == pytest.approx(100.0 * known["RPE"], rel=2e-3)
     assert stored.noise == pytest.approx(100.0 * known["noise -> RPE"], rel=2e-3)
 
