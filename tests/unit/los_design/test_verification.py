@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from scipy import linalg
+from scipy import integrate, linalg
 from small_loop import SmallFamily, small_controllers, small_plant
 
 from los_design import verification
@@ -164,7 +164,7 @@ def test_paper_gammas_are_those_of_the_loop_closed_by_hand(variant: str, paramet
         poles = linalg.eigvals(plant.A)
         omega = np.unique(np.r_[np.geomspace(1e-3, 1e4, 200), np.abs(poles[poles.imag > 1e-3])])
         gains = hand_closed_gains(plant, parameters, pair, omega)
-        row[5] = np.sqrt(np.trapezoid(gains[:, 5], omega) / np.pi)
+        row[5] = np.sqrt(integrate.trapezoid(gains[:, 5], omega) / np.pi)
         for column in (0, 1, 2, 3, 4, 6):
             k = int(np.clip(gains[:, column].argmax(), 1, omega.size - 2))
             fine = np.linspace(omega[k - 1], omega[k + 1], 41)
