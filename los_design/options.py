@@ -8,7 +8,7 @@ from titop_plant.interface import CAMERA_PERIOD, DT
 from titop_plant.telescope.control_plant import HOLD_DELAY
 
 LOOP_DELAY = DT + HOLD_DELAY
-"""One tick from measurement to command and the mean delay of a held command [s]."""
+"""One tick from measurement to command and the mean delay of a zero-order-hold command [s]."""
 
 
 @dataclass(frozen=True)
