@@ -272,7 +272,7 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
             made, present = (
                 ", ".join(f"{name} {_text(pair[side])}" for name, pair in found.items()) for side in (0, 1)
             )
-            lines.append(f"{controller.name} was made for {made}; this telescope has {present}")
+            lines.append(f"{controller.name} was made for {made}, not for {present}")
     return tuple(lines)
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg
 
 from lti.frequency_response import frequency_response
-from titop_plant.interface import ACCELEROMETERS, COMMANDED, DT
+from titop_plant.interface import COMMANDED, DT, MEASURED
 from titop_plant.simulation import telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
@@ -22,8 +22,10 @@ ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
 
 @pytest.fixture(scope="module")
 def plant():
-    outputs = ("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
-    return with_camera(telescope().system, load_parameters()).select(inputs=(*DISTURBANCES, *COMMANDED), outputs=outputs)
+    outputs = ("los_controlled", *MEASURED)
+    return with_camera(telescope().system, load_parameters()).select(
+        inputs=(*DISTURBANCES, *COMMANDED), outputs=outputs
+    )
 
 
 def sampled_response(data, omega):
