@@ -87,7 +87,7 @@ def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSer
 def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
     """True controlled line of sight minus its target, which is zero.
 
-    **Sign: error = actual minus wanted.**
+    **Sign: error = actual minus target.**
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def test_every_stage_has_the_same_noise_and_disturbance(compared) -> None:
 def test_open_stages_have_no_noise_in_the_line_of_sight(compared) -> None:
     _, results = compared
     for loop in ("none", "isolator"):
-        assert select(results, "imbalance", loop, "noise")["nominal"].figures["ape_max_arcsec"] == 0.0
+        assert select(results, "imbalance", loop, "noise")["nominal"].metrics["ape_max_arcsec"] == 0.0
 
 
 @pytest.mark.parametrize("loop", STAGES)

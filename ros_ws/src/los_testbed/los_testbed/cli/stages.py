@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from los_testbed.cli.output import Json, print_json
+from lti.progress import Progress
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -46,7 +48,7 @@ def stages(
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
     output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+    json_: Json = False,
 ) -> None:
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
@@ -71,23 +73,17 @@ def stages(
     chosen = SCENARIOS if scenario == "both" else (scenario,)
     plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep)
     console = Console(stderr=json_)
-    with _bar(console) as bar:
+    with Progress("stages") as bar:
         runs = plan.runs()
-        task = bar.add_task("stages", total=len(runs) * base.ticks)
-        place = {run.name: i for i, run in enumerate(runs)}
+        number = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:
-            bar.update(task, description=run.name, completed=place[run.name] * base.ticks + ticks)
+            bar.report(number[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
 
         results = perform(plan, progress)
     content = _write(console, results, plan)
     if json_:
-        sys.stdout.write(json.dumps(content) + "\n")
-
-
-def _bar(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        print_json(content)
 
 
 def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:

@@ -30,15 +30,15 @@ ACCEL = slice(ESTIMATE.stop, ESTIMATE.stop + ISOLATOR_ACCEL.size)
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
         if build is build_controller:
-            shell.warn_alone(check_controllers(shell.config))
+            context.warn_alone(check_controllers(context.config))
         parts = [
             Part(codec_for(ISOLATOR_ACCEL), ACCEL),
             Part(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
-        outputs = [(RawPublisher(shell.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
+        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, nothing, held = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE), np.zeros(ACCEL.stop)
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
                 publisher.publish(codec.encode(stamp, values))
             held[:] = sample
 
-        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick)
+        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

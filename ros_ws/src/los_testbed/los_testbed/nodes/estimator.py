@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
-        every = shell.config.frame_ticks
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
+        every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
-        publisher = RawPublisher(shell.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
+        publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, held, nothing = np.zeros(ESTIMATES), np.zeros(MEASUREMENTS), np.zeros(ESTIMATES)
         held[CAMERA] = np.nan
 
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
             held[: CAMERA.start] = measurement[: CAMERA.start]
             held[CAMERA.stop :] = measurement[CAMERA.stop :]
 
-        follower = Follower(shell, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick)
+        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick)
         code = follower.run()
         settle([publisher])
         return code

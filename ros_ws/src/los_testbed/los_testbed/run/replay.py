@@ -166,7 +166,7 @@ def _commands(signals: Signals) -> dict[str, float]:
     return found
 
 
-def figures(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
+def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
     """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
     recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
     found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}

@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
-    def __init__(self, shell: NodeContext) -> None:
-        config, node = shell.config, shell.node
+    def __init__(self, context: NodeContext) -> None:
+        config, node = context.config, context.node
 
         def output(topic: Topic) -> tuple[Topic, RawPublisher]:
             return topic, RawPublisher(node, topic.name, topic.type_name)
