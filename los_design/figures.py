@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import linalg
 
-from los_design.options import LOOP_DELAY
 from los_design.plant_figures import STYLE
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, loop_grid
@@ -22,7 +21,7 @@ from los_estimator.kalman import kalman_observer
 from lti import SampledSystem, UncertainSystem
 from lti.frequency_response import frequency_grid, frequency_response, singular_values
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
-from titop_plant.interface import FRAME_TICKS
+from titop_plant.interface import FRAME_TICKS, LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
 

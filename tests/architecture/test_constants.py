@@ -24,7 +24,7 @@ FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("
 HOME = ROOT / "titop_plant/interface.py"
 OF_FOREIGN_BAGS = ROOT / "pointing_analysis/telescope_values.py"
 PERIOD = re.compile(r"^_?(DT|RATE|TICK(_?S|_?NS|_?US)?|SAMPLING|SAMPLE_(TIME|PERIOD)|NOMINAL_HZ|TICK_RATE)$")
-CAMERA = re.compile(r"^_?(CAMERA_(PERIOD|RATE)|FRAME_TICKS)$")
+CAMERA = re.compile(r"^_?(CAMERA_PERIOD|HOLD_DELAY|LOOP_DELAY|(?i:CAMERA_RATE|FRAME_TICKS))$")
 SENSITIVITY = re.compile(r"sensitivity|mirror_gain|fsm_to_los", re.IGNORECASE)
 LIMITS = (5.3e-3, 31.6)
 
@@ -98,7 +98,7 @@ def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None
     "line",
     [
         "DT = 1e-3", "RATE = 1000", "TICK_NS = 1_000_000", "SAMPLING: float = 0.001", "CAMERA_PERIOD = 0.02",
-        "FRAME_TICKS = 20", "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
+        "FRAME_TICKS = 20", "LOOP_DELAY = 1.5e-3", "def f(camera_rate: float = 50.0): pass", "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
         "limit = -0.0053", "f(limit=31.6)", "S = ('none', 'isolator', 'fsm', 'fsm+pma')", "S = ['design', 'imbalance']",
         "if loop in ('fsm', 'fsm+pma'): pass", "CAMERA = slice(18, 20)", "y[18:20] = 0.0", "y[:, 20:22] = 0.0",
     ],

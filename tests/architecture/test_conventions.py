@@ -1,4 +1,4 @@
-"""The rules of the house that a machine can read: who imports whom, docstrings, lengths, packages."""
+"""Conventions of the code: directions of imports, docstrings, lengths, packages."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_importing_a_runtime_module_does_not_load_scipy() -> None:
 
 @pytest.mark.parametrize("case", MODULES, ids=identifier)
 def test_linear_algebra_is_that_of_scipy(case: tuple[str, Path]) -> None:
-    """scipy.linalg raises and warns as the house relies on; runtime files do without any."""
+    """scipy.linalg raises and warns where numpy.linalg returns; runtime modules use neither."""
     if identifier(case) in STACKS:
         return
     used = [name for _, name in imports(case[1]) if name.startswith("numpy.linalg")]

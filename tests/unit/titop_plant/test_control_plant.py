@@ -5,11 +5,10 @@ import pytest
 from scipy import linalg
 
 from lti.frequency_response import frequency_response
-from titop_plant.interface import COMMANDED, DT, MEASURED
+from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED
 from titop_plant.simulation import telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
-    HOLD_DELAY,
     camera_hold,
     held_commands,
     with_camera,
