@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from los_testbed.topics import TOPICS
 
-from pointing_analysis.replay import COMMAND, GAP_LIMIT, MEASUREMENT
+from pointing_analysis.replay import COMMAND, MEASUREMENT
 from pointing_analysis.telescope_values import DEFAULTS
 from titop_plant import interface
 from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
@@ -98,7 +98,8 @@ def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None
     "line",
     [
         "DT = 1e-3", "RATE = 1000", "TICK_NS = 1_000_000", "SAMPLING: float = 0.001", "CAMERA_PERIOD = 0.02",
-        "FRAME_TICKS = 20", "LOOP_DELAY = 1.5e-3", "def f(camera_rate: float = 50.0): pass", "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
+        "FRAME_TICKS = 20", "LOOP_DELAY = 1.5e-3", "def f(camera_rate: float = 50.0): pass",
+        "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
         "limit = -0.0053", "f(limit=31.6)", "S = ('none', 'isolator', 'fsm', 'fsm+pma')", "S = ['design', 'imbalance']",
         "if loop in ('fsm', 'fsm+pma'): pass", "CAMERA = slice(18, 20)", "y[18:20] = 0.0", "y[:, 20:22] = 0.0",
     ],
@@ -125,10 +126,3 @@ def test_rate_and_tick_are_one() -> None:
 def test_the_analysis_has_the_columns_of_the_topics() -> None:
     for vector, table in (("measurement", MEASUREMENT), ("command", COMMAND)):
         assert table == {topic.name: topic.columns for topic in TOPICS if topic.vector == vector}
-
-
-def test_the_replay_steps_over_the_gaps_that_the_nodes_step_over() -> None:
-    pytest.importorskip("rclpy")
-    from los_testbed.nodes.support import follower
-
-    assert follower.GAP_LIMIT == GAP_LIMIT
