@@ -19,7 +19,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from lti.batched_linalg import largest_gains
-from lti.modal_response import FrequencyResponse
+from lti.frequency_response import FrequencyResponse
 
 sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from lti.batched_linalg import largest_gains
 from lti.bilinear import to_continuous
 from lti.eigenvectors import balanced
+from lti.frequency_response import FrequencyResponse, direct_response, resonances
 from lti.hinf_level_test import LevelTest, hamiltonian_test, interval_test
-from lti.modal_response import FrequencyResponse, direct_response, resonances
 from lti.state_space_model import Matrices, checked_matrices
 
 sl: Any = scipy.linalg

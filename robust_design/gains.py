@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti.batched_linalg import gains_above, leading_pairs, solve
-from lti.modal_response import FrequencyResponse, refined_grid
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import FrequencyResponse
 from lti.state_space_model import StateSpace
 from robust_design.requirements import HinfGain
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
 REFINEMENTS = 12
 HIGH_CELL, MAX_CELLS = 0.9, 60
 NEAR_MULTIPLE = 0.98  # singular values this close to the largest give subgradients of their own
@@ -101,7 +103,9 @@ class LoopGains:
         sizes = np.abs(every[np.abs(every) > 1e-9])
         if len(sizes) == 0:
             sizes = np.array([1.0])
-        grid = refined_grid(every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade)
+        grid = frequency_grid(
+            every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
+        )
         above = np.geomspace(grid[-1], 100.0 * grid[-1], per_decade)[1:]
         # at a pole in the origin the open loop has no value: the closed loop's limit is taken a little above
         at_origin = np.any(np.abs(every) <= 1e-9)

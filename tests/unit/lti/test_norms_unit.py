@@ -6,8 +6,8 @@ import control
 import numpy as np
 import pytest
 
+from lti.frequency_response import FrequencyResponse, direct_response
 from lti.hinf_level_test import hamiltonian_test, interval_test
-from lti.modal_response import FrequencyResponse, direct_response
 from lti.norms import h2_norm, hinf_norm, hinf_norms, spectral_abscissa
 
 
