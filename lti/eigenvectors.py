@@ -5,7 +5,8 @@ Everything is kept in the real form: a pair ``x +- j y`` of eigenvectors takes t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Modes:
     low: FloatArray
     factors: tuple[FloatArray, NDArray[np.int32]]
 
-    @property
+    @cached_property
     def reciprocal_condition(self) -> float:
         """Estimate of the reciprocal condition number of the eigenvectors, 1-norm."""
         return float(sl.lapack.dgecon(self.factors[0], np.abs(self.vectors).sum(axis=0).max())[0])
@@ -63,12 +64,8 @@ class Modes:
         return np.asarray(first + correction)
 
 
-def modes(A: FloatArray, *, accurate: bool = True) -> Modes:
-    """Eigenvalues and eigenvectors of `A` (n, n).
-
-    The QR algorithm is exact to the rounding of the largest entries: with poles from 0.01 to 1e5 rad/s the slow ones
-    keep six digits. Newton steps on all pairs at once, with residuals in twice the working precision, bring back all
-    digits that the matrix holds (`accurate`); pairs closer than `APART` times their size are left as they are.
+def modes(A: FloatArray) -> Modes:
+    """Eigenvalues and eigenvectors of `A` (n, n) as the QR algorithm gives them, exact to the rounding of A.
 
     Raises
     ------
@@ -80,10 +77,17 @@ def modes(A: FloatArray, *, accurate: bool = True) -> Modes:
     real, imaginary, _, vectors, info = sl.lapack.dgeev(A, compute_vl=0, lwork=work)
     if info:
         raise ArithmeticError(f"the eigenvalues of a matrix of order {n} did not converge")
-    poles = real + 1j * imaginary
-    factors = sl.lapack.dgetrf(vectors)[:2]
-    found = Modes(poles, vectors, np.zeros_like(vectors), factors)
-    if not accurate or found.reciprocal_condition < EPS:
+    return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), sl.lapack.dgetrf(vectors)[:2])
+
+
+def corrected_modes(A: FloatArray, found: Modes) -> Modes:
+    """The modes `found` of `A` with all digits that the matrix holds.
+
+    With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
+    once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
+    their size are left as they are. Where the eigenvectors are no basis, `found` is returned.
+    """
+    if found.reciprocal_condition < EPS:
         return found
     best = found
     for _ in range(MAX_NEWTON_STEPS):
@@ -92,14 +96,15 @@ def modes(A: FloatArray, *, accurate: bool = True) -> Modes:
         if not (np.isfinite(change) and change < 0.01):
             return found
         if change < NEWTON_CONVERGED:
-            return Modes(best.poles + poles_step, best.vectors, vectors_step, factors)
-        best = Modes(best.poles + poles_step, best.vectors + vectors_step, found.low, factors)
+            return replace(best, poles=best.poles + poles_step, low=vectors_step)
+        best = replace(best, poles=best.poles + poles_step, vectors=best.vectors + vectors_step)
     return best
 
 
 def eigenpairs(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues (n,) and eigenvectors (n, n) of `A`, complex, from :func:`modes`."""
-    found = modes(np.asarray(A, dtype=float))
+    """Eigenvalues (n,) and eigenvectors (n, n) of `A`, complex, from :func:`corrected_modes`."""
+    a = np.asarray(A, dtype=float)
+    found = corrected_modes(a, modes(a))
     return found.poles, complex_columns(found.poles, found.vectors + found.low)
 
 

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from lti.compensated import matrix_product, two_product, two_sum
-from lti.eigenvectors import EPS, balanced, complex_columns, complex_rows, modes
+from lti.eigenvectors import EPS, balanced, complex_columns, complex_rows, corrected_modes, modes
 from lti.ports import FloatArray, port_slices
 from lti.state_space_model import StateSpace
 
@@ -60,14 +60,15 @@ class FrequencyResponse:
 
     @classmethod
     def of(
-        cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, accurate: bool = True, check: bool = True
+        cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, rounding: float = 0.0, check: bool = True
     ) -> FrequencyResponse:
         """Bring (A, B, C, D), shapes (n, n), (n, m), (p, n), (p, m), to modal or Schur form.
 
         Parameters
         ----------
-        accurate : bool
-            Correct the eigenvectors in twice the working precision.
+        rounding : float
+            Largest relative change of a peak by rounding that may pass; above it, eigenvectors and poles are corrected
+            in twice the working precision.
         check : bool
             Compare the modal form with direct solutions at three frequencies; leave it out only where the caller
             compares.
@@ -77,7 +78,9 @@ class FrequencyResponse:
             empty = np.zeros(0, dtype=complex)
             return cls(empty, np.zeros((len(d), 0), complex), np.zeros((0, d.shape[1]), complex), d, None)
         a, b, c = balanced(a, b, c)
-        found = modes(a, accurate=accurate)
+        found = modes(a)
+        if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
+            found = corrected_modes(a, found)
         if found.reciprocal_condition * MAX_CONDITION >= 1.0:
             left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
             form = cls(found.poles, left, right, d, None)
@@ -90,6 +93,13 @@ class FrequencyResponse:
     def modal(self) -> bool:
         """Whether the diagonal form is in use."""
         return self.triangular is None
+
+    @cached_property
+    def residue_norms(self) -> FloatArray:
+        """Norm of the residue at each pole, shape (n,), of the modal form."""
+        return np.asarray(
+            np.sqrt(np.sum(np.abs(self.left) ** 2, axis=0) * np.sum(np.abs(self.right) ** 2, axis=1)), dtype=float
+        )
 
     def at(self, omega: ArrayLike) -> ComplexArray:
         """Response at the frequencies `omega` (N,) [rad/s] (infinity allowed): shape (N, p, m), complex.
@@ -124,6 +134,12 @@ class FrequencyResponse:
         return out
 
     @cached_property
+    def on_axis(self) -> FloatArray:
+        """Frequencies of the poles that lie on the imaginary axis to rounding [rad/s]."""
+        size = np.abs(self.poles)
+        return np.asarray(size[np.abs(self.poles.real) <= _rounding(size)])
+
+    @cached_property
     def _numerators(self) -> FloatArray:
         return _numerators(self.poles, self.left, self.right)
 
@@ -143,12 +159,9 @@ class FrequencyResponse:
         return out
 
     def _refuse_poles(self, w: FloatArray) -> None:
-        """Raise where a frequency hits a pole to rounding."""
-        size = np.abs(self.poles)
-        noise = 4.0 * EPS * size + 1e-4 * EPS * size.max()
-        axis = self.poles.imag[np.abs(self.poles.real) <= noise]
-        for pole in axis:
-            hit = np.abs(w - abs(pole)) <= 4.0 * EPS * abs(pole) + 1e-4 * EPS * size.max()
+        """Raise where a frequency is that of a pole on the imaginary axis, to rounding."""
+        for pole, width in zip(self.on_axis, _rounding(self.on_axis, np.abs(self.poles).max())):
+            hit = np.abs(np.abs(w) - pole) <= width
             if hit.any():
                 raise ValueError(_at_pole(float(w[hit][0])))
 
@@ -248,6 +261,11 @@ def resonances(poles: ComplexArray, damping: float = 0.3) -> FloatArray:
     light = (poles.imag > 0) & (-poles.real < damping * size)
     chosen = poles[light]
     return np.sort(np.sqrt(np.maximum(chosen.imag**2 - chosen.real**2, 0.0)))
+
+
+def _rounding(size: FloatArray, largest: float | None = None) -> FloatArray:
+    """Rounding error of corrected poles of the magnitudes `size`, the largest of all being `largest`."""
+    return 4.0 * EPS * size + 1e-4 * EPS * (size.max(initial=0.0) if largest is None else largest)
 
 
 def _numerators(poles: ComplexArray, left: ComplexArray, right: ComplexArray) -> FloatArray:
