@@ -72,7 +72,7 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray, 
     largest pole the same is done in 1/w, down to 0, so that infinity is covered too.
     """
     if not response.modal:
-        raise ValueError("the interval test needs a modal response; got a Schur form")
+        raise ValueError("response must be in modal form, got a Schur form")
     poles = response.poles
     residue = response.residue_norms
     top = 2.0 * float(np.abs(poles).max(initial=1.0))
