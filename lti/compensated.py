@@ -37,14 +37,18 @@ def two_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     return total, (a - (total - part)) + (b - part)
 
 
+def halves(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Leading and trailing 26 bits: their sum is `a`, and products of leading parts are exact (Dekker)."""
+    t = _SPLITTER * a
+    first = t - (t - a)
+    return first, a - first
+
+
 def two_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``a * b`` elementwise, rounded, and the rounding error (Dekker)."""
     product = a * b
-    t = _SPLITTER * a
-    a1 = t - (t - a)
-    t = _SPLITTER * b
-    b1 = t - (t - b)
-    a2, b2 = a - a1, b - b1
+    a1, a2 = halves(a)
+    b1, b2 = halves(b)
     return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
 
 

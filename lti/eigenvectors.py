@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from lti.compensated import matrix_product, two_product, two_sum
+from lti.compensated import halves, matrix_product, two_sum
 from lti.ports import FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -72,6 +72,7 @@ def modes(A: FloatArray) -> Modes:
     ArithmeticError
         The QR algorithm did not converge (entries near overflow).
     """
+    A = np.asfortranarray(A)  # the order of LAPACK
     n = len(A)
     work = int(sl.lapack.dgeev_lwork(n, compute_vl=0)[0])
     real, imaginary, _, vectors, info = sl.lapack.dgeev(A, compute_vl=0, lwork=work)
@@ -89,7 +90,7 @@ def corrected_modes(A: FloatArray, found: Modes) -> Modes:
     """
     if found.reciprocal_condition < EPS:
         return found
-    best = found
+    A, best = np.asfortranarray(A), found
     for _ in range(MAX_NEWTON_STEPS):
         poles_step, vectors_step = _newton_step(A, best)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
@@ -161,17 +162,20 @@ def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]
     x, y = turn[first], turn[first + 1]
     turn[first], turn[first + 1] = x + y, 1j * (x - y)
     step = np.empty_like(W)
-    step[:, heads] = W @ turn.real
+    step[:, heads] = W @ np.asfortranarray(turn.real)
     second = poles.imag[heads] > 0
-    step[:, first + 1] = W @ np.ascontiguousarray(turn.imag[:, second])
+    step[:, first + 1] = W @ np.asfortranarray(turn.imag[:, second])
     return shift, step
 
 
 def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: NDArray[np.intp]) -> FloatArray:
     """``A W - W L`` with the block-diagonal L of `poles`, rounded once."""
-    high, low = matrix_product(A, W)
-    straight, straight_error = two_product(W, np.broadcast_to(poles.real, W.shape))
-    crossed, crossed_error = two_product(W[:, partner], np.broadcast_to(poles.imag, W.shape))
-    total, first_error = two_sum(high, -straight)
-    total, second_error = two_sum(total, crossed)
-    return np.asarray(total + (low + first_error + second_error - straight_error + crossed_error))
+    total, low = matrix_product(A, W)
+    first, second = halves(W)
+    for factor, X1, X2 in ((-poles.real, first, second), (poles.imag, first[:, partner], second[:, partner])):
+        factor1, factor2 = halves(factor)
+        total, error = two_sum(total, X1 * factor1)
+        low += error
+        low += X1 * factor2
+        low += X2 * factor
+    return total + low

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from lti.compensated import matrix_product, two_product, two_sum
+from lti.compensated import halves, matrix_product, two_sum
 from lti.eigenvectors import EPS, balanced, complex_columns, complex_rows, corrected_modes, modes
 from lti.ports import FloatArray, port_slices
 from lti.state_space_model import StateSpace
@@ -26,7 +26,9 @@ ComplexArray = NDArray[np.complex128]
 
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
-MAX_ENTRIES = 2_000_000  # of the arrays that one product works on
+MAX_REFINEMENTS, REFINED = 8, 1e-9  # of a direct solution; relative correction at which the next would be rounding
+MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
+BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ class FrequencyResponse:
             for start in range(0, p, rows):
                 part = slice(start, start + rows)
                 numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
-                out[:, part] += self._modal_sum(w, numerators).reshape(len(w), -1, m)
+                self._modal_sum(w, numerators, out[:, part])
             return out
         identity = np.eye(n)
         for i, x in enumerate(w):
@@ -143,20 +145,28 @@ class FrequencyResponse:
     def _numerators(self) -> FloatArray:
         return _numerators(self.poles, self.left, self.right)
 
-    def _modal_sum(self, w: FloatArray, numerators: FloatArray) -> ComplexArray:
-        """``sum_k (b_k + jw a_k) / ((jw - pole)(jw - conjugate))`` by two products of real matrices, (N, p m)."""
-        poles = self.poles[self.poles.imag >= 0]
-        out = np.empty((len(w), numerators.shape[1]), dtype=complex)
-        step = max(1, MAX_ENTRIES // max(numerators.shape))
+    def _modal_sum(self, w: FloatArray, numerators: FloatArray, out: ComplexArray) -> None:
+        """Add the modal terms to `out` (N, p, m) by two products of real matrices.
+
+        A pair gives ``(b + jw a) / ((jw - pole)(jw - conjugate))``, a real pole ``b / (jw - pole)``.
+        """
+        real, pairs = self.poles[self.poles.imag == 0].real, self.poles[self.poles.imag > 0]
+        r, n = len(real), len(self.poles)
+        k, shape = r + len(pairs), (-1, *out.shape[1:])
+        step = max(1, BLOCK // max(numerators.shape))
         for start in range(0, len(w), step):
             x = w[start : start + step, None]
-            weight = 1.0 / (1j * x - poles)
-            pair = poles.imag > 0
-            weight[:, pair] /= 1j * x - poles[pair].conj()
-            slope = x * weight[:, pair]
-            out.real[start : start + step] = np.hstack([weight.real, -slope.imag]) @ numerators
-            out.imag[start : start + step] = np.hstack([weight.imag, slope.real]) @ numerators
-        return out
+            cosine, sine = np.empty((len(x), n)), np.empty((len(x), n))  # parts of the weights of b, then of a
+            scale = 1.0 / (real**2 + x**2)
+            cosine[:, :r], sine[:, :r] = -real * scale, -x * scale
+            re, im = pairs.real**2 - (x - pairs.imag) * (x + pairs.imag), -2.0 * pairs.real * x
+            scale = 1.0 / (re**2 + im**2)
+            np.multiply(re, scale, out=cosine[:, r:k])
+            np.multiply(im, -scale, out=sine[:, r:k])
+            np.multiply(x, -sine[:, r:k], out=cosine[:, k:])
+            np.multiply(x, cosine[:, r:k], out=sine[:, k:])
+            out.real[start : start + step] += (cosine @ numerators).reshape(shape)
+            out.imag[start : start + step] += (sine @ numerators).reshape(shape)
 
     def _refuse_poles(self, w: FloatArray) -> None:
         """Raise where a frequency is that of a pole on the imaginary axis, to rounding."""
@@ -230,29 +240,42 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 
 def refined_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, omega: float) -> ComplexArray:
-    """As :func:`direct_response`, with two steps of iterative refinement.
+    """As :func:`direct_response`, with iterative refinement.
 
     The residuals are computed in twice the working precision, so that the solution has the digits that the matrices
-    determine, up to a condition of 1e15. The matrices should be balanced.
+    determine, up to a condition of about 1e14. The matrices should be balanced.
     """
     if not np.isfinite(omega) or len(A) == 0:
         return np.asarray(D, dtype=complex)
-    factors = _factors(A, omega)
+    factors, m = _factors(A, omega), B.shape[1]
     right = np.hstack([B, np.zeros_like(B)])
-    X = sl.lapack.zgetrs(*factors, B.astype(complex))[0]
-    for _ in range(2):
-        high, low = matrix_product(A, np.hstack([X.real, X.imag]))
-        turned, turned_error = two_product(np.hstack([X.imag, -X.real]), np.full((1, 1), omega))
-        total, first_error = two_sum(high, turned)
-        total, second_error = two_sum(total, right)
-        residual = total + (low + turned_error + first_error + second_error)
-        m = B.shape[1]
-        correction = sl.lapack.zgetrs(*factors, residual[:, :m] + 1j * residual[:, m:])[0]
-        previous, X = X, X + correction
-    low_part = correction - (X - previous)  # what the last sum rounded away
-    high, low = matrix_product(C, np.hstack([X.real, X.imag]))
-    value = high + (low + C @ np.hstack([low_part.real, low_part.imag]))
+    omega1, omega2 = halves(np.array(omega))
+    X, last = np.zeros(right.shape), np.inf  # real parts beside imaginary parts
+    correction = _solved(factors, right)
+    for _ in range(MAX_REFINEMENTS):
+        X = X + correction
+        total, low = matrix_product(A, X)
+        first, second = halves(np.hstack([X[:, m:], -X[:, :m]]))
+        for part in (first * omega1, right):
+            total, error = two_sum(total, part)
+            low += error
+        correction = _solved(factors, total + (low + first * omega2 + second * omega))
+        change, size = np.abs(correction).max(initial=0.0), np.abs(X).max(initial=0.0)
+        if change >= 0.5 * last:  # rounding is all that is left
+            correction = np.zeros_like(X)
+        if change >= 0.5 * last or change <= REFINED * size:
+            break
+        last = change
+    high, low = matrix_product(C, X)
+    value = high + (low + C @ correction)
     return np.asarray(value[:, :m] + 1j * value[:, m:] + D, dtype=complex)
+
+
+def _solved(factors: tuple[ComplexArray, NDArray[np.int32]], right: FloatArray) -> FloatArray:
+    """Solution for ``right[:, :m] + j right[:, m:]``, in the same form."""
+    m = right.shape[1] // 2
+    X = sl.lapack.zgetrs(*factors, right[:, :m] + 1j * right[:, m:], overwrite_b=True)[0]
+    return np.hstack([X.real, X.imag])
 
 
 def resonances(poles: ComplexArray, damping: float = 0.3) -> FloatArray:
@@ -269,13 +292,15 @@ def _rounding(size: FloatArray, largest: float | None = None) -> FloatArray:
 
 
 def _numerators(poles: ComplexArray, left: ComplexArray, right: ComplexArray) -> FloatArray:
-    """Real numerators b (of each real pole and each pair) and a (of each pair), stacked, shape (n, p m)."""
-    heads, pair = poles.imag >= 0, poles.imag > 0
-    residues = (left.T[heads, :, None] * right[heads, None, :]).reshape(np.count_nonzero(heads), -1)
-    of_pairs = pair[heads]
-    constant = residues.real.copy()
-    constant[of_pairs] = -2.0 * (residues[of_pairs] * poles[pair, None].conj()).real
-    return np.vstack([constant, 2.0 * residues.real[of_pairs]])
+    """Real numerators b of the real poles, b and a of the pairs, stacked, shape (n, p m)."""
+    real, pairs = poles.imag == 0, poles.imag > 0
+
+    def residues(which: NDArray[np.bool_]) -> ComplexArray:
+        return (left.T[which, :, None] * right[which, None, :]).reshape(-1, left.shape[0] * right.shape[1])
+
+    of_pairs = residues(pairs)
+    constant = -2.0 * (of_pairs * poles[pairs, None].conj()).real
+    return np.vstack([residues(real).real, constant, 2.0 * of_pairs.real])
 
 
 def _factors(A: FloatArray, omega: float) -> tuple[ComplexArray, NDArray[np.int32]]:
