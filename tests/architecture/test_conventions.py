@@ -43,7 +43,7 @@ ROS = {
     "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces",
 }  # fmt: skip
 STACKS = {
-    "lti/frequency_response.py", "lti/batched_linalg.py", "los_design/sampled_loop.py",
+    "lti/batched_linalg.py", "los_design/sampled_loop.py",
     "los_design/sampled_loop_norms.py", "los_design/tone_model.py",
 }  # fmt: skip
 """Files that may use numpy.linalg, for what scipy.linalg lacks: stacks of matrices, powers of a matrix."""
