@@ -1,4 +1,4 @@
-"""For every test: linear algebra on one thread, as the testbed runs it; two threads are slower on these sizes.
+"""For every test: linear algebra on one thread, as the testbed runs it; no time limit per hypothesis example.
 
 At the end of a run: what was skipped and how to get it.
 """
@@ -12,6 +12,11 @@ import pytest
 from support.skip_remedies import summary
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
+
+from hypothesis import settings
+
+settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
+settings.load_profile("any-machine")
 
 SKIPPED_VARIABLE = "SKIPPED_TESTS_FILE"
 """Environment variable: a file that the lines are appended to, so that several runs can be summed up."""
