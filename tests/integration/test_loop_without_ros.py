@@ -88,11 +88,11 @@ def test_an_existing_bag_is_refused_and_left_alone(config, tmp_path):
 
 
 def test_the_loop_with_recording_costs_little(config, tmp_path):
-    began = time.process_time()
+    start_time = time.process_time()
     run_in_process(
         RunConfig.from_mapping({**config.to_mapping(), "duration": 5.0}), tmp_path / "bag", SimpleTelescope()
     )
-    assert time.process_time() - began < 5.0 / 15  # the simple plant takes a tenth of this
+    assert time.process_time() - start_time < 5.0 / 15  # the simple plant takes a tenth of this
 
 
 def test_no_ros_is_imported(config, tmp_path):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
+from los_testbed.cli import run as run_command
 from los_testbed.variants import check_ranges
 from scipy import linalg
 
@@ -154,7 +155,7 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
     """Configurations only: nothing is started."""
     (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "execute", lambda config, console: (_ for _ in ()).throw(Understood(config)))
+    monkeypatch.setattr(run_command, "execute", lambda config: (_ for _ in ()).throw(Understood(config)))
     lines = re.findall(
         r"^    los-testbed (run .*?)(?:\s+#.*)?$", PAGE.with_name("telescope.md").read_text("utf-8"), re.M
     )

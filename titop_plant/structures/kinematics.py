@@ -10,8 +10,6 @@ from scipy.linalg import block_diag
 
 FloatArray = NDArray[np.float64]
 
-AXES = ("x translation", "y translation", "z translation", "x rotation", "y rotation", "z rotation")
-
 
 def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> FloatArray:
     """Read-only float copy of an array after a check of its shape and finiteness.

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigvalsh
 
+from titop_plant.ports import AXES
 from titop_plant.structures.kinematics import (
-    AXES,
     FloatArray,
     check_rotation,
     read_only,

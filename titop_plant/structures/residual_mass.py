@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
-from titop_plant.structures.kinematics import AXES, FloatArray, read_only
+from titop_plant.ports import AXES
+from titop_plant.structures.kinematics import FloatArray, read_only
 from titop_plant.structures.modal_data import ModalData
 
 #: Negative residual, as a fraction of the rigid mass, that is accepted as a rounding error.

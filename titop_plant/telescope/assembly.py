@@ -54,8 +54,8 @@ from titop_plant.blocks.solar_array import solar_array
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
-from titop_plant.telescope import parameters as component
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope import components as component
+from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -110,7 +110,7 @@ def build_telescope(
     free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
     system = _free_flying(free, given, inertia, attitude_controlled)
-    order = list(component.uncertain_parameters(given))
+    order = list(uncertain_parameters(given))
     return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
 
 
@@ -125,7 +125,7 @@ def line_of_sight(parameters: Parameters) -> UncertainSystem:
 
 def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
-    uncertain = component.uncertain_parameters(parameters)
+    uncertain = uncertain_parameters(parameters)
     tau = uncertain["solar_array.tau"]
     omegas = {i: uncertain[f"solar_array.omega_{i + 1}"] for i in (0, 1)}
     plate = (

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from los_testbed import factories
 from los_testbed.cli import app as cli
+from los_testbed.cli.run import configure
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
@@ -181,10 +182,10 @@ def test_a_random_member_is_the_one_that_the_uncertain_system_draws() -> None:
 def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the_file(run) -> None:
     file = run.files / "run.yaml"
     file.write_text("theta: 0.5\nseed: 9\nomega_1: 0.75\n")
-    chosen = cli.configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
+    chosen = configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
     assert (chosen.theta, chosen.tau, chosen.seed) == (0.0, 0.25, 9)
     assert (chosen.omega_1, chosen.omega_2) == (0.70585, 2.6)
-    drawn = cli.configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
+    drawn = configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
     assert (drawn.theta, drawn.tau) == (0.1, 0.0)
     assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
 
@@ -194,7 +195,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
     assert {"nominal", "arrays_quarter_turn", "wheels_fast", "worst"} <= set(cases)
     for name, settings in cases.items():
         assert settings["description"], name
-        config = cli.configure(None, [], {"output": "x"}, case=name)
+        config = configure(None, [], {"output": "x"}, case=name)
         assert (
             any(getattr(config, key) != getattr(RunConfig(), key) for key in PHYSICAL)
             or name == "nominal"
@@ -215,7 +216,7 @@ def test_the_worst_case_is_worse_than_the_other_ones() -> None:
         curve = both.weighted(both.isolated, parameter_values(plant, parameters), ALL, 1.0, 1e3)
         return float(np.max(curve.size * rpe_weight(curve.omega, parameters["weights"]["rpe_window"])))
 
-    peaks = {name: peak(cli.configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
+    peaks = {name: peak(configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
     drawn = [peak(RunConfig.from_mapping(random_member(seed))) for seed in range(8)]
     assert max(peaks, key=lambda name: peaks[name]) == "worst"
     assert peaks["worst"] > max(drawn)

@@ -16,12 +16,11 @@ from titop_plant.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.components import array_modes, optics_component
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import (
     REFERENCE,
-    array_modes,
     load_parameters,
-    optics_component,
     parameters_hash,
     uncertain_parameters,
 )
