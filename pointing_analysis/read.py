@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis import cdr
 from pointing_analysis.mcap_records import BODY, HEAD, BagError, Block, Channel, FileInfo, walk
+from pointing_analysis.message_types import COLUMNS, UNITS
 from pointing_analysis.topic import NANO, Topic, make_topic
 
 METADATA_NAME = "los_testbed"
@@ -92,7 +93,7 @@ class _Column:
 
     def __init__(self, name: str, schema: str) -> None:
         self.name, self.schema = name, schema
-        width = len(cdr.SUPPORTED[schema][0].split())
+        width = len(COLUMNS[schema])
         self.size = 0
         self.arrays: list[NDArray[Any]] = _nothing(width)
 
@@ -121,12 +122,12 @@ class _Column:
 
     def topic(self) -> Topic:
         """The finished topic; the column is empty afterwards."""
-        columns = cdr.SUPPORTED[self.schema][0].split()
+        columns = list(COLUMNS[self.schema])
         stamp, values, published = (a[: self.size] for a in self.arrays)
         if len(columns) != values.shape[1]:
             columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
         self.arrays = []
-        unit = KNOWN.get(self.name, cdr.SUPPORTED[self.schema][1])
+        unit = KNOWN.get(self.name, UNITS[self.schema])
         return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
 
 
@@ -301,7 +302,7 @@ class Run:
         numbers = block.heads["channel"]
         for number in np.unique(numbers):
             channel: Channel | None = info.channels.get(int(number))
-            if channel is None or channel.encoding != "cdr" or channel.schema not in cdr.SUPPORTED:
+            if channel is None or channel.encoding != "cdr" or channel.schema not in COLUMNS:
                 continue
             if not selects(channel.topic):
                 continue
@@ -346,7 +347,7 @@ class Run:
     @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics that can be read, without the namespace, sorted."""
-        return tuple(sorted(name for name, schema in self._schemas.items() if schema in cdr.SUPPORTED))
+        return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))
 
     def __contains__(self, name: object) -> bool:
         return name in self.topics

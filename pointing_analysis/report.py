@@ -171,7 +171,9 @@ def latency_us(run: Run) -> NDArray[np.float64]:
     return delay if delay.size and np.any(delay != 0) else np.empty(0)
 
 
-def pictures(views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None) -> list[Picture]:
+def pictures(
+    views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
+) -> list[Picture]:
     """All pictures of the page, in reading order."""
     limits = {k: sorted({r.limit for r in requirements if r.index == k and not r.axis}) for k in ("APE", "RPE")}
     ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None

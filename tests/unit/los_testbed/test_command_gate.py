@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
 from los_testbed.loop.command_gate import REASONS, CommandGate
-from los_testbed.topics import VECTOR3
+
+from pointing_analysis.message_types import VECTOR3
 
 MS = 1_000_000
 LIMIT = 5.3e-3

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
+
 NAMESPACE = "/telescope"
 
 TICK_NS = 1_000_000
 """Period of the loop [ns]; every stamp is a multiple of it."""
 
-ACCEL = "geometry_msgs/msg/AccelStamped"
-VECTOR3 = "geometry_msgs/msg/Vector3Stamped"
-JOINT_STATE = "sensor_msgs/msg/JointState"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-HEADER = "std_msgs/msg/Header"
 
 
 @dataclass(frozen=True)

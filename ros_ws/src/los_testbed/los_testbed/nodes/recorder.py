@@ -14,14 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
-from los_testbed.bags.cdr import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.loop.health import OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TICK_NS, TOPICS
+from pointing_analysis.cdr import ENCAPSULATION, Encoder
+from pointing_analysis.message_types import HEADER
 
 DEPTH = 5000
 PERIOD_S = 0.01
@@ -128,7 +130,7 @@ class Recorder:
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
         self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
-        self._header = HeaderCodec()
+        self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
         self.bag: BagWriter | None = None
         self.finished = 0

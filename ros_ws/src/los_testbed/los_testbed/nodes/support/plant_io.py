@@ -11,7 +11,6 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.topics import (
     FSM_COMMAND,
-    HEADER,
     PMA_COMMAND,
     PROGRESS_TOPIC,
     SENSORS,
@@ -19,6 +18,7 @@ from los_testbed.topics import (
     TRUTH_LOS,
     Topic,
 )
+from pointing_analysis.message_types import HEADER
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from los_testbed.topics import ACCEL, DEPTH, HEADER, JOINT_STATE, VECTOR3
+from los_testbed.topics import DEPTH
+from pointing_analysis.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
 READER_DEPTH = 200
