@@ -35,7 +35,6 @@ from los_testbed.topics import (
     PMA_COMMAND,
     PROGRESS_TOPIC,
     SENSORS,
-    TICK_NS,
     TRUTH_LOS,
     Topic,
 )  # fmt: skip
@@ -43,6 +42,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 
 from lti.threads import one_thread
+from titop_plant.interface import TICK_NS
 
 NS = 1_000_000_000
 RING = 64

@@ -1,7 +1,7 @@
 """Fixed-order H-infinity autopilot of a missile (COMPleib AC4; Fares, Apkarian and Noll 2001).
 
-Controllers of order 0, 1, 2 and 4 on the same generalised plant, beside the full-order optimum 0.5573 (two
-Riccati equations): how much does each state of the controller buy?
+Controllers of order 0, 1, 2 and 4 on the same generalised plant, compared with the full-order optimum 0.5573 (two
+Riccati equations).
 """
 
 from __future__ import annotations

@@ -17,11 +17,12 @@ from los_design.plant_figures import STYLE
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, loop_grid
 from los_design.store import continuous, load_designs
-from los_design.verification import ARCSEC, FRAME_TICKS
+from los_design.verification import ARCSEC
 from los_estimator.kalman import kalman_observer
 from lti import SampledSystem, UncertainSystem
 from lti.frequency_response import frequency_grid, frequency_response, singular_values
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
 
@@ -70,7 +71,8 @@ def stage_curves(
         response = frequency_response(data, omega)
     else:
         plant = control_loop_plant(telescope(), parameters).data_at(values)
-        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
+        sensitivity = float(parameters["fsm"]["los_sensitivity"])
+        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
         omega = loop_grid(plant, loop.hold[:-2, :-2])
         response = disturbance_response(loop, plant, omega)[:, :2]
     return omega, singular_values(response * weight_amplitudes(parameters, omega)[:, None, :])[:, 0]

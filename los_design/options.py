@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from titop_plant.interface import CAMERA_PERIOD, DT
 from titop_plant.telescope.control_plant import HOLD_DELAY
 
-LOOP_DELAY = 1.5e-3
-CAMERA_PERIOD = 0.02
+LOOP_DELAY = DT + HOLD_DELAY
+"""One tick from measurement to command and the mean delay of a held command [s]."""
 
 
 @dataclass(frozen=True)

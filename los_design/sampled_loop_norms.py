@@ -22,13 +22,12 @@ from lti.eigenvectors import eigenpairs
 from lti.frequency_response import frequency_grid, singular_values
 from lti.sampling import sampled
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
-from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-DT = 1e-3
 SIDEBANDS = 4
 """Sidebands of the camera's frame rate that are counted to each side."""
 
@@ -90,7 +89,8 @@ def sampled_loop_metrics(
     sensors : {None, "platform"}
         Noise of all sensors, or of the platform's accelerometers only.
     """
-    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
     los = singular_values(response[:, :2])[:, 0]

@@ -19,7 +19,8 @@ RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
 SETTLING = 5.0
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
-FSM_TO_LOS = 0.1  # LOS rotation per FSM tilt, used where the bag does not give ``fsm_to_los``
+#: line of sight by an angle of the mirror [rad/rad], used where the bag does not say ``los_sensitivity``
+LOS_SENSITIVITY = 0.1
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,9 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
 def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
     """Estimated minus true line of sight, joined by stamp.
 
-    The observer estimates the line of sight *without* the mirror's contribution (the mirror law ``u = -estimate / 0.1``
-    cancels it), so the truth is the controlled line of sight less 0.1 times the mirror angle by its gauges.
+    The observer estimates the line of sight *without* the mirror's contribution (the mirror law
+    ``u = -estimate / los_sensitivity`` cancels it), so the truth is the controlled line of sight less
+    ``los_sensitivity`` times the mirror angle by its gauges.
     **Sign: error = estimate minus truth.**
 
     Raises
@@ -143,7 +145,7 @@ def knowledge_error_of(
     _need(run, "truth/los", "fsm/strain_gauge")
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
     grid, dt = on_grid(truth)
-    gain = float(run.parameters.get("fsm_to_los", FSM_TO_LOS))
+    gain = float(run.parameters.get("los_sensitivity", LOS_SENSITIVITY))
     full = np.full((len(grid), 2), np.nan)
     step = round(dt * 1e9)
     common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)

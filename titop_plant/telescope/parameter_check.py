@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from titop_plant.structures.kinematics import AXES
+from titop_plant.ports import AXES
 
 POSITIVE = {
     "mass", "moving_mass", "casing_mass", "axial_inertia", "radial_inertia", "stiffness", "frequencies", "frequency",

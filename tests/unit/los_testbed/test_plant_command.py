@@ -18,7 +18,7 @@ from los_design import plant_figures
 from titop_plant.disturbances import rpe_weight
 from titop_plant.simulation import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
-from titop_plant.telescope.disturbance_responses import ALL, Curve, scene
+from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
 
 
@@ -91,7 +91,7 @@ def test_figures_come_as_png_and_svg_and_are_the_same_each_time(run, monkeypatch
 
 def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
     """A resonance far narrower than a column is as high as in the response."""
-    curve = scene().first_channel({}, 0.3, 20.0)
+    curve = disturbance_responses().first_channel({}, 0.3, 20.0)
     edges = np.geomspace(0.3, 20.0, 11)
     columns = curve.columns(edges)
     assert columns.max() == curve.size.max()
@@ -208,7 +208,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
 
 def test_the_worst_case_is_worse_than_the_other_ones() -> None:
     """Line of sight against the template of the relative error, isolator alone: named cases and random members."""
-    both, parameters = scene(), load_parameters()
+    both, parameters = disturbance_responses(), load_parameters()
 
     def peak(config: RunConfig) -> float:
         chosen = {"omega_1": config.omega_1 or None, "omega_2": config.omega_2 or None}

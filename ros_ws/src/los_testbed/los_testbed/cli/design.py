@@ -36,6 +36,9 @@ MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
 NOMINAL_POINTS = 60
 """Parameter points at which `verify` looks at the nominal design."""
 
+VERIFIED = ("implemented", "implemented_nominal", "paper")
+"""Variants of the stored designs that `verify` evaluates."""
+
 design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
 
 Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
@@ -180,10 +183,14 @@ def verify(
 def _verified(samples: int) -> dict[str, Any]:
     from los_design.store import load_designs
     from los_design.verification import check_implemented, check_paper, verification_points
+    from titop_plant.interface import design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
-    from titop_plant.telescope.parameters import load_parameters, parameter_corners
+    from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
     parameters, assembled = load_parameters(), telescope()
+    for variant in VERIFIED:
+        for warning in design_warnings(load_designs(variant), design_basis(parameters), closed=True):
+            sys.stderr.write(f"warning: {warning}\n")
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
     with Progress("loops as implemented") as bar:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -88,6 +89,8 @@ def _through(
     from pointing_analysis.replay import compare
 
     chosen = replay_run.controllers(run, *others)
+    for warning in chosen.warnings:
+        sys.stderr.write(f"warning: {warning}\n")
     with Progress("replay [ticks]") as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ from rich.console import Console
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.output import Json, print_json
 from los_testbed.config import RunConfig, parse_value, read_yaml
-from los_testbed.factories import build_controller, build_estimator
+from los_testbed.factories import check_controllers
 from los_testbed.run.runner import Results
 from los_testbed.variants import check_ranges, chosen_member, layered
 from lti.progress import Progress
@@ -153,8 +154,8 @@ def new_bag(config: RunConfig) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def check(config: RunConfig) -> None:
-    """Refuse what can be refused before anything is started or written.
+def check(config: RunConfig) -> tuple[str, ...]:
+    """Refuse what can be refused before anything is started or written; warnings about the controllers.
 
     Raises
     ------
@@ -163,17 +164,19 @@ def check(config: RunConfig) -> None:
     """
     check_new_bag(Path(config.output))
     check_ranges(config)
-    build_estimator(config)
-    build_controller(config)
+    warnings = check_controllers(config)
     if config.mode != "inprocess":
         from los_testbed.run.runner import check_ros
 
         check_ros()
+    return warnings
 
 
 def execute(config: RunConfig) -> tuple[Path, Results]:
     """Run, with a progress bar; the bag and what happened."""
-    check(config)
+    warnings = check(config)
+    for warning in warnings:
+        sys.stderr.write(f"warning: {warning}\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
 
         def progress(ticks: int) -> None:
@@ -190,4 +193,5 @@ def execute(config: RunConfig) -> tuple[Path, Results]:
         results = Runner(replace(config, wait_for_recorder=True), progress).run()
     if results.bag is None:
         raise KeyboardInterrupt
+    results.warnings = [warning for warning in results.warnings if warning not in warnings]
     return results.bag, results

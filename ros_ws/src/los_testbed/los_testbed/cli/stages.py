@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -51,10 +52,11 @@ def stages(
 ) -> None:
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
-    from los_testbed.config import SCENARIOS, RunConfig
-    from los_testbed.factories import build_controller, build_estimator
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import check_controllers
     from los_testbed.run.runner import check_ros
     from los_testbed.run.stages import PARTS, Plan, perform
+    from titop_plant.interface import SCENARIOS
 
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
@@ -64,8 +66,8 @@ def stages(
     )  # fmt: skip
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
-    build_estimator(base)
-    build_controller(base)
+    for warning in check_controllers(base):
+        sys.stderr.write(f"warning: {warning}\n")
     if mode != "inprocess":
         check_ros()
     chosen = SCENARIOS if scenario == "both" else (scenario,)
@@ -104,15 +106,15 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the four stages side by side, the model beside the measured lines."""
-    from los_testbed.config import LOOPS
     from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import select
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
+    from titop_plant.interface import STAGES
 
     paths = []
     for scenario in plan.scenarios:
-        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in LOOPS]
+        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in STAGES]
         runs = [Run.open(bag) for bag in kept if bag is not None]
         model = {}
         for run, label in zip(runs, labels(runs)):

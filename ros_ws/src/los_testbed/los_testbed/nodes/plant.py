@@ -23,8 +23,8 @@ from los_testbed.nodes.support.handshake import refuse_second_plant, wait_for_fo
 from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
-from los_testbed.topics import TICK_NS
 from lti.threads import one_thread
+from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
 RING = 64
 
@@ -72,9 +72,9 @@ class PlantLoop:
         self.period = LatencyHistogram()
         self.health = LoopHealth(context.config.mode == "realtime")
         self._woke = [0] * RING
-        self._command = np.zeros(8)
-        self._measurement = np.zeros(22)
-        self._truth = np.zeros(2)
+        self._command = np.zeros(COMMANDS)
+        self._measurement = np.zeros(MEASUREMENTS)
+        self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
         self._faded = False
 
@@ -144,8 +144,8 @@ class PlantLoop:
 
     def _tick(self, now: int) -> None:
         io, command = self.io, self._command
-        io.fsm_gate.apply(now, command[:2])
-        io.pma_gate.apply(now, command[2:])
+        io.fsm_gate.apply(now, command[MIRROR])
+        io.pma_gate.apply(now, command[FORCES])
         self.core.step(command, self._measurement, self._truth)
         io.publish(now, self._measurement, self._truth)
         self.ticks += 1
@@ -161,7 +161,7 @@ class PlantLoop:
             self._report(now)  # said at once, not at the end of the second
         elif k == 0:
             self.health.assess(1, time.monotonic_ns(), self.execution)
-        elif k % 1000 == 0:
+        elif k % RATE == 0:
             self._report(now)
 
     def _lockstep(self, start: int) -> None:

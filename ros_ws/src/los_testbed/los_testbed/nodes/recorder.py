@@ -21,9 +21,10 @@ from los_testbed.loop.health import OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TICK_NS, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TOPICS
 from pointing_analysis.cdr import ENCAPSULATION, Encoder
 from pointing_analysis.message_types import HEADER
+from titop_plant.interface import TICK_NS
 
 DEPTH = 5000
 PERIOD_S = 0.01

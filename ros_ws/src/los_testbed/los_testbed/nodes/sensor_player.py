@@ -21,10 +21,11 @@ from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, refuse_second_pla
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.runner import domain_lock
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TICK_NS, TRUTH_LOS, Topic
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.replay import Replayed
+from titop_plant.interface import TICK_NS
 
 ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 ANSWER_DEPTH = 1000

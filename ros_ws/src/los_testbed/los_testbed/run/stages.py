@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from los_design.tone_model import ToneResponse, tone_responses
 from los_testbed.bags.metadata import run_metadata
-from los_testbed.config import LOOPS, SCENARIOS, RunConfig
+from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.variants import check_ranges, random_member
 from pointing_analysis.read import Run
 from pointing_analysis.summary import Summary, summarise
+from titop_plant.interface import SCENARIOS, STAGES
 
 FloatArray = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ class Plan:
             )
             for scenario in self.scenarios
             for member, config in self.members().items()
-            for loop in LOOPS
+            for loop in STAGES
             for part in self.parts
             if part != "noise" or scenario == first
         ]

@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.table import Table
 
-from los_testbed.config import LOOPS
 from los_testbed.run.stages import Plan, StageResult, provenance, select
 from pointing_analysis.errors import RAD_PER_MAS
+from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -56,19 +56,19 @@ def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
 
 def rows(results: Sequence[StageResult], scenario: str, chosen: Sequence[tuple[str, str, str]]) -> list[list[str]]:
     """Rows of the table of a scenario: the stages."""
-    return [[loop, *(cell(results, scenario, loop, part, metric) for part, metric, _ in chosen)] for loop in LOOPS]
+    return [[loop, *(cell(results, scenario, loop, part, metric) for part, metric, _ in chosen)] for loop in STAGES]
 
 
 def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[str]], int]:
     """Transmissibility of the nominal telescope at the strongest tones, stage by stage, and the number of all tones."""
     found = {
-        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in LOOPS
+        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in STAGES
     }
     omegas = sorted(set().union(*found.values()), key=lambda w: -max(f[w].model for f in found.values() if w in f))
     table = []
     for omega in sorted(omegas[:TONES_SHOWN]):
         row = [f"{omega / (2 * math.pi):.3f}"]
-        for loop in LOOPS:
+        for loop in STAGES:
             tone = found[loop].get(omega)
             if tone is None:
                 row.append("-")
@@ -109,7 +109,7 @@ def _of(found: Sequence[Any], total: int) -> str:
 
 def _tone_table(found: list[list[str]], title: str) -> Table:
     table = Table(title=title, title_justify="left")
-    for head in ("Hz", *LOOPS):
+    for head in ("Hz", *STAGES):
         table.add_column(head, justify="right")
     for row in found:
         table.add_row(*row)
@@ -140,7 +140,7 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
                 "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
                 f"when settled, where it differs), {_of(found, total)}:",
                 "",
-                *_markdown_table(["Hz", *LOOPS], found),
+                *_markdown_table(["Hz", *STAGES], found),
                 "",
             ]
     return "\n".join(lines)

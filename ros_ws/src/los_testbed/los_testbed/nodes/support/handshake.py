@@ -17,6 +17,7 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.topics import ISOLATOR_ACCEL, NAMESPACE
+from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
@@ -62,7 +63,7 @@ def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
         waiting_for["recorder/progress"] = io.progress_input
     start_time = time.monotonic()
     while not context.stop:
-        io.publish(HOLD_STAMP, np.zeros(22), np.zeros(2))
+        io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
         time.sleep(HOLD_PERIOD_S)
         for name, subscription in list(waiting_for.items()):
             while (taken := subscription.take()) is not None:

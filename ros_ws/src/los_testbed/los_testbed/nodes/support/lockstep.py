@@ -11,7 +11,7 @@ from los_testbed.bags.cdr import stamp_of
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import Waiter
-from los_testbed.topics import TICK_NS
+from titop_plant.interface import TICK_NS
 
 AHEAD_NS = 60 * TICK_NS
 """The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is

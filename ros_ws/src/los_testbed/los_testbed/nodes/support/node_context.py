@@ -80,6 +80,12 @@ class NodeContext:
             if not self._events:
                 self.node.get_logger().warning(f"not permitted: {', '.join(refused)}; running without")
 
+    def warn_alone(self, lines: Sequence[str]) -> None:
+        """Log warnings that a runner, if one listens, has printed before it started this node."""
+        if not self._events:
+            for line in lines:
+                self.node.get_logger().warning(line)
+
     def service(self) -> None:
         """Answer parameter requests, if there are any; about 0.1 ms."""
         self._executor.spin_once(timeout_sec=0.0)
