@@ -16,8 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics
-from pointing_analysis.errors import ErrorSeries, knowledge_error_of
+from pointing_analysis.gap_stepping import GapStepper
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.topic import NANO, read_only
@@ -34,8 +33,6 @@ MEASUREMENT = {
 }
 #: topic -> columns of the command vector (8)
 COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
-#: the nodes step their cores on held samples over a gap of at most so many ticks; after a longer one they just go on
-GAP_LIMIT = 50
 
 
 class Estimator(Protocol):
@@ -143,10 +140,9 @@ def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
     return np.flatnonzero(np.isin(stamp, done))
 
 
-def _gaps(stamp: Stamps, period: int) -> NDArray[np.int64]:
-    """Ticks left out before each one, as the nodes make up for them: none after a gap longer than the limit."""
-    left_out = np.append(0, np.diff(stamp) // period - 1)
-    return np.where(left_out > GAP_LIMIT, 0, left_out)
+def _gaps(stamp: Stamps, period: int) -> list[int]:
+    """Ticks missing before each one."""
+    return np.append(0, np.diff(stamp) // period - 1).tolist()  # type: ignore[no-any-return]
 
 
 def replay(
@@ -172,15 +168,10 @@ def replay(
     stamp, measurement = given.stamp[rows], given.measurement[rows]
     total = 2 * len(stamp)
     estimate = np.zeros((len(stamp), 2))
-    out, held = np.zeros(2), np.zeros(22)
-    held[18:20] = np.nan
     estimator.reset()
-    for i, left_out in enumerate(_gaps(stamp, given.period)):
-        for _ in range(left_out):
-            estimator.step(held, out)
-        estimator.step(measurement[i], out)
-        estimate[i] = out
-        held[:18], held[20:] = measurement[i, :18], measurement[i, 20:]
+    step = GapStepper(estimator.step, measurement.shape[1], MEASUREMENT["camera/los"])
+    for i, gap in enumerate(_gaps(stamp, given.period)):
+        step(measurement[i], gap, estimate[i])
         if i % 1000 == 0:
             progress(i, total)
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
@@ -190,16 +181,12 @@ def replay(
     return Replayed(read_only(stamp.copy()), read_only(estimate), read_only(command_stamp.copy()), read_only(command))
 
 
-def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: NDArray[np.int64]) -> Floats:
-    command, out = np.zeros((len(estimate), 8)), np.zeros(8)
-    held_los, held_accel = np.zeros(2), np.zeros(6)
+def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: list[int]) -> Floats:
+    samples, command = np.hstack([estimate, accel]), np.zeros((len(estimate), 8))
     controller.reset()
-    for i, left_out in enumerate(gaps):
-        for _ in range(left_out):
-            controller.step(held_los, held_accel, out)
-        controller.step(estimate[i], accel[i], out)
-        command[i] = out
-        held_los[:], held_accel[:] = estimate[i], accel[i]
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), samples.shape[1])
+    for i, gap in enumerate(gaps):
+        step(samples[i], gap, command[i])
     return command
 
 
@@ -279,19 +266,3 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
         lone = len(stamp) + len(topic) - 2 * len(i)
         found.append(Difference(name, len(i), int(wrong.sum()), lone, first, largest))
     return Comparison(tuple(found), sensors(run).incomplete)
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """Knowledge error of the replayed estimate: rms [rad], radial, and RKE rms in windows [rad], radial."""
-
-    rms: float
-    rke_rms: float
-    series: ErrorSeries
-
-
-def knowledge(run: Run, replayed: Replayed, window: float = 0.02, transient: float | None = None) -> Knowledge:
-    """Knowledge error of the replayed estimate against the recorded truth."""
-    series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-    rms = float(np.hypot(*metrics.rms(series.values)))
-    return Knowledge(rms, float(np.hypot(*metrics.rpe_rms(series.values, series.dt, window))), series)
