@@ -21,10 +21,11 @@ from los_design.verification import ARCSEC
 from los_estimator.kalman import kalman_observer
 from lti import SampledSystem, UncertainSystem
 from lti.frequency_response import frequency_grid, frequency_response, singular_values
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
 STAGES = {

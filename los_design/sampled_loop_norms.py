@@ -21,10 +21,10 @@ from lti import SampledSystem, StateSpace
 from lti.eigenvectors import eigenpairs
 from lti.frequency_response import frequency_grid, singular_values
 from lti.sampling import sampled
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import relative_error_weight
+from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

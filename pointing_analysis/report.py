@@ -36,12 +36,6 @@ HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
-WORDS = {
-    "compliant": "compliant",
-    "not compliant": "not compliant",
-    "not enough data": "not enough data",
-    "not judged": "not judged",
-}
 
 
 @dataclass(frozen=True)
@@ -87,7 +81,7 @@ def _row(label: str, v: Verdict) -> Row:
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=WORDS[v.status],
+        status=v.status,
         css=_css(v.status),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",

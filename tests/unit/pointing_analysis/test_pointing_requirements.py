@@ -177,10 +177,10 @@ def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
     from scipy.signal import lfilter
 
-    from pointing_analysis.confidence import effective_number, radial_factor
+    from pointing_analysis.confidence import effective_number
 
     p, n, runs = 0.98, 5000, 400
-    limit = radial_factor(p)
+    limit = math.sqrt(-2 * math.log(1 - p))
     requirement = parse(f"prob(|APE| < {limit} rad) >= {p} at 95 % confidence")
     rng = np.random.default_rng(11)
     white = rng.standard_normal((runs, 2, n + 200))

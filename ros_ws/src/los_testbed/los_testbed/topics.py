@@ -58,10 +58,6 @@ class Topic:
         """Number of values in a message."""
         return int(self.columns.stop) - int(self.columns.start)
 
-    def expected_count(self, ticks: int, frame_ticks: int) -> int:
-        """Messages of a run of `ticks` ticks with one camera frame every `frame_ticks`."""
-        return ticks if self.rate == "tick" else -(-ticks // frame_ticks)
-
 
 ISOLATOR_ACCEL = Topic(
     "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", COLUMNS["accel_Ip"], unit="m/s2,rad/s2"

@@ -13,9 +13,6 @@ from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
 
-REASONS = ("encoding", "size", "not_finite", "limit", "off_grid", "future", "late", "duplicate")
-"""Why a command is rejected."""
-
 
 class CommandGate:
     """Gate of one command topic.
