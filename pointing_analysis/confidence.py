@@ -22,7 +22,7 @@ SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
 
 def _probability(p: float) -> float:
     if not 0 < p < 1:
-        raise ValueError(f"expected a probability between 0 and 1; got {p:g}")
+        raise ValueError(f"probability must be between 0 and 1, got {p:g}")
     return p
 
 

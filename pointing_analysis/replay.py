@@ -75,7 +75,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the replayed cores gave.
+    """Estimates and commands of a replay.
 
     Attributes
     ----------
@@ -108,15 +108,15 @@ def sensors(run: Run) -> Sensors:
     """
     for name, columns in MEASUREMENT.items():
         if name not in run:
-            raise BagError(f"{run.path}: a replay needs the topic {name}; the bag has {', '.join(run.topics)}")
+            raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
         if run[name].values.shape[1] < columns.stop - columns.start:
-            raise BagError(f"{run.path}: {name}: expected {columns.stop - columns.start} values in a message")
+            raise BagError(f"{run.path}: {name}: messages must have {columns.stop - columns.start} values or more")
     fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
     stamp = fast[0].stamp
     for topic in fast[1:]:
         stamp = np.intersect1d(stamp, topic.stamp, assume_unique=True)
     if not stamp.size:
-        raise BagError(f"{run.path}: expected sensors with common stamps; got none")
+        raise BagError(f"{run.path}: the sensors must have common stamps, got none")
     camera = run["camera/los"]
     frame = round(camera.period * NANO) if len(camera) > 1 else 0
     if frame:
@@ -151,15 +151,15 @@ def replay(
     controller: Controller,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replayed:
-    """Drive the cores with the sensors of a run, as the nodes do, from the zero state.
+    """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
-    The cores step on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
+    Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
     step on held samples, as the node did.
 
     Parameters
     ----------
     run : with the sensor topics
-    estimator, controller : the cores; both are reset first
+    estimator, controller : both are reset first
     progress : called with (ticks done, all ticks) about every second of the run
     """
     given = sensors(run)

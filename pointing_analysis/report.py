@@ -314,9 +314,9 @@ def render(
         No run was given, or predictions for another number of runs.
     """
     if not runs:
-        raise ValueError("expected at least one run for a report; got none")
+        raise ValueError("runs must hold at least one run, got none")
     if predictions and len(predictions) != len(runs):
-        raise ValueError(f"expected one prediction for each of {len(runs)} runs; got {len(predictions)}")
+        raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
@@ -375,7 +375,7 @@ def write_report(
     target = Path(path)
     page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
     if not target.parent.is_dir():
-        raise ValueError(f"expected an existing folder for the report; got {target.parent}")
+        raise ValueError(f"the folder of the report must exist, got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:
         stream.write(page)
     os.chmod(stream.name, 0o644)

@@ -137,7 +137,7 @@ def test_the_wrong_number_of_efforts_is_refused():
 
 
 @given(data=st.binary(max_size=120))
-def test_rubbish_never_gets_through_as_anything_but_a_codec_error(data):
+def test_random_bytes_raise_nothing_but_a_codec_error(data):
     codec, reasons = Codec(JOINT_STATE, 6, "pma"), []
     with contextlib.suppress(CodecError):
         codec.decode(data, np.zeros(6))

@@ -114,8 +114,8 @@ def test_holding_starts_anew_even_with_older_stamps():
     assert synchronizer.gap == 0
 
 
-def test_a_stray_hold_message_disturbs_no_tick_under_way():
-    """Tick 64 and the hold tick would share a place if places were counted modulo 64 alone."""
+def test_a_single_hold_message_does_not_change_an_incomplete_tick():
+    """Tick 64 and the hold tick would share a slot if slots were the tick numbers modulo 64 alone."""
     synchronizer = make()
     synchronizer.put(0, sample(64 * MS, 1.0))
     synchronizer.put(1, sample(HOLD_STAMP, 0.0))

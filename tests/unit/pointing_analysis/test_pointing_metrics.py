@@ -172,7 +172,7 @@ def test_transient_is_dropped_explicitly(tmp_path) -> None:
     assert np.all(performance_error(run).values == 0)
     assert performance_error(run).start == 0.5
     assert performance_error(run, transient=0.0).values[0, 0] == 1.0
-    with pytest.raises(ValueError, match="only start-up transient"):
+    with pytest.raises(ValueError, match="longer than its start-up transient"):
         performance_error(run, transient=3.0)
     with pytest.raises(ValueError, match="transient of zero or more"):
         performance_error(run, transient=-1.0)

@@ -164,7 +164,7 @@ def test_sensors_alone_are_enough_to_drive_the_cores(tmp_path: Path) -> None:
 
 def test_missing_sensor_topic(tmp_path: Path) -> None:
     run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}))
-    with pytest.raises(ValueError, match="a replay needs the topic isolator/accel"):
+    with pytest.raises(ValueError, match="for a replay the bag must hold the topic isolator/accel"):
         replay.replay(run, Observer(), Law())
 
 

@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        core = build(context.config)
+        controller = build(context.config)
         if build is build_controller:
             context.warn_alone(check_controllers(context.config))
         parts = [
@@ -41,12 +41,12 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
         ]
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
-        step = GapStepper(lambda sample, out: core.step(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
+        step = GapStepper(lambda sample, out: controller.step(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                core.reset()
+                controller.reset()
                 for publisher, codec, _, zero in slots:
                     publisher.publish(codec.encode(stamp, zero))
                 return

@@ -28,17 +28,17 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        core = build(context.config)
+        estimator = build(context.config)
         every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
-        step = GapStepper(core.step, MEASUREMENTS, CAMERA)
+        step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
 
         def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                core.reset()
+                estimator.reset()
                 publisher.publish(codec.encode(stamp, nothing))
                 return
             step(measurement, gap, los)

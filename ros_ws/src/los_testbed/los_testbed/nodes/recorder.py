@@ -181,7 +181,7 @@ class Recorder:
     def _another_run(self) -> bool:
         """Whether the plant holds after a run: it was started again, and what comes now is another run.
 
-        One topic is not enough: a message with stamp zero from an intruder must not end the bag.
+        One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag.
         """
         return any(track.first for track in self.tracks) and all(track.held for track in self._from_plant)
 
@@ -210,7 +210,7 @@ class Recorder:
         for track in self.tracks:
             self._write(self.bag, track)
         self._keep_statistics()
-        if not self.simulated:  # wall-clock figures would make two equal runs differ
+        if not self.simulated:  # values of the wall clock would make two equal runs differ
             self._write(self.bag, self.diagnostics)
         self.diagnostics.data, self.diagnostics.received, self.diagnostics.sent = [], [], []
         self.bag.end_chunk()
@@ -271,7 +271,7 @@ class Recorder:
         path = str(self.path) if self.bag is not None else None
         self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
-            raise ValueError("nothing came to be recorded: expected a plant on this domain")
+            raise ValueError("a plant must run on this domain, got no message to record")
 
 
 def _free_name(base: Path) -> Path:
