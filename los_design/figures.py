@@ -22,10 +22,11 @@ from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains, singular_values
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import FRAME_TICKS, LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
 STAGES = {

@@ -22,10 +22,10 @@ from lti.batched_linalg import largest_gains
 from lti.eigenvectors import eigenpairs
 from lti.frequency_grid import frequency_grid
 from lti.sampling import sampled
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import relative_error_weight
+from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

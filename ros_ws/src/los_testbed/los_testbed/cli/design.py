@@ -167,7 +167,7 @@ def verify(
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     json_: Json = False,
 ) -> None:
-    """Recompute all figures of the stored designs: certified norms, and the sampled loop as it flies."""
+    """Recompute all metrics of the stored designs: certified norms, and the sampled loop as implemented."""
     if samples < 0:
         raise ValueError(f"--samples must not be negative, got {samples}")
     from lti.threads import one_thread
@@ -257,7 +257,7 @@ def trade_off(
     try:
         levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
     except ValueError:
-        raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
+        raise ValueError(f"--bounds must be numbers with commas between them, got {bounds!r}") from None
     check_levels(levels)
     with Progress("trade-off") as bar, one_thread():
         points = curve(levels, _counted(bar, 2 * len(levels)))
