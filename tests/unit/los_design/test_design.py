@@ -127,7 +127,7 @@ def test_table_as_json(capsys) -> None:
         (["k-fsm", "--loop-delay", "-1"], "--loop-delay must not be negative, got -1.0"),
         (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
         (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
-        (["trade-off", "--bounds", "0.5,x"], "--bounds expects numbers with commas between them, got '0.5,x'"),
+        (["trade-off", "--bounds", "0.5,x"], "--bounds must be numbers with commas between them, got '0.5,x'"),
         (["trade-off", "--bounds", "0.5,-1"], "levels must be positive bounds on the relative error, got [0.5, -1.0]"),
     ],
 )
