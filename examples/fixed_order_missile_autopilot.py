@@ -7,14 +7,14 @@ Riccati equations).
 from __future__ import annotations
 
 from robust_design import HinfGain, TuningOptions, TuningResult, state_space, tune
-from robust_design.published_plants import ac4
+from robust_design.published_plants import PLANTS
 
 FULL_ORDER_OPTIMUM = 0.557291  # python-control 0.10.2, hinfsyn
 
 
 def main() -> dict[int, TuningResult]:
     """Design and report."""
-    plant = ac4()
+    plant = PLANTS["AC4"]()
     results = {}
     for order in (0, 1, 2, 4):
         structure = state_space([("y", 2)], [("u", 1)], order)

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from titop_plant.interface import CAMERA_PERIOD, DT
-from titop_plant.telescope.control_plant import HOLD_DELAY
-
-LOOP_DELAY = DT + HOLD_DELAY
-"""One tick from measurement to command and the mean delay of a held command [s]."""
+from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
 
 @dataclass(frozen=True)

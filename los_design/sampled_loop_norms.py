@@ -18,8 +18,9 @@ from scipy import linalg
 
 from los_design.sampled_loop import SampledLoop, sampled_loop
 from lti import SampledSystem, StateSpace
+from lti.batched_linalg import largest_gains
 from lti.eigenvectors import eigenpairs
-from lti.frequency_response import frequency_grid, singular_values
+from lti.frequency_grid import frequency_grid
 from lti.sampling import sampled
 from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
@@ -93,7 +94,7 @@ def sampled_loop_metrics(
     closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
-    los = singular_values(response[:, :2])[:, 0]
+    los = largest_gains(response[:, :2])
     mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
     force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
     rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
@@ -138,7 +139,7 @@ def weighted_response(
 def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
     """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
     closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
-    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, per_mode=3)
+    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, offsets=(0.0, 3.0))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from los_design.store import continuous
 from los_estimator.problem import observer_plant, observer_requirements
 from lti import SampledSystem, StateSpace, UncertainSystem
 from robust_design import certify
-from titop_plant.interface import FRAME_TICKS, K_PMA_INPUTS, MEASURED
+from titop_plant.interface import FRAME_TICKS, K_PMA_INPUTS, MEASURED, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
@@ -90,7 +90,7 @@ def check_implemented(
         plant = system.data_at(values)
         stages: dict[str, SampledLoopMetrics] = {
             loop: sampled_loop_metrics(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=FRAME_TICKS, noise=False)
-            for loop in ("fsm", "fsm+pma")
+            for loop in MIRROR_STAGES
         }
         one, two = stages["fsm"], stages["fsm+pma"]
         count += 1

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
+from pointing_analysis.telescope_values import telescope_value
 from pointing_analysis.topic import on_grid, read_only
 
 Floats = NDArray[np.float64]
@@ -19,8 +20,6 @@ RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
 SETTLING = 5.0
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
-#: line of sight by an angle of the mirror [rad/rad], used where the bag does not say ``los_sensitivity``
-LOS_SENSITIVITY = 0.1
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ def knowledge_error_of(
     _need(run, "truth/los", "fsm/strain_gauge")
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
     grid, dt = on_grid(truth)
-    gain = float(run.parameters.get("los_sensitivity", LOS_SENSITIVITY))
+    gain = telescope_value(run, "los_sensitivity")
     full = np.full((len(grid), 2), np.nan)
     step = round(dt * 1e9)
     common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)

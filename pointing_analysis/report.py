@@ -26,12 +26,11 @@ from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.summary import WINDOW, Summary, summarise
+from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
-AUTHORITY = {
-    "fsm/command": 5.3e-3,
-    "pma/command": 31.6,
-}  # [rad], [N]; the bag's own ``fsm_authority``, ``pma_authority`` go before
+#: topic -> largest value that its actuator can do, a name of `telescope_value`
+AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
@@ -137,13 +136,8 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
 
 
 def _authority(runs: Sequence[Run]) -> dict[str, float]:
-    known = dict(AUTHORITY)
-    for run in runs:
-        for topic, key in (("fsm/command", "fsm_authority"), ("pma/command", "pma_authority")):
-            own = run.parameters.get(key)
-            if isinstance(own, (int, float)) and own > 0:
-                known[topic] = float(own)
-    return known
+    """Largest values of the command topics, of the last run."""
+    return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
 def intervals_us(run: Run) -> NDArray[np.float64]:

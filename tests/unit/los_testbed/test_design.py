@@ -9,7 +9,7 @@ import pytest
 from los_testbed.cli.app import main
 
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
-from los_design.options import LOOP_DELAY, DesignOptions
+from los_design.options import DesignOptions
 from los_design.sampled_loop_norms import sampled_loop_metrics
 from los_design.starts import random_start
 from los_design.store import continuous, design_file, load_designs
@@ -17,6 +17,7 @@ from los_design.trade_off import least_noise
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem
 from robust_design.problem import Problem
+from titop_plant.interface import LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters
 

@@ -136,7 +136,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
         (["--sample=-1"], ["sample", "not negative", "-1"]),
         (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
         (["--case=xyz"], ["no case 'xyz'", "expected one of nominal"]),
-        (["--cases=mine.yaml"], ["--cases mine.yaml needs --case NAME"]),
+        (["--cases=mine.yaml"], ["--case must be given with --cases mine.yaml"]),
         (["--case=a", "--cases=none.yaml"], ["none.yaml", "No such file"]),
         (["--parameters=none.toml"], ["none.toml", "No such file"]),
     ],

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from los_testbed.cli.output import Json, print_json
 from lti.progress import Progress
+from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
     from los_design.options import DesignOptions
@@ -51,7 +52,7 @@ Output = Annotated[Path | None, typer.Option(help="File to write; default: the s
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
 def k_fsm(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
@@ -60,7 +61,7 @@ def k_fsm(
 
 @design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
 def k_pma(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
