@@ -287,3 +287,25 @@ def test_nan_in_the_truth_is_no_zero(tmp_path) -> None:
     blank = Run.open(write_bag(tmp_path / "blank", {"truth/los": np.full((3000, 2), np.nan)}))
     with pytest.raises(ValueError, match="must have finite samples"):
         summarise(blank)
+
+
+def test_the_worst_verdict_of_several_runs_counts(noise_run) -> None:
+    """Not compliant before not enough data before compliant; of two alike the one that exceeds more."""
+    text = RPE.format(limit=60)
+    good, short, bad = noise_run(10.0, 30.0), noise_run(10.0, 1.0, 1), noise_run(60.0, 30.0, 2)
+    alone = [judge(parse(text), [run]).status for run in (good, short, bad)]
+    assert alone == ["compliant", "not enough data", "not compliant"]
+    for runs, status in (
+        ([good, short], "not enough data"),
+        ([short, good], "not enough data"),
+        ([good, short, bad], "not compliant"),
+        ([bad, short], "not compliant"),
+        ([bad, good], "not compliant"),
+    ):
+        assert judge(parse(text), runs).status == status
+    worse = noise_run(90.0, 30.0, 3)
+    assert judge(parse(text), [bad, worse]).exceeding == judge(parse(text), [worse]).exceeding
+    assert judge(parse(text), [worse, bad]).exceeding == judge(parse(text), [worse]).exceeding
+    louder = noise_run(12.0, 30.0, 4)  # neither exceeds: the larger quantile is reported
+    for runs in ([good, louder], [louder, good]):
+        assert judge(parse(text), runs).quantile.value == judge(parse(text), [louder]).quantile.value
