@@ -183,6 +183,8 @@ def test_h2_of_known_systems() -> None:
     two = sum_of(oscillator(3.0, 0.02), oscillator(7.0, 0.5))
     assert h2_norm(*two) ** 2 == pytest.approx(3.0 / 0.08 + 7.0 / 2.0, rel=1e-10)
     assert h2_norm([[-0.5]], [[1.0]], [[3.0]], [[4.0]], dt=0.1) ** 2 == pytest.approx(9 / 0.75 + 16)
+    assert h2_norm([[-8.0]], [[1.0]], [[1.0]], [[0.0]]) == pytest.approx(0.25)
+    assert h2_norm([[0.0]], [[0.5]], [[0.5]], [[0.0]], dt=1.0) == pytest.approx(0.25)
     assert h2_norm([[-1.0]], [[1.0]], [[1.0]], [[1e-9]]) == np.inf
     assert h2_norm([[-1e-9]], [[1.0]], [[1.0]], [[0.0]]) ** 2 == pytest.approx(0.5e9)
     assert h2_norm([[0.0]], [[1.0]], [[1.0]], [[0.0]]) == np.inf
