@@ -1,4 +1,4 @@
-"""Stored designs: where they are, and the continuous controllers in them."""
+"""Stored designs: their files, and the continuous controllers in them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from importlib import import_module
 from pathlib import Path
 
 from lti import Port, SampledSystem, UncertainSystem, state_space
+from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
 VARIANTS = ("implemented", "implemented_nominal", "paper", "paper_nominal")
 
 
 def design_file(kind: str, variant: str = "implemented") -> Path:
-    """Where a design is stored.
+    """File of a stored design.
 
     Raises
     ------
@@ -65,5 +66,4 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
 
 def design_ports(kind: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
     """Input and output ports of a kind of design."""
-    runtime = import_module(f"{DESIGN_PACKAGES[kind]}.runtime")
-    return runtime.INPUTS, runtime.OUTPUTS
+    return {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}[kind]

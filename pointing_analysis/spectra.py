@@ -1,4 +1,4 @@
-"""Spectra of the line of sight: power density, cumulative RMS, and what each disturbance line adds to the RPE.
+"""Spectra of the line of sight: power density, cumulative RMS, contribution of each disturbance line to the RPE.
 
 Nothing is detrended: an offset is part of the APE and stays in the spectrum at zero frequency.
 """
@@ -15,7 +15,7 @@ from pointing_analysis import weights
 from pointing_analysis.topic import read_only
 
 Floats = NDArray[np.float64]
-NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the places of `background` lie beside a tone
+NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
 
 
@@ -77,7 +77,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     e = np.asarray(error, dtype=float)
     n = min(max(round(segment / dt), 8), len(e))
     if n < 8:
-        raise ValueError(f"expected at least 8 samples for a spectrum; got {len(e)}")
+        raise ValueError(f"error must have at least 8 samples for a spectrum, got {len(e)}")
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)  # Hann, periodic
     scale = 2 * dt / np.square(window).sum()
     density = np.zeros((n // 2 + 1, 2))
@@ -90,7 +90,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
         density += scale * np.square(np.abs(np.fft.rfft(piece * window[:, None], axis=0)))
         used += 1
     if not used:
-        raise ValueError(f"expected a stretch of {n * dt:g} s without a missing sample for the spectrum; found none")
+        raise ValueError(f"error must have a segment of {n * dt:g} s without missing samples for a spectrum, got none")
     density /= used
     density[0] /= 2
     if n % 2 == 0:
@@ -152,16 +152,16 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     True
     """
     e = np.asarray(error, dtype=float)
-    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
     present = ~np.isnan(e).any(axis=1)
     n = len(e)
     if n <= 2 * NEIGHBOURS[-1] or not present.any():
-        return np.full(wanted.shape, np.nan)
+        return np.full(tones.shape, np.nan)
     w = np.where(present, _taper(n), 0.0)
     e = np.where(present[:, None], e, 0.0)
     e = w[:, None] * (e - w @ e / w.sum())
-    found = np.empty(wanted.shape)
-    for i, omega in enumerate(wanted):
+    found = np.empty(tones.shape)
+    for i, omega in enumerate(tones):
         spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
         power = np.square(2 * np.abs(spectrum) / w.sum()).sum(axis=1) / MEDIAN
         below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
@@ -201,9 +201,9 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     e = np.asarray(error, dtype=float)
     present = ~np.isnan(e).any(axis=1)
     duration = dt * len(e)
-    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
-    wanted = np.unique(wanted[np.isfinite(wanted) & (wanted > 2 * np.pi / duration) & (wanted < np.pi / dt)])
-    groups = _resolved(wanted, duration)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = np.unique(tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)])
+    groups = _resolved(tones, duration)
     if not groups or present.sum() < 4 * len(groups) + 2:
         return ()
     centre = np.array([g.mean() for g in groups])

@@ -1,4 +1,4 @@
-"""The figures of a run in one place: what the command line prints and the report begins with."""
+"""The metrics of a run: what the command line prints and the report begins with."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics, requirements
+from pointing_analysis import metrics
 from pointing_analysis.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
@@ -21,7 +21,7 @@ from pointing_analysis.errors import (
 )
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import KNOWN, Run
-from pointing_analysis.requirements import Requirement, Verdict
+from pointing_analysis.requirements import Requirement, Verdict, judge, load
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
@@ -37,7 +37,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of one run.
+    """Metrics of one run.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Summary:
     camera_dropped : camera frames that are NaN
     knowledge : knowledge errors, None without an estimate in the bag
     verdicts : one per requirement
-    problems : what was wrong with the bag, in plain words
+    problems : defects of the bag, one sentence each
     """
 
     path: Path
@@ -80,7 +80,7 @@ class Summary:
     problems: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Figures for JSON; infinities and NaN become None."""
+        """Metrics for JSON; infinities and NaN become None."""
 
         def number(x: float) -> float | None:
             return float(f"{x:.6g}") if math.isfinite(x) else None
@@ -123,14 +123,14 @@ class Summary:
         }
 
 
-def applicable(wanted: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
+def applicable(requirements: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
     loop = run.parameters.get("loop")
-    return tuple(r for r in wanted if not r.loops or loop is None or loop in r.loops)
+    return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
 
 
 def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
-    """Lost samples by topic, problems in plain words, dropped camera frames."""
+    """Lost samples by topic, defects of the bag, dropped camera frames."""
     lost: dict[str, int] = {}
     problems = list(run.problems)
     stamps = {}
@@ -190,23 +190,23 @@ def summarise(
     run: Run,
     *,
     transient: float | None = None,
-    wanted: Sequence[Requirement] | None = None,
+    requirements: Sequence[Requirement] | None = None,
 ) -> Summary:
-    """Figures and verdicts of one run.
+    """Metrics and verdicts of one run.
 
     Parameters
     ----------
     run : an opened bag
     transient : seconds to drop at the start; by default the bag's ``transient_s``, else 5 s,
         from runs shorter than 10 s their first half (:func:`pointing_analysis.errors.default_transient`)
-    wanted : requirements; by default those of the reference telescope
+    requirements : by default those of the reference telescope
 
     Raises
     ------
     BagError
         No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
     """
-    chosen = applicable(requirements.load() if wanted is None else wanted, run)
+    chosen = applicable(load() if requirements is None else requirements, run)
     series = performance_error(run, transient)
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
@@ -246,6 +246,6 @@ def summarise(
         lost_by_topic=lost,
         camera_dropped=dropped,
         knowledge=_knowledge(run, transient),
-        verdicts=tuple(requirements.judge(r, [run], transient) for r in chosen),
+        verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
     )

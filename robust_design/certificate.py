@@ -36,7 +36,7 @@ class Certificate:
         Normalised values.
     upper : ndarray, shape (requirements, models)
         For H-infinity gains the level certified never to be exceeded; equal to the values otherwise.
-    places : ndarray, shape (requirements, models)
+    peak_frequencies : ndarray, shape (requirements, models)
         Peak frequencies [rad/s]; zero for other requirements.
     abscissae : ndarray, shape (models,)
         Largest real part of the closed-loop poles at every model [rad/s].
@@ -44,7 +44,7 @@ class Certificate:
 
     values: FloatArray
     upper: FloatArray
-    places: FloatArray
+    peak_frequencies: FloatArray
     abscissae: FloatArray
 
     @property
@@ -74,7 +74,7 @@ def certify(
         Distance between the two sides of the H-infinity norms.
     """
     shape = (len(requirements), len(models))
-    values, upper, places = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    values, upper, peak_frequencies = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     abscissae = np.zeros(len(models))
     delayed = delayed_controller(controller, loop_delay)
     for k, model in enumerate(models):
@@ -82,10 +82,10 @@ def certify(
         abscissae[k] = spectral_abscissa(bare.A)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain | H2Gain):
-                values[i, k], upper[i, k], places[i, k] = _gain(model, delayed, r, rtol)
+                values[i, k], upper[i, k], peak_frequencies[i, k] = _gain(model, delayed, r, rtol)
             else:
                 values[i, k] = upper[i, k] = _poles(r, bare.A, controller.A, loop_delay)
-    return Certificate(values, upper, places, abscissae)
+    return Certificate(values, upper, peak_frequencies, abscissae)
 
 
 def weighted_loop(model: StateSpace, controller: StateSpace, requirement: HinfGain | H2Gain) -> StateSpace:

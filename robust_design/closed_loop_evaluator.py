@@ -1,4 +1,4 @@
-"""All requirements of one closed loop that is looked at once: for samples of parameters.
+"""All requirements of one closed loop that is evaluated once: for samples of parameters.
 
 The closed loop (delay by Padé) is brought to modal form once; gains are scanned at its resonances and on a
 coarse grid, the
@@ -59,22 +59,22 @@ class ClosedLoopEvaluator:
     def values(self, requirements: Sequence[Requirement]) -> tuple[FloatArray, FloatArray]:
         """Normalised values and peak frequencies [rad/s] of the requirements; infinite values where unstable."""
         count = len(requirements)
-        values, places = np.zeros(count), np.zeros(count)
+        values, frequencies = np.zeros(count), np.zeros(count)
         if not all(isinstance(r, H2Gain) for r in requirements) and self.abscissa >= 0.0:
-            return np.full(count, np.inf), places
+            return np.full(count, np.inf), frequencies
         gains = [i for i, r in enumerate(requirements) if isinstance(r, HinfGain)]
         if gains:
             grid = self._grid()
             T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
-                values[i], places[i] = self._peak(r, grid, T)
+                values[i], frequencies[i] = self._peak(r, grid, T)
             elif isinstance(r, H2Gain):
                 loop = weighted_loop(self._model, self._controller, r)
                 values[i] = h2_norm(loop.A, loop.B, loop.C, np.zeros_like(loop.D)) / r.bound
             else:
                 values[i] = self._poles(r)
-        return values, places
+        return values, frequencies
 
     def _grid(self) -> FloatArray:
         poles = self._response.poles
@@ -100,14 +100,14 @@ class ClosedLoopEvaluator:
 
     def _peak(self, r: HinfGain, grid: FloatArray, T: ComplexArray) -> tuple[float, float]:
         gains = largest_gains(self._weighted(r, grid, T))
-        best, place = -np.inf, 0.0
+        best, peak = -np.inf, 0.0
         for i in np.argsort(-gains)[:1].tolist() + self._next_peaks(gains):
             value, omega = float(gains[i]), float(grid[i])
             if 0 < i < len(grid) - 2:
                 value, omega = self._refined(r, grid[i - 1], grid[i + 1], value, omega)
             if value > best:
-                best, place = value, omega
-        return best / r.bound, place
+                best, peak = value, omega
+        return best / r.bound, peak
 
     @staticmethod
     def _next_peaks(gains: FloatArray) -> list[int]:
@@ -115,20 +115,20 @@ class ClosedLoopEvaluator:
         high = inner[gains[inner] > 0.6 * gains.max()]
         return [int(i) for i in high[np.argsort(-gains[high])][1:3]]
 
-    def _refined(self, r: HinfGain, low: float, high: float, best: float, place: float) -> tuple[float, float]:
+    def _refined(self, r: HinfGain, low: float, high: float, best: float, peak: float) -> tuple[float, float]:
         for _ in range(8):
             points = np.asarray(np.linspace(low, high, 9), dtype=float)
             gains = largest_gains(self._weighted(r, points, self._response.at(points)))
             i = int(np.argmax(gains))
             if gains[i] > best:
-                best, place = float(gains[i]), float(points[i])
+                best, peak = float(gains[i]), float(points[i])
             low, high = points[max(i - 1, 0)], points[min(i + 1, 8)]
-        return best, place
+        return best, peak
 
     def _poles(self, r: ClosedLoopPoles | ControllerPoles) -> float:
         poles = self._response.poles
         if isinstance(r, ControllerPoles):
-            poles = np.asarray(np.asarray(FrequencyResponse.of(*self._plain.matrices).poles))
+            poles = FrequencyResponse.of(*self._plain.matrices).poles
         elif self._delay:
             poles = poles[np.abs(poles) < delay_radius(self._delay, 8)]
         return float(r.pieces(poles)[0].max(initial=-np.inf))

@@ -63,13 +63,13 @@ class Decentralised:
     def gain_matrix(self, x: FloatArray) -> FloatArray:
         """Gain matrix at `x` (size,)."""
         K = np.zeros((self.order + total_size(self.outputs), self.order + total_size(self.inputs)))
-        for part, piece, place in self._blocks():
-            K[place] = part.gain_matrix(x[piece])
+        for part, at, entries in self._blocks():
+            K[entries] = part.gain_matrix(x[at])
         return K
 
     def pullback(self, x: FloatArray, G: FloatArray) -> FloatArray:
         """Gradient of ``sum(G * gain_matrix(x))``."""
-        return np.concatenate([part.pullback(x[piece], G[place]) for part, piece, place in self._blocks()])
+        return np.concatenate([part.pullback(x[at], G[entries]) for part, at, entries in self._blocks()])
 
     def start(self, rng: np.random.Generator) -> FloatArray:
         """Random parameters."""

@@ -152,13 +152,13 @@ class Spectrum:
             raise ValueError("this spectrum was computed without derivatives")
         return np.asarray(np.outer(self.rows[:, i], self.columns[:, i]))
 
-    def barriers(self, most: int = 6) -> list[tuple[float, FloatArray]]:
+    def barriers(self, max_poles: int = 6) -> list[tuple[float, FloatArray]]:
         """Real parts of the poles that a small change of K brings to the axis soonest, with real gradients."""
         if self.rows is None or self.columns is None:
             return []
         reach = sl.norm(self.rows, axis=0) * sl.norm(self.columns, axis=0)
         reach[self.poles.imag < 0] = 0.0
-        order = np.argsort(self.poles.real / np.maximum(reach, 1e-300))[::-1][:most]
+        order = np.argsort(self.poles.real / np.maximum(reach, 1e-300))[::-1][:max_poles]
         return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
 
 

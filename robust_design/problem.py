@@ -14,6 +14,8 @@ from lti.delay import pade_delay
 from lti.state_space_model import StateSpace
 from robust_design.gains import LoopGains
 from robust_design.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
+from robust_design.pieces import Piece
+from robust_design.plant_responses import PlantResponses
 from robust_design.requirements import (
     ClosedLoopPoles,
     ControllerPoles,
@@ -32,31 +34,6 @@ MIN_DECAY = 1e-6
 
 
 @dataclass(frozen=True)
-class Piece:
-    """One smooth piece of the nonsmooth problem.
-
-    Parameters
-    ----------
-    value : float
-        Normalised value.
-    gradient : ndarray, shape (size,)
-        With respect to the structure's parameters.
-    hard : bool
-    requirement, model : int
-        Numbers in the problem's lists.
-    place : float
-        Frequency of the peak or modulus of the pole [rad/s]; 0 for an H2 norm.
-    """
-
-    value: float
-    gradient: FloatArray
-    hard: bool
-    requirement: int
-    model: int
-    place: float
-
-
-@dataclass(frozen=True)
 class Evaluation:
     """Values of all requirements at one controller.
 
@@ -66,7 +43,7 @@ class Evaluation:
         Largest real part of the closed-loop poles over the models [rad/s].
     values : ndarray, shape (requirements, models)
         Normalised values; infinite where the loop is unstable.
-    places : ndarray, shape (requirements, models)
+    peak_frequencies : ndarray, shape (requirements, models)
         Frequencies [rad/s] of the values.
     pieces : tuple of Piece
         Everything active or nearly so.
@@ -76,7 +53,7 @@ class Evaluation:
 
     abscissa: float
     values: FloatArray
-    places: FloatArray
+    peak_frequencies: FloatArray
     pieces: tuple[Piece, ...]
     barriers: tuple[tuple[float, FloatArray], ...] = ()
 
@@ -168,7 +145,7 @@ class Problem:
             self._refuse_feedthrough(variances[i], r.name)
         gains = [self.requirements[i] for i in self._hinf]
         self._gains.append(
-            LoopGains(model, self._measurements, self._commands, tuple(gains), self.loop_delay)  # type: ignore[arg-type]
+            LoopGains(PlantResponses(model, self._measurements, self._commands, tuple(gains), self.loop_delay))  # type: ignore[arg-type]
             if gains
             else None
         )
@@ -206,16 +183,16 @@ class Problem:
         """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
         of their kind.
 
-        Models are looked at in order; with an unstable loop (abscissa above ``-min_decay``) every value is infinite.
+        With an unstable loop (abscissa above ``-min_decay``) every value is infinite.
         """
         K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
-        values, places = np.full(shape, np.inf), np.zeros(shape)
+        values, frequencies = np.full(shape, np.inf), np.zeros(shape)
         spectra: list[Spectrum] = []
         for plant in self._bare:
             spectra.append(spectrum(plant.closed(K), derivatives=gradients))
             if not spectra[-1].abscissa < -self.min_decay:
-                return Evaluation(spectra[-1].abscissa, values, places, ())
+                return Evaluation(spectra[-1].abscissa, values, frequencies, ())
         pieces: list[Piece] = []
         values[:] = -np.inf
         for k in range(len(self.models)):
@@ -225,11 +202,11 @@ class Problem:
         for piece in pieces:
             if piece.value > values[piece.requirement, piece.model]:
                 values[piece.requirement, piece.model] = piece.value
-                places[piece.requirement, piece.model] = piece.place
+                frequencies[piece.requirement, piece.model] = piece.peak_frequency
         kept = _active(pieces, band) if gradients else ()
         pairs = [pair for s in spectra for pair in s.barriers()]
         barriers = tuple((real + self.min_decay, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
-        return Evaluation(max(s.abscissa for s in spectra), values, places, tuple(kept), barriers)
+        return Evaluation(max(s.abscissa for s in spectra), values, frequencies, tuple(kept), barriers)
 
     def _gain_pieces(
         self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
@@ -266,24 +243,24 @@ class Problem:
         n = self.structure.order
         for i, r in enumerate(self.requirements):
             if isinstance(r, ClosedLoopPoles):
-                there = own
+                poles_of = own
             elif isinstance(r, ControllerPoles) and k == 0 and n:
-                there = spectrum(_alone(K, n), derivatives=gradients)
+                poles_of = spectrum(_alone(K, n), derivatives=gradients)
             else:
                 continue
-            values, slopes, number = r.pieces(there.poles)
-            upper = (there.poles[number].imag >= 0) & self._counted(r, there.poles[number])
+            values, slopes, number = r.pieces(poles_of.poles)
+            upper = (poles_of.poles[number].imag >= 0) & self._counted(r, poles_of.poles[number])
             values = np.where(upper, values, -np.inf)
             top = float(values.max(initial=-np.inf))
             chosen = np.flatnonzero(upper & (values >= top - (1 - band) * abs(top)))
             for c in chosen[np.argsort(-values[chosen])][: 8 if gradients else 1]:
-                full = np.real(np.conj(slopes[c]) * there.gradient(int(number[c]))) if gradients else None
+                full = np.real(np.conj(slopes[c]) * poles_of.gradient(int(number[c]))) if gradients else None
                 g = _pulled(self.structure, x, full)
-                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(there.poles[number[c]]))))
+                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(poles_of.poles[number[c]]))))
         return pieces
 
     def _counted(self, r: Requirement, poles: ComplexArray) -> NDArray[np.bool_]:
-        """Poles that a requirement speaks of: those of the delay's approximation are nobody's design."""
+        """Poles that a requirement speaks of: those of the delay's approximation do not count."""
         if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
             return np.ones(len(poles), dtype=bool)
         return np.asarray(np.abs(poles) < delay_radius(self.loop_delay, self.pade_order))
@@ -319,13 +296,13 @@ def _alone(K: FloatArray, n: int) -> ClosedLoop:
     return ClosedLoop(K[:n, :n], empty, empty, empty, left, empty, right, empty)
 
 
-def _active(pieces: list[Piece], band: float, most: int = 80) -> list[Piece]:
+def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piece]:
     kept: list[Piece] = []
     for hard in (False, True):
         own = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
         if own:
             level = band * max(own[0].value, 1.0) if hard else own[0].value - (1 - band) * abs(own[0].value)
-            kept += [p for p in own if p.value >= level][:most]
+            kept += [p for p in own if p.value >= level][:max_pieces]
     return kept
 
 

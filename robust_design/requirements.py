@@ -1,4 +1,4 @@
-"""What a design must do: gains between ports and places of poles, each soft (minimised) or hard (at most 1).
+"""What a design must do: gains between ports and locations of poles, each soft (minimised) or hard (at most 1).
 
 Every requirement has one normalised value per model: 1 is "just met", smaller is better. The tuner minimises the
 largest soft value subject to every hard value being at most 1.
@@ -127,7 +127,7 @@ class _Poles:
 
 @dataclass(frozen=True)
 class ClosedLoopPoles(_Poles):
-    """Place of the closed-loop poles, weights not counted.
+    """Location of the closed-loop poles, weights not counted.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class ClosedLoopPoles(_Poles):
 
 @dataclass(frozen=True)
 class ControllerPoles(_Poles):
-    """Place of the poles of the controller itself; ``ControllerPoles(min_decay=1e-3)`` asks for a stable controller."""
+    """Location of the controller's own poles; ``ControllerPoles(min_decay=1e-3)`` asks for a stable controller."""
 
 
 Requirement = HinfGain | H2Gain | ClosedLoopPoles | ControllerPoles

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.problem import Problem
-from robust_design.progress import Progress
 from robust_design.requirements import Requirement
 from robust_design.starts import start_checked, starts_of
 from robust_design.structures import Structure
@@ -109,10 +109,10 @@ def tune_robust(
     RobustResult
     """
     options, search = options or TuningOptions(), search or WorstCaseOptions()
-    begun = time.monotonic()
+    start_time = time.monotonic()
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
-    state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, begun)
+    state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, start_time)
     return state.run(chosen, [start_checked(x, structure.size) for x in initial], slack, max_rounds)
 
 
@@ -127,7 +127,7 @@ class _Rounds:
     loop_delay: float
     options: TuningOptions
     search: WorstCaseOptions
-    begun: float
+    start_time: float
 
     def run(
         self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, max_rounds: int
@@ -138,16 +138,16 @@ class _Rounds:
         tuning: TuningResult | None = None
         worst: tuple[WorstCase, ...] = ()
         status = "iterations"
-        with one_thread(), Progress(self.options.progress, "robust design") as progress:
+        with one_thread(), Progress("robust design", self.options.progress) as progress:
             for number in range(max_rounds):
-                left = self.begun + self.options.wall_limit - time.monotonic()
+                left = self.start_time + self.options.wall_limit - time.monotonic()
                 if left <= 0.0 and tuning is not None:
                     status = "out_of_time"
                     break
                 tuning = self._tuned(problem, tuning, given, max(left, 1.0))
                 worst = self._worst(tuning, number)
                 rounds.append(self._round(problem, tuning, worst))
-                progress.say(_line(number, rounds[-1]))
+                progress.print(_line(number, rounds[-1]))
                 new = self._new(tuning, worst, chosen, slack)
                 if tuning.status in ("interrupted", "not_stabilised"):
                     status = tuning.status
@@ -174,13 +174,13 @@ class _Rounds:
                 loop_delay=self.loop_delay,
                 options=options,
             )
-        begun = time.monotonic()
+        start_time = time.monotonic()
         jobs = starts_of([before.x], 0, self.options.seed, problem)
-        runs = [tune_from(problem, x, seed, self.options, begun + left) for x, seed in jobs]
-        return result_of(problem, runs, time.monotonic() - begun)
+        runs = [tune_from(problem, x, seed, self.options, start_time + left) for x, seed in jobs]
+        return result_of(problem, runs, time.monotonic() - start_time)
 
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:
-        left = self.begun + self.options.wall_limit - time.monotonic()
+        left = self.start_time + self.options.wall_limit - time.monotonic()
         effort = replace(
             self.search, seed=self.search.seed + number, wall_limit=max(1.0, min(self.search.wall_limit, left))
         )
@@ -191,7 +191,7 @@ class _Rounds:
     def _round(self, problem: Problem, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> Round:
         soft = max((w.value for w, r in zip(worst, self.requirements) if not r.hard), default=-np.inf)
         hard = max((w.value for w, r in zip(worst, self.requirements) if r.hard), default=-np.inf)
-        return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.begun)
+        return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.start_time)
 
     def _new(
         self, tuning: TuningResult, worst: tuple[WorstCase, ...], chosen: list[dict[str, float]], slack: float

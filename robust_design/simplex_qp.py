@@ -39,7 +39,7 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
     if m == 1:
         return np.ones(1), float(0.5 * H[0, 0] - a[0])
     diagonal = np.maximum(np.diag(H), 0.0)
-    # pieces much steeper than the others (a border close by) get variables of their own scale
+    # pieces much steeper than the others (a boundary close by) get variables of their own scale
     middle = float(np.median(diagonal))
     e = np.minimum(1.0, np.sqrt(middle / np.maximum(diagonal, 1e-300))) if middle > 0.0 else np.ones(m)
     size = max(float((diagonal * e * e).max()), float(np.ptp(a)), 1e-300)
@@ -76,7 +76,7 @@ def _newton(
     mu: FloatArray,
     s: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Step of the perturbed optimality conditions for a wanted change of the products mu s."""
+    """Step of the perturbed optimality conditions for a requested change of the products mu s."""
     u = sl.cho_solve(factor, complement / mu - residual, check_finite=False)
     dnu = float(e @ u - (1.0 - e @ mu)) / float(e @ solved_e)
     dmu = u - dnu * solved_e

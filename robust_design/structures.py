@@ -238,14 +238,14 @@ def pid(measurement: str, command: str, *, derivative_filter: float, terms: str 
     rows, columns, parameters = (np.array([e[i] for e in listed], dtype=np.intp) for i in range(3))
     keep = [s for s, term in ((0, "I"), (1, "D")) if term in terms]
     index = np.array([*keep, 2])
-    place = {old: new for new, old in enumerate(index.tolist())}
+    position = {old: new for new, old in enumerate(index.tolist())}
     return AffineStructure(
         (Port(measurement, 1),),
         (Port(command, 1),),
         len(keep),
         read_only(base[np.ix_(index, index)]),
-        np.array([place[r] for r in rows.tolist()], dtype=np.intp),
-        np.array([place[c] for c in columns.tolist()], dtype=np.intp),
+        np.array([position[r] for r in rows.tolist()], dtype=np.intp),
+        np.array([position[c] for c in columns.tolist()], dtype=np.intp),
         parameters,
         np.array([e[3] for e in listed]),
     )

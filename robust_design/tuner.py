@@ -15,12 +15,13 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
-from robust_design.descent import Descent, DescentOptions, Sample, minimise
+from robust_design.descent import Descent, DescentOptions, StopReason, minimise
+from robust_design.pieces import OracleResult
 from robust_design.problem import MIN_DECAY, Evaluation, Problem, worst_values
-from robust_design.progress import Progress
 from robust_design.requirements import Requirement
 from robust_design.starts import lowered_gain, start_checked, starts_of
 from robust_design.structures import Structure, controller
@@ -31,7 +32,7 @@ ADVICE = {
     "converged": "stationary point; other starts may find a better one",
     "stalled": "no further progress, certificate above tolerance: try other starts or another form of the structure",
     "iterations": "still improving when the iterations ran out: allow more",
-    "target": "the wanted value was reached",
+    "target": "the target value was reached",
     "not_stabilised": (
         "no start made every model stable: raise the order, give a stabilising start, use more starts, or check that "
         "the commands and measurements reach the unstable poles"
@@ -111,7 +112,7 @@ class TuningResult:
     soft, hard : float
         Worst soft and hard values (normalised) over requirements and models; minus infinity where there are none.
     values : ndarray, shape (requirements, models)
-    places : ndarray, shape (requirements, models)
+    peak_frequencies : ndarray, shape (requirements, models)
         Frequencies of the values [rad/s].
     abscissa : float
         Largest real part of the closed-loop poles [rad/s].
@@ -133,7 +134,7 @@ class TuningResult:
     soft: float
     hard: float
     values: FloatArray
-    places: FloatArray
+    peak_frequencies: FloatArray
     abscissa: float
     stationarity: float
     certificate: Certificate | None
@@ -214,38 +215,38 @@ def tune(
     ('converged', -4.0, 0.2)
     """
     options = options or TuningOptions()
-    begun = time.monotonic()
-    deadline = begun + options.wall_limit
+    start_time = time.monotonic()
+    deadline = start_time + options.wall_limit
     problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
     given = [start_checked(x, structure.size) for x in initial]
     jobs = [(x, seed) for x, seed in starts_of(given, options.starts, options.seed, problem)]
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
-    with one_thread(), Progress(options.progress, "tuning") as progress:
+    with one_thread(), Progress("tuning", options.progress) as progress:
         if options.workers == 1 or len(jobs) == 1:
             runs = _serial(problem, jobs, options, deadline, progress)
         else:
             runs = _parallel(problem, jobs, options, deadline, progress)
-    return result_of(problem, runs, time.monotonic() - begun)
+    return result_of(problem, runs, time.monotonic() - start_time)
 
 
 def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOptions, deadline: float) -> Run:
     """One start: stabilise, then descend (used by :func:`tune` and by the robust outer loop)."""
     rng = np.random.default_rng(seed)
     stable, first = _stabilise(problem, x0, rng, options, deadline)
-    if stable.sample.objective >= -problem.min_decay:
+    if stable.result.objective >= -problem.min_decay:
         status = {"deadline": "out_of_time", "interrupted": "interrupted"}.get(stable.reason, "not_stabilised")
         return Run(
-            status, stable.x, np.inf, np.inf, stable.sample.objective, stable.stationarity, stable.evaluations, first
+            status, stable.x, np.inf, np.inf, stable.result.objective, stable.stationarity, stable.evaluations, first
         )
     found = minimise(
-        lambda x: _sample(problem, problem.evaluate(x, band=options.band)),
+        lambda x: _oracle_result(problem, problem.evaluate(x, band=options.band)),
         stable.x,
         DescentOptions(options.iterations, options.tolerance, target=options.target, deadline=deadline),
         rng,
     )
-    soft, hard = found.sample.objective, found.sample.constraint + 1.0
+    soft, hard = found.result.objective, found.result.constraint + 1.0
     return Run(
         _status(found, hard),
         found.x,
@@ -265,28 +266,31 @@ def _stabilise(
     worst, _ = problem.stability_pieces(x0, 0.0)
     band = max(0.3 * abs(worst), 1e-3)
     if worst < -problem.min_decay:
-        return Descent(x0, Sample(worst, -np.inf, ()), "target", 0.0, 0, 1), 0
+        return Descent(x0, OracleResult(worst, -np.inf, ()), StopReason.TARGET, 0.0, 0, 1), 0
 
-    def oracle(x: FloatArray) -> Sample:
+    def oracle(x: FloatArray) -> OracleResult:
         value, pieces = problem.stability_pieces(x, band)
-        return Sample(value, -np.inf, tuple(pieces))
+        return OracleResult(value, -np.inf, tuple(pieces))
 
     target = min(-0.1 * worst, -2.0 * problem.min_decay)
     limits = DescentOptions(min(options.iterations, 120), 1e-5, target=target, deadline=deadline)
     found = minimise(oracle, x0, limits, rng)
-    if found.sample.objective >= -problem.min_decay and found.reason not in ("deadline", "interrupted"):
+    if found.result.objective >= -problem.min_decay and found.reason not in (
+        StopReason.DEADLINE,
+        StopReason.INTERRUPTED,
+    ):
         lowered = lowered_gain(problem, x0)
         if lowered is not None:
-            sample = Sample(problem.abscissa(lowered), -np.inf, ())
-            return Descent(lowered, sample, "target", 0.0, 0, found.evaluations), found.iterations
+            result = OracleResult(problem.abscissa(lowered), -np.inf, ())
+            return Descent(lowered, result, StopReason.TARGET, 0.0, 0, found.evaluations), found.iterations
     return found, found.iterations
 
 
-def _sample(problem: Problem, evaluation: Evaluation) -> Sample:
+def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:
     soft, hard = worst_values(problem, evaluation)
     if not np.isfinite(soft) and soft < 0:
         soft = 0.0  # only hard requirements: any feasible point is optimal
-    return Sample(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)
+    return OracleResult(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)
 
 
 def _status(found: Descent, hard: float) -> str:
@@ -303,7 +307,7 @@ def _serial(
     runs: list[Run] = []
     for x, seed in jobs:
         runs.append(tune_from(problem, x, seed, options, deadline))
-        progress.report(len(runs), len(jobs), min(runs, key=_rank).soft)
+        progress.report(len(runs), len(jobs), best=min(runs, key=_rank).soft)
         if runs[-1].status in ("interrupted", "target") or time.monotonic() > deadline:
             break
     return runs
@@ -320,7 +324,7 @@ def _parallel(
         try:
             for future in as_completed(futures):
                 runs[futures[future]] = future.result()
-                progress.report(len(runs), len(jobs), min(runs.values(), key=_rank).soft)
+                progress.report(len(runs), len(jobs), best=min(runs.values(), key=_rank).soft)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             x = jobs[0][0]
@@ -360,7 +364,7 @@ def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningRe
         soft,
         hard,
         found.values,
-        found.places,
+        found.peak_frequencies,
         found.abscissa,
         best.stationarity,
         certificate,

@@ -1,8 +1,7 @@
 """Worst parameters of a closed loop: many samples, then local ascent over parameters and frequency.
 
-A lower bound of the true worst case, as every search is; its use is that it finds the bad places fast and
-says which they
-are. The plant comes as any function of the parameters.
+A lower bound of the true worst case, as every search is, with the parameters at which it is reached. The plant comes
+as any function of the parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
-from robust_design.gains import controller_response
+from robust_design.controller_response import controller_response
 from robust_design.requirements import HinfGain, Requirement
 from robust_design.structures import gain_matrix_of
 
@@ -85,9 +84,9 @@ class WorstCase:
     sampled : float
         Best value before the local ascents.
     evaluations : int
-        Closed loops looked at, for all requirements together.
+        Closed loops evaluated, for all requirements together.
     others : tuple of (value, parameters)
-        The worst samples that have their peak elsewhere, worst first: at most :data:`MAX_OTHERS`.
+        The worst samples that have their peak at another frequency, worst first: at most :data:`MAX_OTHERS`.
     """
 
     requirement: str
@@ -178,7 +177,7 @@ class _Search:
         points = self._points()
         table = []
         for point in points:
-            table.append(self._look(point))
+            table.append(self._evaluate(point))
             if np.isinf(table[-1][0]).any() or time.monotonic() > self._deadline:
                 break
         values = np.array([t[0] for t in table])
@@ -190,15 +189,20 @@ class _Search:
             for start in order[: self._options.climbs]:
                 if np.isinf(best) or time.monotonic() > self._deadline:
                     break
-                value, place, where = self._climb(i, points[start])
+                value, frequency, where = self._climb(i, points[start])
                 if value > best:
-                    best, omega, point = value, place, where
-            others = self._elsewhere(order, values[:, i], [t[1][i] for t in table], float(omega), points)
+                    best, omega, point = value, frequency, where
+            others = self._runners_up(order, values[:, i], [t[1][i] for t in table], float(omega), points)
             found.append(((r.name, float(best), self._parameters(point), float(omega), sampled), others))
         return tuple(WorstCase(*f, self._count, others) for f, others in found)
 
-    def _elsewhere(
-        self, order: NDArray[np.intp], values: FloatArray, places: list[float], omega: float, points: list[FloatArray]
+    def _runners_up(
+        self,
+        order: NDArray[np.intp],
+        values: FloatArray,
+        frequencies: list[float],
+        omega: float,
+        points: list[FloatArray],
     ) -> tuple[tuple[float, Mapping[str, float]], ...]:
         """The worst samples whose peaks lie apart from `omega` and from one another."""
         seen = [omega]
@@ -206,8 +210,8 @@ class _Search:
         for k in order:
             if len(others) == MAX_OTHERS or not np.isfinite(values[k]):
                 break
-            if all(abs(places[k] - w) > APART * max(places[k], w) for w in seen):
-                seen.append(places[k])
+            if all(_apart(frequencies[k], w) for w in seen):
+                seen.append(frequencies[k])
                 others.append((float(values[k]), self._parameters(points[k])))
         return tuple(others)
 
@@ -224,7 +228,7 @@ class _Search:
     def _parameters(self, point: FloatArray) -> dict[str, float]:
         return dict(zip(self._names, (self._low + point * self._width).tolist()))
 
-    def _look(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _evaluate(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values and peak frequencies of all requirements at a point."""
         self._count += 1
         model = self._build(self._parameters(point))
@@ -237,8 +241,8 @@ class _Search:
         def objective(point: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
             inside = np.clip(point, 0.0, 1.0)
-            values, places = self._look(inside)
-            value, omega = float(values[i]), float(places[i])
+            values, frequencies = self._evaluate(inside)
+            value, omega = float(values[i]), float(frequencies[i])
             if value > best[0]:
                 best = (value, omega, inside.copy())
             if not np.isfinite(value) or time.monotonic() > self._deadline:
@@ -276,6 +280,11 @@ class _Search:
             K = controller_response(gain_matrix_of(self._controller), self._controller.order, np.array([omega]))[0]
             return gain_at(model, self._controller, r, omega, K, self._delay)
         return float(ClosedLoopEvaluator(model, self._controller, self._delay).values([r])[0][0])
+
+
+def _apart(a: float, b: float) -> bool:
+    """Whether two peak frequencies [rad/s], infinity allowed, belong to different peaks."""
+    return bool(a != b and (np.isinf(a) or np.isinf(b) or abs(a - b) > APART * max(a, b)))
 
 
 class _Enough(Exception):

@@ -132,7 +132,7 @@ def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
 
     def meanwhile(ticks):
         if ticks > 200 and not refused:
-            with pytest.raises(ValueError, match="another run holds ROS domain") as error:
+            with pytest.raises(ValueError, match="must be a ROS domain without another run") as error:
                 Runner(second, commands={"plant": PLANT}).run()
             refused.append(str(error.value))
             raise KeyboardInterrupt
@@ -208,10 +208,10 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
     try:
         while json.loads(process.stdout.readline())["event"] != "ready":
             pass
-        began = time.monotonic()
+        start_time = time.monotonic()
         os.kill(process.pid, number)
         assert process.wait(10) == 0
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - start_time < 2.0
         assert b"Traceback" not in process.stderr.read()
     finally:
         process.kill()

@@ -82,7 +82,7 @@ def test_pid_response() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plant().channel(["x"], ["y"]), "p: unknown input port 'x', expected one of: w, u"),
+        (lambda: plant().channel(["x"], ["y"]), "p: input port must be one of w, u, got 'x'"),
         (lambda: StateSpace.static([[1.0, 2.0]], [("a", 1), ("a", 1)], [("b", 1)]), "port names must be unique"),
         (
             lambda: StateSpace.static([[1.0, 2.0]], [("a", 1)], [("b", 1)]),

@@ -1,4 +1,4 @@
-"""Samples of one tick from several topics, joined by stamp and never by order of arrival."""
+"""Samples of one tick from several topics, synchronized by stamp and never by order of arrival."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
-from los_testbed.topics import TICK_NS
+from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
 
@@ -18,14 +18,14 @@ HOLD_STAMP = 0
 
 
 class Part:
-    """One topic's share of a tick: its bytes, its place, and when it is due.
+    """One topic's share of a tick: its bytes, its columns, and when it is due.
 
     Parameters
     ----------
     codec : Codec
         Bytes of the topic.
     columns : slice
-        Place in the joined vector.
+        Columns in the joined vector.
     every : int
         Due on ticks whose number (stamp / 1 ms) is a multiple of this.
     nan_allowed : bool
@@ -55,11 +55,11 @@ class StampSynchronizer:
     Examples
     --------
     >>> codec = Codec("geometry_msgs/msg/Vector3Stamped", 2, "fsm")
-    >>> join = StampSynchronizer([Part(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
+    >>> synchronizer = StampSynchronizer([Part(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
     >>> message = bytes(codec.encode(5_000_000, np.array([1.0, 2.0])))
-    >>> join.put(1, message) is None
+    >>> synchronizer.put(1, message) is None
     True
-    >>> join.put(0, message).tolist()
+    >>> synchronizer.put(0, message).tolist()
     [1.0, 2.0, 1.0, 2.0]
     """
 
@@ -74,7 +74,7 @@ class StampSynchronizer:
         self.gap = 0
         self.horizon = 1 << 62
         self._newest = HOLD_STAMP
-        slots = self.SLOTS + 1  # the last one is for hold ticks: a stray one disturbs no tick under way
+        slots = self.SLOTS + 1  # the last one is for hold ticks, so that they share no slot with a tick
         self._stamps = [-1] * slots
         self._seen = [0] * slots
         self._rows = [np.full(size, np.nan) for _ in range(slots)]

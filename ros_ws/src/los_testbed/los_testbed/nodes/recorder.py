@@ -14,14 +14,17 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
-from los_testbed.bags.cdr import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.loop.health import OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TOPICS
+from pointing_analysis.cdr import ENCAPSULATION, Encoder
+from pointing_analysis.message_types import HEADER
+from titop_plant.interface import TICK_NS
 
 DEPTH = 5000
 PERIOD_S = 0.01
@@ -31,7 +34,7 @@ CHUNK_S = 1.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node; returns the exit code."""
-    return run_node("recorder", arguments, lambda shell: Recorder(shell).run())
+    return run_node("recorder", arguments, lambda context: Recorder(context).run())
 
 
 def default_bag() -> Path:
@@ -108,9 +111,9 @@ class Track:
 class Recorder:
     """Loop of the recorder: every 10 ms take what came, once a second write a chunk."""
 
-    def __init__(self, shell: NodeContext) -> None:
-        config, node = shell.config, shell.node
-        self.shell = shell
+    def __init__(self, context: NodeContext) -> None:
+        config, node = context.config, context.node
+        self.context = context
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
@@ -128,7 +131,7 @@ class Recorder:
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
         self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
-        self._header = HeaderCodec()
+        self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
         self.bag: BagWriter | None = None
         self.finished = 0
@@ -136,9 +139,9 @@ class Recorder:
 
     def run(self) -> int:
         """Record until a signal comes and the topics are quiet."""
-        shell = self.shell
-        shell.become_real_time()
-        shell.event("ready")
+        context = self.context
+        context.become_real_time()
+        context.event("ready")
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
         while True:
             count = sum(track.drain() for track in self.tracks)
@@ -155,8 +158,8 @@ class Recorder:
                 self._report()
             if now >= next_service:
                 next_service = now + 0.2
-                shell.service()
-            if shell.stop and now - quiet_since > QUIET_S:
+                context.service()
+            if context.stop and now - quiet_since > QUIET_S:
                 break
             time.sleep(PERIOD_S if not self.simulated else PERIOD_S / 4)
         self._close()
@@ -178,7 +181,7 @@ class Recorder:
     def _another_run(self) -> bool:
         """Whether the plant holds after a run: it was started again, and what comes now is another run.
 
-        One topic is not enough: a message with stamp zero from an intruder must not end the bag.
+        One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag.
         """
         return any(track.first for track in self.tracks) and all(track.held for track in self._from_plant)
 
@@ -187,7 +190,7 @@ class Recorder:
         self._write_chunk()
         self._finish_bag()
         self.finished += 1
-        self.shell.event("bag", path=str(self.path))
+        self.context.event("bag", path=str(self.path))
         self.path = _free_name(self._base)
         self.bag, self.statistics = None, {}
         for track in self.tracks:
@@ -197,7 +200,7 @@ class Recorder:
         if self.bag is None:
             if not any(track.data for track in self.tracks):
                 return
-            config = self.shell.config
+            config = self.context.config
             self.bag = BagWriter(
                 self.path,
                 {METADATA_NAME: run_metadata(config)},
@@ -207,7 +210,7 @@ class Recorder:
         for track in self.tracks:
             self._write(self.bag, track)
         self._keep_statistics()
-        if not self.simulated:  # wall-clock figures would make two equal runs differ
+        if not self.simulated:  # values of the wall clock would make two equal runs differ
             self._write(self.bag, self.diagnostics)
         self.diagnostics.data, self.diagnostics.received, self.diagnostics.sent = [], [], []
         self.bag.end_chunk()
@@ -249,26 +252,26 @@ class Recorder:
         values = self.own_statistics()
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}
-        self.shell.plot(dict(news))
+        self.context.plot(dict(news))
         if self.bag is None:
             level, message = STALE, "no samples yet"
         else:
             level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
-        self.shell.diagnose(level, message, values, self.tracks[0].last)
+        self.context.diagnose(level, message, values, self.tracks[0].last)
 
     def _finish_bag(self) -> None:
         """Results into the head of the bag, and its index."""
         if self.bag is not None:
             final = {**self.statistics, "recorder": self.own_statistics()}
-            self.bag.close({METADATA_NAME: final_metadata(self.shell.config, final)})
+            self.bag.close({METADATA_NAME: final_metadata(self.context.config, final)})
 
     def _close(self) -> None:
         self._write_chunk()
         self._finish_bag()
         path = str(self.path) if self.bag is not None else None
-        self.shell.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
+        self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
-            raise ValueError("nothing came to be recorded: expected a plant on this domain")
+            raise ValueError("a plant must run on this domain, got no message to record")
 
 
 def _free_name(base: Path) -> Path:

@@ -1,6 +1,6 @@
 """Predicted against measured, for the report: what the model as implemented says of a recorded run, from the bag alone.
 
-Configuration and controllers are those that travel in the bag. The telescope's parameter file does not: its figures
+Configuration and controllers are those in the bag. The telescope's parameter file is not in it: its values
 must still be those of the run, by the hash in the bag.
 """
 
@@ -16,9 +16,9 @@ from los_design.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
 from los_testbed.run.replay import controller_of
-from los_testbed.topics import TICK_NS
 from pointing_analysis.prediction import Prediction
 from pointing_analysis.read import Run
+from titop_plant.interface import TICK_NS
 from titop_plant.simulation import configuration_hash
 
 LONGEST = 60.0
@@ -47,7 +47,7 @@ def predictions(
     Returns
     -------
     list of Prediction or None
-        None where there is nothing to predict: a bag of somebody else, no tones, a telescope that changes during the
+        None where there is nothing to predict: a bag of another program, no tones, a telescope that changes during the
         run, a plant of another kind, a replay. A prediction without tones says in its note why it failed.
     """
     return [_prediction(run, transient, start, stop) for run in runs]

@@ -1,0 +1,89 @@
+"""Smooth pieces of a nonsmooth objective and what an oracle reports at a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+PEAK_DISTANCE = 0.1  # relative distance of frequencies up to which two peaks count as the same one
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One smooth piece of the nonsmooth problem.
+
+    Parameters
+    ----------
+    value : float
+        Normalised value.
+    gradient : ndarray, shape (size,)
+        With respect to the structure's parameters.
+    hard : bool
+    requirement, model : int
+        Numbers in the problem's lists.
+    peak_frequency : float
+        Frequency of the peak or modulus of the pole [rad/s]; 0 for an H2 norm.
+    """
+
+    value: float
+    gradient: FloatArray
+    hard: bool
+    requirement: int
+    model: int
+    peak_frequency: float
+
+
+@dataclass(frozen=True)
+class OracleResult:
+    """Values, pieces and stability margins at a point.
+
+    Parameters
+    ----------
+    objective : float
+        Largest soft value; infinite outside the domain (an unstable loop).
+    constraint : float
+        Largest hard value minus 1; minus infinity without constraints.
+    pieces : tuple of Piece
+    barriers : tuple of (margin, gradient)
+        Margins to the boundary of the domain (negative inside, 0 on it) with gradients (n,): they bound the step.
+    """
+
+    objective: float
+    constraint: float
+    pieces: tuple[Piece, ...]
+    barriers: tuple[tuple[float, FloatArray], ...] = ()
+
+    @property
+    def inside(self) -> bool:
+        """The point is in the domain."""
+        return bool(np.isfinite(self.objective))
+
+    def largest(self, count: int) -> list[Piece]:
+        """The `count` largest soft pieces and as many hard ones."""
+        return [
+            piece
+            for hard in (False, True)
+            for piece in sorted((p for p in self.pieces if p.hard is hard), key=lambda p: -p.value)[:count]
+        ]
+
+
+Oracle = Callable[[FloatArray], OracleResult]
+
+
+def matching_piece(piece: Piece, others: tuple[Piece, ...]) -> Piece | None:
+    """The piece of the same requirement and model nearest in frequency, or None."""
+    best, distance = None, PEAK_DISTANCE
+    for other in others:
+        if (other.requirement, other.model, other.hard) != (piece.requirement, piece.model, piece.hard):
+            continue
+        d = 1e-3 * abs(other.value - piece.value) / max(abs(piece.value), 1e-12)
+        if piece.peak_frequency != other.peak_frequency:
+            d += abs(other.peak_frequency - piece.peak_frequency) / max(piece.peak_frequency, 1e-12)
+        if d < distance:
+            best, distance = other, d
+    return best

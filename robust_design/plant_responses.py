@@ -1,0 +1,177 @@
+"""Responses of one plant at many frequencies, arranged for closing the loop with any controller.
+
+The plant does not change while the controller is tuned. For a controller with response K only
+``T = P11 + P12 (I - K P22)^-1 K P21`` is formed, with small matrices. The delay is exact: it belongs to the
+controller's response, ``exp(-j w delay) K``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lti.batched_linalg import solve
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import FrequencyResponse
+from lti.state_space_model import StateSpace
+from robust_design.controller_response import controller_factors, controller_response
+from robust_design.prefeedback import applied, prefeedback
+from robust_design.requirements import H2Gain, HinfGain
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
+PER_DECADE = 50
+
+GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """Responses of the plant at N frequencies [rad/s]; P11, P12 and P21 for each requirement."""
+
+    omega: FloatArray
+    P11: tuple[ComplexArray, ...]
+    P12: tuple[ComplexArray, ...]
+    P21: tuple[ComplexArray, ...]
+    P22: ComplexArray
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Response (N, u, y) of a controller, and the factors of its derivative ``left dK right`` where asked for."""
+
+    response: ComplexArray
+    left: ComplexArray | None = None
+    right: ComplexArray | None = None
+
+
+class PlantResponses:
+    """One model with the weights of several gain requirements.
+
+    Parameters
+    ----------
+    model : StateSpace
+    measurements, commands : tuple of str
+        Ports between which the controller stands.
+    requirements : tuple of HinfGain or H2Gain
+    loop_delay : float
+        Delay of the loop [s], exact.
+    """
+
+    def __init__(
+        self,
+        model: StateSpace,
+        measurements: tuple[str, ...],
+        commands: tuple[str, ...],
+        requirements: tuple[HinfGain | H2Gain, ...],
+        loop_delay: float = 0.0,
+    ) -> None:
+        self.requirements, self._delay = requirements, loop_delay
+        self.groups: list[int] = []
+        keys: list[tuple[tuple[str, ...], int]] = []
+        for r in requirements:
+            key = (r.inputs, id(r.weight_in))
+            if key not in keys:
+                keys.append(key)
+            self.groups.append(keys.index(key))
+        used_in = list(dict.fromkeys(n for r in requirements for n in r.inputs))
+        used_out = list(dict.fromkeys(n for r in requirements for n in r.outputs))
+        cw, cu = model.input_indices(used_in), model.input_indices(commands)
+        rz, ry = model.output_indices(used_out), model.output_indices(measurements)
+        columns, rows = np.r_[cw, cu], np.r_[rz, ry]
+        self._split = nz, nw = len(rz), len(cw)
+        D = model.D[np.ix_(rows, columns)]
+        self._F = prefeedback(model.A, model.B[:, cu], model.C[ry], D[nz:, nw:])
+        plant = applied(model.A, model.B[:, columns], model.C[rows], D, nz, nw, self._F)
+        self._response = FrequencyResponse.of(*plant)
+        self._columns = [_positions(cw, model.input_indices(r.inputs)) for r in requirements]
+        self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
+        self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
+
+    def grid(self, per_decade: int = PER_DECADE) -> FloatArray:
+        """Frequencies [rad/s] from 0 to infinity, fine around every lightly damped pole of plant and weights."""
+        poles = [self._response.poles]
+        poles += [w.poles for pair in self._weights for w in pair[:2] if w is not None]
+        every = np.concatenate(poles)
+        sizes = np.abs(every[np.abs(every) > 1e-9])
+        if len(sizes) == 0:
+            sizes = np.array([1.0])
+        inner = frequency_grid(
+            every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
+        )
+        above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
+        at_origin = np.any(np.abs(every) <= 1e-9)
+        grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
+        return np.unique(self._apart_from_poles(grid))
+
+    def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
+        """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
+        poles = self._response.poles
+        fixed = poles.imag[(np.abs(poles.real) < 1e-2 * MIN_DISTANCE * np.abs(poles)) & (poles.imag > 0)]
+        for w in fixed:
+            omega = np.where(np.abs(omega - w) < MIN_DISTANCE * w, w * (1.0 + MIN_DISTANCE), omega)
+        return omega
+
+    def arrays(self, omega: FloatArray) -> Arrays:
+        """Responses of the plant at the frequencies `omega` (N,)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            P = self._response.at(omega)
+        nz, nw = self._split
+        P11: list[ComplexArray] = []
+        P12: list[ComplexArray] = []
+        P21: list[ComplexArray] = []
+        for i, (w_in, w_out, scale) in enumerate(self._weights):
+            rows, columns = self._rows[i], self._columns[i]
+            first = P[:, rows][:, :, columns] * scale
+            second = P[:, rows, nw:] * scale
+            third = P[:, nz:][:, :, columns]
+            if w_out is not None:
+                W = w_out.at(omega)
+                first, second = W @ first, W @ second
+            if w_in is not None:
+                W = w_in.at(omega)
+                first, third = first @ W, third @ W
+            P11.append(first)
+            P12.append(second)
+            P21.append(third if i == self.groups.index(self.groups[i]) else P21[self.groups.index(self.groups[i])])
+        return Arrays(omega, tuple(P11), tuple(P12), tuple(P21), P[:, nz:, nw:])
+
+    def controller(self, K: FloatArray, order: int, omega: FloatArray, *, factors: bool = False) -> Controller:
+        """Response of the controller with its delay, as the plant after its pre-feedback sees it."""
+        if factors:
+            Kw, left, right = controller_factors(K, order, omega)
+        else:
+            Kw, left, right = controller_response(K, order, omega), None, None  # type: ignore[assignment]
+        if self._delay:
+            turn = np.exp(-1j * np.where(np.isfinite(omega), omega, 0.0) * self._delay)[:, None, None]
+            Kw, left = Kw * turn, left * turn if factors else None  # type: ignore[assignment]
+        return Controller(Kw - self._F, left, right)
+
+    def closed(
+        self, arrays: Arrays, K: Controller, which: tuple[int, ...]
+    ) -> tuple[dict[int, ComplexArray], ComplexArray, ComplexArray]:
+        """Closed-loop responses of the requirements `which`, ``S = I - K P22`` and ``M = S^-1 K``."""
+        S = np.eye(K.response.shape[1]) - K.response @ arrays.P22
+        M = solve(S, K.response)
+        forward: dict[int, ComplexArray] = {}
+        out = {}
+        for i in which:
+            group = self.groups[i]
+            if group not in forward:
+                forward[group] = M @ arrays.P21[i]
+            out[i] = arrays.P11[i] + arrays.P12[i] @ forward[group]
+        return out, S, M
+
+
+def _weight(weight: StateSpace | None) -> FrequencyResponse | None:
+    return None if weight is None else FrequencyResponse.of(*weight.matrices)
+
+
+def _positions(chosen: Any, indices: Any) -> NDArray[np.intp]:
+    position = {int(index): k for k, index in enumerate(chosen)}
+    return np.array([position[int(index)] for index in indices], dtype=np.intp)
