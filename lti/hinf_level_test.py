@@ -215,7 +215,7 @@ def hamiltonian_test(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     d = D * scale
     R = np.eye(m) - d.T @ d
     S = np.eye(p) - d @ d.T
-    if sl.eigvalsh(R)[0] <= 0.0 or sl.eigvalsh(S)[0] <= 0.0:
+    if sl.eigvalsh(R)[0] <= 0.0:  # then so is the smallest eigenvalue of S
         return LevelTest(False, True, np.array([np.inf]))
     balance = np.sqrt(scale)
     b, c = B * balance, C * balance

@@ -236,6 +236,14 @@ def test_crossings_of_the_level_are_answered() -> None:
     assert found.frequencies == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
 
 
+def test_crossings_with_feedthrough() -> None:
+    """|2 + 1 / (jw + 1)|^2 = (9 + 4 w^2) / (1 + w^2); the second input does nothing."""
+    A, B, C, D = -np.eye(1), np.array([[1.0, 0.0]]), np.eye(1), np.array([[2.0, 0.0]])
+    for system in ((A, B, C, D), (A, C, B.T, D.T)):
+        found = hamiltonian_test(*system, 2.5)
+        assert found.frequencies == pytest.approx([np.sqrt(2.75 / 2.25)], rel=1e-7)
+
+
 def test_level_below_the_feedthrough_points_to_infinity() -> None:
     for D in (np.array([[2.0, 0.0]]), np.array([[2.0], [0.0]])):
         p, m = D.shape
