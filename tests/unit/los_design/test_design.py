@@ -47,7 +47,7 @@ def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None
     assembled = telescope()
     plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
     requirements = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("RPE", "noise -> RPE")]
-    structure = observer_structure(plant, held_camera=True)
+    structure = observer_structure(plant, camera_hold=True)
     problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
     x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
     pieces = problem.evaluate(x, band=0.01).pieces
