@@ -90,7 +90,8 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
         finally:
             seen.close()
 
-    results = run_with_fault(tmp_path, 500, kill)
+    # long enough for the new node to find the recorder, too
+    results = run_with_fault(tmp_path, 500, kill, after=2500)
     assert len(results.failures) == 1
     assert f"{name} ended unexpectedly (signal 9)" in results.failures[0]
     run = Run.open(results.bag)
@@ -102,7 +103,7 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     widest = int(np.argmax(gaps))
     assert gaps[widest] > 50 * MS, "commands stopped"
     assert abs(commands.stamp[widest] - killed[0]) < 1000 * MS, "when the node was killed"
-    assert commands.stamp[-1] > truth.stamp[-1] - 400 * MS, "and came back"
+    assert commands.stamp[-1] > truth.stamp[-1] - 500 * MS, "and came back"
     # the new node may find the plant before it finds the recorder: only the plant knows how long it was without
     missed = int(results.statistics["plant"]["missed_ticks"])
     assert missed > 50
