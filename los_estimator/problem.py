@@ -72,7 +72,7 @@ def observer_plant(
     camera_period : float
         Time that a camera frame is held [s]; 0: the paper's continuous camera.
     command_hold : float
-        Mean delay of a held command [s] (:data:`titop_plant.telescope.control_plant.HOLD_DELAY`): this part of
+        Mean delay of a held command [s] (:data:`titop_plant.interface.HOLD_DELAY`): this part of
         the loop delay is in the plant, not the tuner's.
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)

@@ -1,10 +1,10 @@
 """Replay: drive an observer and a controller with the sensors of a bag, and compare with what the bag recorded.
 
-Through the controllers that flew, the replay gives the recorded estimates and commands again, bit by bit: the proof
+Through the recorded controllers, the replay gives the recorded estimates and commands again, bit by bit: the proof
 that the bag holds all that the loop saw. Through others it gives what they would have estimated and commanded on the
 same sensors (open loop: the plant does not answer to the new commands).
 
-This module knows no controller: anything with ``step`` and ``reset`` will do.
+This module imports no controller: `Estimator` and `Controller` say what one must have.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics
-from pointing_analysis.errors import ErrorSeries, knowledge_error_of
+from pointing_analysis.gap_stepping import GapStepper
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.topic import NANO, read_only
@@ -34,25 +33,27 @@ MEASUREMENT = {
 }
 #: topic -> columns of the command vector (8)
 COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
-#: the nodes step their cores on held samples over a gap of at most so many ticks; after a longer one they just go on
-GAP_LIMIT = 50
+#: sizes of the two vectors, columns of the platform's accelerations and of the camera
+MEASUREMENTS = max(columns.stop for columns in MEASUREMENT.values())
+COMMANDS = max(columns.stop for columns in COMMAND.values())
+PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
 
 
 class Estimator(Protocol):
-    """Observer: one tick turns a measurement (22,) into an estimate (2,)."""
+    """Observer at run time, of a node as of a replay: a measurement (22,) to an estimate (2,) [rad]."""
 
     def step(self, measurement: Floats, out: Floats) -> None:
-        """One tick."""
+        """One tick: write the estimate into `out`; camera columns of `measurement` may be NaN."""
 
     def reset(self) -> None:
         """Back to the zero state."""
 
 
 class Controller(Protocol):
-    """Controller: one tick turns an estimate (2,) and an acceleration (6,) into a command (8,)."""
+    """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
 
     def step(self, los_estimate: Floats, accel_Ip: Floats, out: Floats) -> None:
-        """One tick."""
+        """One tick: write the command into `out`."""
 
     def reset(self) -> None:
         """Back to the zero state."""
@@ -78,7 +79,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the replayed cores gave.
+    """Estimates and commands of a replay.
 
     Attributes
     ----------
@@ -111,22 +112,22 @@ def sensors(run: Run) -> Sensors:
     """
     for name, columns in MEASUREMENT.items():
         if name not in run:
-            raise BagError(f"{run.path}: a replay needs the topic {name}; the bag has {', '.join(run.topics)}")
+            raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
         if run[name].values.shape[1] < columns.stop - columns.start:
-            raise BagError(f"{run.path}: {name}: expected {columns.stop - columns.start} values in a message")
+            raise BagError(f"{run.path}: {name}: messages must have {columns.stop - columns.start} values or more")
     fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
     stamp = fast[0].stamp
     for topic in fast[1:]:
         stamp = np.intersect1d(stamp, topic.stamp, assume_unique=True)
     if not stamp.size:
-        raise BagError(f"{run.path}: expected sensors with common stamps; got none")
+        raise BagError(f"{run.path}: the sensors must have common stamps, got none")
     camera = run["camera/los"]
     frame = round(camera.period * NANO) if len(camera) > 1 else 0
     if frame:
         # A frame that is due and not in the bag: the node never saw this tick complete, or the bag lacks the frame.
         due = (stamp % frame == camera.stamp[0] % frame) & (stamp >= camera.stamp[0])
         stamp = stamp[~due | np.isin(stamp, camera.stamp)]
-    measurement = np.full((len(stamp), 22), np.nan)
+    measurement = np.full((len(stamp), MEASUREMENTS), np.nan)
     for name, columns in MEASUREMENT.items():
         topic = run[name]
         _, rows, source = np.intersect1d(stamp, topic.stamp, assume_unique=True, return_indices=True)
@@ -143,10 +144,9 @@ def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
     return np.flatnonzero(np.isin(stamp, done))
 
 
-def _gaps(stamp: Stamps, period: int) -> NDArray[np.int64]:
-    """Ticks left out before each one, as the nodes make up for them: none after a gap longer than the limit."""
-    left_out = np.append(0, np.diff(stamp) // period - 1)
-    return np.where(left_out > GAP_LIMIT, 0, left_out)
+def _gaps(stamp: Stamps, period: int) -> list[int]:
+    """Ticks missing before each one."""
+    return np.append(0, np.diff(stamp) // period - 1).tolist()  # type: ignore[no-any-return]
 
 
 def replay(
@@ -155,15 +155,15 @@ def replay(
     controller: Controller,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replayed:
-    """Drive the cores with the sensors of a run, as the nodes do, from the zero state.
+    """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
-    The cores step on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
+    Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
     step on held samples, as the node did.
 
     Parameters
     ----------
     run : with the sensor topics
-    estimator, controller : the cores; both are reset first
+    estimator, controller : both are reset first
     progress : called with (ticks done, all ticks) about every second of the run
     """
     given = sensors(run)
@@ -172,34 +172,25 @@ def replay(
     stamp, measurement = given.stamp[rows], given.measurement[rows]
     total = 2 * len(stamp)
     estimate = np.zeros((len(stamp), 2))
-    out, held = np.zeros(2), np.zeros(22)
-    held[18:20] = np.nan
     estimator.reset()
-    for i, left_out in enumerate(_gaps(stamp, given.period)):
-        for _ in range(left_out):
-            estimator.step(held, out)
-        estimator.step(measurement[i], out)
-        estimate[i] = out
-        held[:18], held[20:] = measurement[i, :18], measurement[i, 20:]
+    step = GapStepper(estimator.step, measurement.shape[1], CAMERA)
+    for i, gap in enumerate(_gaps(stamp, given.period)):
+        step(measurement[i], gap, estimate[i])
         if i % 1000 == 0:
             progress(i, total)
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
     command_stamp = stamp[acted]
-    command = _commands(controller, estimate[acted], measurement[acted, :6], _gaps(command_stamp, given.period))
+    command = _commands(controller, estimate[acted], measurement[acted, PLATFORM], _gaps(command_stamp, given.period))
     progress(total, total)
     return Replayed(read_only(stamp.copy()), read_only(estimate), read_only(command_stamp.copy()), read_only(command))
 
 
-def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: NDArray[np.int64]) -> Floats:
-    command, out = np.zeros((len(estimate), 8)), np.zeros(8)
-    held_los, held_accel = np.zeros(2), np.zeros(6)
+def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: list[int]) -> Floats:
+    samples, command = np.hstack([estimate, accel]), np.zeros((len(estimate), COMMANDS))
     controller.reset()
-    for i, left_out in enumerate(gaps):
-        for _ in range(left_out):
-            controller.step(held_los, held_accel, out)
-        controller.step(estimate[i], accel[i], out)
-        command[i] = out
-        held_los[:], held_accel[:] = estimate[i], accel[i]
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), samples.shape[1])
+    for i, gap in enumerate(gaps):
+        step(samples[i], gap, command[i])
     return command
 
 
@@ -279,19 +270,3 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
         lone = len(stamp) + len(topic) - 2 * len(i)
         found.append(Difference(name, len(i), int(wrong.sum()), lone, first, largest))
     return Comparison(tuple(found), sensors(run).incomplete)
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """Knowledge error of the replayed estimate: rms [rad], radial, and RKE rms in windows [rad], radial."""
-
-    rms: float
-    rke_rms: float
-    series: ErrorSeries
-
-
-def knowledge(run: Run, replayed: Replayed, window: float = 0.02, transient: float | None = None) -> Knowledge:
-    """Knowledge error of the replayed estimate against the recorded truth."""
-    series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-    rms = float(np.hypot(*metrics.rms(series.values)))
-    return Knowledge(rms, float(np.hypot(*metrics.rpe_rms(series.values, series.dt, window))), series)

@@ -26,22 +26,15 @@ from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.summary import WINDOW, Summary, summarise
+from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
-AUTHORITY = {
-    "fsm/command": 5.3e-3,
-    "pma/command": 31.6,
-}  # [rad], [N]; the bag's own ``fsm_authority``, ``pma_authority`` go before
+#: topic -> largest value that its actuator can do, a name of `telescope_value`
+AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
-WORDS = {
-    "compliant": "compliant",
-    "not compliant": "not compliant",
-    "not enough data": "not enough data",
-    "not judged": "not judged",
-}
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ def _row(label: str, v: Verdict) -> Row:
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=WORDS[v.status],
+        status=v.status,
         css=_css(v.status),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
@@ -143,13 +136,8 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
 
 
 def _authority(runs: Sequence[Run]) -> dict[str, float]:
-    known = dict(AUTHORITY)
-    for run in runs:
-        for topic, key in (("fsm/command", "fsm_authority"), ("pma/command", "pma_authority")):
-            own = run.parameters.get(key)
-            if isinstance(own, (int, float)) and own > 0:
-                known[topic] = float(own)
-    return known
+    """Largest values of the command topics, of the last run."""
+    return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
 def intervals_us(run: Run) -> NDArray[np.float64]:
@@ -320,9 +308,9 @@ def render(
         No run was given, or predictions for another number of runs.
     """
     if not runs:
-        raise ValueError("expected at least one run for a report; got none")
+        raise ValueError("runs must hold at least one run, got none")
     if predictions and len(predictions) != len(runs):
-        raise ValueError(f"expected one prediction for each of {len(runs)} runs; got {len(predictions)}")
+        raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
@@ -381,7 +369,7 @@ def write_report(
     target = Path(path)
     page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
     if not target.parent.is_dir():
-        raise ValueError(f"expected an existing folder for the report; got {target.parent}")
+        raise ValueError(f"the folder of the report must exist, got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:
         stream.write(page)
     os.chmod(stream.name, 0o644)

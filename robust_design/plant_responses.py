@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti.batched_linalg import solve
-from lti.modal_response import FrequencyResponse, refined_grid
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import FrequencyResponse
 from lti.state_space_model import StateSpace
 from robust_design.controller_response import controller_factors, controller_response
 from robust_design.prefeedback import applied, prefeedback
@@ -25,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50
+
+GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,9 @@ class PlantResponses:
         sizes = np.abs(every[np.abs(every) > 1e-9])
         if len(sizes) == 0:
             sizes = np.array([1.0])
-        inner = refined_grid(every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade)
+        inner = frequency_grid(
+            every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
+        )
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
         at_origin = np.any(np.abs(every) <= 1e-9)
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])

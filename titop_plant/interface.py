@@ -34,6 +34,12 @@ DT = 1.0 / RATE
 TICK_NS = 1_000_000_000 // RATE
 """The same [ns]; every stamp is a multiple of it."""
 
+HOLD_DELAY = 0.5 * DT
+"""Mean delay of a command that is held for one tick [s]."""
+
+LOOP_DELAY = DT + HOLD_DELAY
+"""Delay of the loop: a tick from measurement to command, and the mean delay of the held command [s]."""
+
 CAMERA_RATE = 50.0
 """Frames per second that the stored controllers are designed for; a run may have another rate."""
 
@@ -247,7 +253,7 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
     ----------
     controllers : iterable of Designed
     telescope : DesignBasis
-        The telescope's values, limits of the run in the place of its own.
+        The telescope's values, with the limits of the run.
     closed : bool
         Whether these controllers close a loop.
 
@@ -272,7 +278,7 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
             made, present = (
                 ", ".join(f"{name} {_text(pair[side])}" for name, pair in found.items()) for side in (0, 1)
             )
-            lines.append(f"{controller.name} was made for {made}; this telescope has {present}")
+            lines.append(f"{controller.name} was made for {made}, not for {present}")
     return tuple(lines)
 
 

@@ -33,9 +33,6 @@ from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, 
 from titop_plant.telescope.parameters import Parameters
 
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
-HOLD_DELAY = 0.5 * DT
-"""Mean delay of a command that is held for one tick [s]."""
-
 ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
 OPTICAL_NOISE = Port("optical_noise", MEASUREMENTS - ACCELERATIONS.stop)
 """Noise of the measurements: of the accelerometers; of camera and strain gauges."""

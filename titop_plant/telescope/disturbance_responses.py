@@ -14,7 +14,9 @@ import numpy as np
 from scipy import linalg
 
 from lti import Port, StateSpace, UncertainSystem
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from titop_plant.disturbances import weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures.kinematics import FloatArray
@@ -74,7 +76,7 @@ class DisturbanceResponses:
         amplitude = weight_amplitudes(self.parameters, omega)
         scale = np.hstack([amplitude[:, _COLUMNS[name]] for name in inputs])
         response = frequency_response(data, omega) * scale[:, None, :]
-        return Curve(omega, np.asarray(singular_values(response)[:, 0] / ARCSEC))
+        return Curve(omega, np.asarray(largest_gains(response) / ARCSEC))
 
     def first_channel(self, values: Mapping[str, float], low: float, high: float) -> Curve:
         """Line of sight about x due to the first imbalance channel of wheel 1, its radial force x [arcsec/N]."""
@@ -82,7 +84,7 @@ class DisturbanceResponses:
         data = StateSpace(
             whole.A, whole.B[:, :1], whole.C[:1], whole.D[:1, :1], (Port("force", 1, "N"),), (Port("los", 1, "rad"),)
         )
-        omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, per_mode=11)
+        omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, offsets=(0.0, 0.6, 1.2, 1.8, 2.4, 3.0))
         return Curve(omega, np.abs(frequency_response(data, omega)[:, 0, 0]) / ARCSEC)
 
     def band(

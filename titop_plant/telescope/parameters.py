@@ -41,7 +41,7 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     ------
     ValueError
         File missing or not TOML; a key that the reference does not have, or a value of another kind, length or
-        sign than the one in its place. The message names the file, the line and the key.
+        sign than the reference's. The message names the file, the line and the key.
     """
     reference, _ = _read(REFERENCE)
     if Path(path) == REFERENCE:

@@ -15,11 +15,11 @@ from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
 from los_design import plant_figures
-from titop_plant.disturbances import rpe_weight
 from titop_plant.simulation import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.weights import rpe_weight
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
         (["--sample=-1"], ["sample", "not negative", "-1"]),
         (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
         (["--case=xyz"], ["no case 'xyz'", "expected one of nominal"]),
-        (["--cases=mine.yaml"], ["--cases mine.yaml needs --case NAME"]),
+        (["--cases=mine.yaml"], ["--case must be given with --cases mine.yaml"]),
         (["--case=a", "--cases=none.yaml"], ["none.yaml", "No such file"]),
         (["--parameters=none.toml"], ["none.toml", "No such file"]),
     ],

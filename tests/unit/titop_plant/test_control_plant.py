@@ -5,11 +5,10 @@ import pytest
 from scipy import linalg
 
 from lti.frequency_response import frequency_response
-from titop_plant.interface import ACCELEROMETERS, COMMANDED, DT
+from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED
 from titop_plant.simulation import telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
-    HOLD_DELAY,
     camera_hold,
     held_commands,
     with_camera,
@@ -22,7 +21,7 @@ ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
 
 @pytest.fixture(scope="module")
 def plant():
-    outputs = ("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
+    outputs = ("los_controlled", *MEASURED)
     return with_camera(telescope().system, load_parameters()).select(
         inputs=(*DISTURBANCES, *COMMANDED), outputs=outputs
     )

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from lti.minimal import minimal_realisation
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
@@ -24,6 +26,7 @@ from titop_plant.telescope.parameters import (
     parameters_hash,
     uncertain_parameters,
 )
+from titop_plant.telescope.weights import rpe_weight
 
 OCCURRENCES = {
     "wheel_1.speed": 2,
@@ -146,7 +149,7 @@ def weighted(system, parameters, values, omega, inputs=("wheel_imbalance", "sadm
     columns = {"wheel_imbalance": slice(0, 20), "sadm_torque": slice(20, 22)}
     size = np.hstack([amplitudes[:, columns[name]] for name in inputs])
     response = frequency_response(system[("los_controlled",), tuple(inputs)].data_at(values), omega)
-    return singular_values(response * size[:, None, :])[:, 0] / ARCSEC
+    return largest_gains(response * size[:, None, :]) / ARCSEC
 
 
 def grid(system, values, low: float, high: float) -> np.ndarray:

@@ -237,7 +237,7 @@ def tone_model(config: RunConfig, controllers: Mapping[str, SampledSystem] | Non
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:
-    """What a plant says about itself for the metadata of a bag."""
+    """Tones and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)
     if tones is not None:

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from los_testbed.cli.output import Json, print_json
 from lti.progress import Progress
+from titop_plant.interface import CAMERA_RATE
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -41,9 +42,9 @@ def stages(
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
-    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the one that ships.")] = "",
-    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file.")] = "",
-    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = 50.0,
+    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
+    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
+    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,

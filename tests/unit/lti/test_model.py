@@ -8,7 +8,7 @@ import pytest
 
 from lti.feedback import cascade, close_loop
 from lti.filters import transfer
-from lti.modal_response import direct_response
+from lti.frequency_response import direct_response
 from lti.ports import Port
 from lti.sampling import sampled
 from lti.state_space_model import StateSpace
