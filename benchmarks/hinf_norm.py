@@ -87,12 +87,12 @@ def main() -> None:
         systems = [structure(k, arguments.modes) for k in range(arguments.samples)]
     with threadpool_limits(1):
         hinf_norms(systems[:1], rtol=RTOL)
-        begun = time.perf_counter()
+        start = time.perf_counter()
         ours = hinf_norms(systems, rtol=RTOL)
-        seconds = time.perf_counter() - begun
-        begun = time.perf_counter()
+        seconds = time.perf_counter() - start
+        start = time.perf_counter()
         reference = slycot_norms(systems)
-        slycot_seconds = time.perf_counter() - begun
+        slycot_seconds = time.perf_counter() - start
     result: dict[str, object] = {
         "case": arguments.case,
         "states": len(systems[0][0]),
