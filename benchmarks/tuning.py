@@ -103,11 +103,11 @@ def reference(problem: Problem, x0: np.ndarray, method: str, budget: int) -> dic
         best[0] = min(best[0], f)
         return f if method == "COBYQA" else (f, g)
 
-    begun = time.perf_counter()
+    start = time.perf_counter()
     options = {"maxfev": budget} if method == "COBYQA" else {"maxiter": budget}
     with suppress(_BudgetSpentError):
         scipy.optimize.minimize(value, x0, jac=method != "COBYQA", method=method, options=options)
-    return {"value": best[0], "evaluations": counter[0], "seconds": time.perf_counter() - begun}
+    return {"value": best[0], "evaluations": counter[0], "seconds": time.perf_counter() - start}
 
 
 class _BudgetSpentError(Exception):
@@ -126,9 +126,9 @@ def stabilised(problem: Problem) -> np.ndarray:
 def measure(problem: Problem) -> dict[str, Any]:
     """One problem, three methods."""
     x0 = stabilised(problem)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     run = tune_from(problem, x0, 0, TuningOptions(iterations=BUDGET), time.monotonic() + 300)
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start
     K = controller(problem.structure, run.x)
     certified = certify(problem.models, K, problem.requirements, problem.loop_delay)
     budget = max(run.evaluations, BUDGET)
