@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+SKIPPED := .venv/skipped-tests.txt
 PACKAGES := lti titop_plant robust_design los_estimator fsm_pma_controller los_design pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -11,7 +12,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
-	@echo "make test       style, types, all tests of ordinary length"
+	@echo "make test       style, types, all tests of ordinary length; at the end what was skipped and how to get it"
 	@echo "make test-slow  the long ones"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
@@ -39,8 +40,11 @@ lint: $(READY)
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/pytest -n 2 -m "not slow and not ros" --doctest-modules tests $(PACKAGES)
-	$(BIN)/pytest -m "ros and not slow" tests
+	@rm -f $(SKIPPED)
+	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest -n 2 -m "not slow and not ros" --doctest-modules tests $(PACKAGES)
+	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest -m "ros and not slow" tests
+	@if [ -s $(SKIPPED) ]; then echo "Skipped tests, and how to run them:"; cat $(SKIPPED); \
+	    else echo "No test was skipped."; fi
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow tests

@@ -21,7 +21,7 @@ import numpy as np
 from los_testbed.factories import build_controller, build_estimator, build_plant
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import aligned_start
-from los_testbed.nodes import shell as shell_module
+from los_testbed.nodes.support import node_context
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import MESSAGES
 from los_testbed.topics import (
@@ -35,7 +35,6 @@ from los_testbed.topics import (
     PMA_COMMAND,
     PROGRESS_TOPIC,
     SENSORS,
-    TICK_NS,
     TRUTH_LOS,
     Topic,
 )  # fmt: skip
@@ -43,6 +42,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 
 from lti.threads import one_thread
+from titop_plant.interface import TICK_NS
 
 NS = 1_000_000_000
 RING = 64
@@ -66,10 +66,10 @@ def read(message: Any, topic: Topic, out: np.ndarray) -> None:
 class Output:
     """Publisher of a topic; each sample is a message object."""
 
-    def __init__(self, shell: NodeContext, topic: Topic) -> None:
+    def __init__(self, context: NodeContext, topic: Topic) -> None:
         kind = MESSAGES[topic.type_name]
         self.topic, self.kind = topic, kind
-        self.publisher = shell.node.create_publisher(kind, topic.name, 10)
+        self.publisher = context.node.create_publisher(kind, topic.name, 10)
 
     def send(self, stamp: int, values: np.ndarray) -> None:
         message, numbers = self.kind(), values.tolist()
@@ -85,19 +85,19 @@ class Output:
         self.publisher.publish(message)
 
 
-class Join:
+class Synchronizer:
     """Samples of a tick by stamp; `tick(stamp, vector)` when all that are due have come."""
 
     def __init__(
-        self, shell: NodeContext, topics: tuple[Topic, ...], columns: list[slice], size: int, tick: Any
+        self, context: NodeContext, topics: tuple[Topic, ...], columns: list[slice], size: int, tick: Any
     ) -> None:
         self.pending: dict[int, tuple[np.ndarray, set[int]]] = {}
         self.size, self.tick, self.count = size, tick, len(topics)
-        self.frame_ns = shell.config.frame_ticks * TICK_NS
+        self.frame_ns = context.config.frame_ticks * TICK_NS
         self.camera = next((i for i, topic in enumerate(topics) if topic.rate == "camera"), None)
         for index, topic in enumerate(topics):
             callback = self.callback(index, topic, columns[index])
-            shell.node.create_subscription(MESSAGES[topic.type_name], topic.name, callback, 10)
+            context.node.create_subscription(MESSAGES[topic.type_name], topic.name, callback, 10)
 
     def callback(self, index: int, topic: Topic, columns: slice) -> Any:
         def receive(message: Any) -> None:
@@ -118,11 +118,11 @@ class Join:
 class PlantTimer:
     """Plant on a ROS timer of 1 ms."""
 
-    def __init__(self, shell: NodeContext) -> None:
-        self.shell, self.core = shell, build_plant(shell.config)
+    def __init__(self, context: NodeContext) -> None:
+        self.context, self.core = context, build_plant(context.config)
         self.core.reset()
-        self.sensors, self.truth_output = [Output(shell, t) for t in SENSORS], Output(shell, TRUTH_LOS)
-        self.frame_ns = shell.config.frame_ticks * TICK_NS
+        self.sensors, self.truth_output = [Output(context, t) for t in SENSORS], Output(context, TRUTH_LOS)
+        self.frame_ns = context.config.frame_ticks * TICK_NS
         self.command, self.measurement, self.truth = np.zeros(8), np.zeros(22), np.zeros(2)
         self.latency, self.lateness, self.execution = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.woke = [0] * RING
@@ -131,10 +131,10 @@ class PlantTimer:
         self.start = self.begin = self.k = self.held = self.skipped = self.calls = 0
         for topic in COMMANDS:
             kind = MESSAGES[topic.type_name]
-            shell.node.create_subscription(kind, topic.name, self.receiver(topic), 10)
-        shell.node.create_subscription(MESSAGES[HEADER], PROGRESS_TOPIC, lambda m: self.echoes.add("recorder"), 10)
-        self.timer = shell.node.create_timer(1e-3, self.tick)
-        shell.event("alone")
+            context.node.create_subscription(kind, topic.name, self.receiver(topic), 10)
+        context.node.create_subscription(MESSAGES[HEADER], PROGRESS_TOPIC, lambda m: self.echoes.add("recorder"), 10)
+        self.timer = context.node.create_timer(1e-3, self.tick)
+        context.event("alone")
 
     def receiver(self, topic: Topic) -> Any:
         values = self.command[topic.columns]
@@ -165,15 +165,15 @@ class PlantTimer:
         stamp = self.start + self.k * TICK_NS
         if self.k and min(self.newest.values()) < stamp - TICK_NS:
             self.held += 1
-        if self.k == self.shell.config.ticks or self.shell.stop:
-            self.shell.stop = True
+        if self.k == self.context.config.ticks or self.context.stop:
+            self.context.stop = True
             return
         self.core.step(self.command, self.measurement, self.truth)
         self.send(stamp)
         self.execution.add(time.monotonic_ns() - now)
         self.k += 1
         if self.k % 100 == 50:
-            self.shell.event("progress", tick=self.k)
+            self.context.event("progress", tick=self.k)
 
     def send(self, stamp: int) -> None:
         for output in self.sensors:
@@ -186,9 +186,9 @@ class PlantTimer:
         if len(self.echoes) < 3 and self.calls % HOLD_TICKS == 0:
             self.send(0)
         elif len(self.echoes) == 3 and self.calls % HOLD_TICKS == 0:
-            self.start = aligned_start(time.time_ns(), self.shell.config.frame_ticks)
+            self.start = aligned_start(time.time_ns(), self.context.config.frame_ticks)
             self.begin = now + TICK_NS
-            self.shell.event("running", start_ns=self.start)
+            self.context.event("running", start_ns=self.start)
 
     def finish(self) -> None:
         statistics = {
@@ -196,14 +196,14 @@ class PlantTimer:
             **self.latency.summary("latency"), **self.lateness.summary("lateness"),
             **self.execution.summary("execution"),
         }  # fmt: skip
-        self.shell.event("done", statistics=statistics, latency=self.latency.histogram())
+        self.context.event("done", statistics=statistics, latency=self.latency.histogram())
 
 
 class Estimator:
-    def __init__(self, shell: NodeContext) -> None:
-        self.core, self.output, self.los = build_estimator(shell.config), Output(shell, LOS_ESTIMATE), np.zeros(2)
-        self.join = Join(shell, SENSORS, [t.columns for t in SENSORS], 22, self.tick)
-        shell.event("ready")
+    def __init__(self, context: NodeContext) -> None:
+        self.core, self.output, self.los = build_estimator(context.config), Output(context, LOS_ESTIMATE), np.zeros(2)
+        self.synchronizer = Synchronizer(context, SENSORS, [t.columns for t in SENSORS], 22, self.tick)
+        context.event("ready")
 
     def tick(self, stamp: int, measurement: np.ndarray) -> None:
         if stamp:
@@ -215,11 +215,13 @@ class Estimator:
 
 
 class Controller:
-    def __init__(self, shell: NodeContext) -> None:
-        self.core, self.outputs = build_controller(shell.config), [Output(shell, t) for t in COMMANDS]
+    def __init__(self, context: NodeContext) -> None:
+        self.core, self.outputs = build_controller(context.config), [Output(context, t) for t in COMMANDS]
         self.command = np.zeros(8)
-        self.join = Join(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), [slice(2, 8), slice(0, 2)], 8, self.tick)
-        shell.event("ready")
+        self.synchronizer = Synchronizer(
+            context, (ISOLATOR_ACCEL, LOS_ESTIMATE), [slice(2, 8), slice(0, 2)], 8, self.tick
+        )
+        context.event("ready")
 
     def tick(self, stamp: int, sample: np.ndarray) -> None:
         if stamp:
@@ -237,14 +239,14 @@ NODES: dict[str, Any] = {"plant": PlantTimer, "estimator": Estimator, "controlle
 def main() -> int:
     name, kind, *arguments = sys.argv[1:]
 
-    shell_module.sharpen_timers = lambda: None  # the process as it comes
+    node_context.sharpen_timers = lambda: None  # the process as it comes
 
-    def body(shell: NodeContext) -> int:
+    def body(context: NodeContext) -> int:
         with one_thread():
-            node = NODES[name](shell)
+            node = NODES[name](context)
             executor = EventsExecutor() if kind == "events" else SingleThreadedExecutor()
-            executor.add_node(shell.node)
-            while not shell.stop:  # without a finite timeout the events executor keeps the interpreter to itself
+            executor.add_node(context.node)
+            while not context.stop:  # without a finite timeout the events executor keeps the interpreter to itself
                 executor.spin_once(timeout_sec=0.1)
             node.finish()
             time.sleep(0.5)  # the last samples arrive

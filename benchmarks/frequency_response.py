@@ -20,7 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import control
 import numpy as np
 
-from lti.frequency_response import frequency_grid, frequency_response
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from lti.ports import port_slices
 from titop_plant.simulation import telescope
 

@@ -3,9 +3,9 @@
     python benchmarks/hinf_norm.py [--case telescope] [--samples 40] [--json]
 
 ``telescope`` is the closed loop of the reference telescope with the stored K_FSM and K_PMA, as implemented, with the
-delay as a Pade approximation, from normalised disturbances (22) through their weight to the relative error (2): about 320
-states. ``structure`` is made up: modes from 0.1 to 2000 rad/s with damping 0.001 to 0.02 in coordinates that mix all
-modes. Every sample has other parameters. Both sides get the same tolerance, one thread. Slycot is optional:
+delay as a Padé approximation, from normalised disturbances (22) through their weight to the relative error (2): about
+320 states. ``structure`` is synthetic: modes from 0.1 to 2000 rad/s with damping 0.001 to 0.02 in coordinates that mix
+all modes. Every sample has other parameters. Both sides get the same tolerance, one thread. Slycot is optional:
 ``pip install slycot`` (its wrapper is GPL-2, so it is no dependency of the project).
 """
 

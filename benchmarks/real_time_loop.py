@@ -107,8 +107,8 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
         for process in busy:
             process.kill()
             process.wait()
-    (began, first), (ended, last) = seen[0], seen[-1]
-    span = max(ended - began, 1e-9)
+    (start_time, first), (ended, last) = seen[0], seen[-1]
+    span = max(ended - start_time, 1e-9)
     return results, {node: round(100 * (last[node] - first[node]) / span, 1) for node in first}
 
 

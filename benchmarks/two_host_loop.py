@@ -1,9 +1,9 @@
-"""The loop over two hosts (network namespaces): latency and missed ticks for a good and a bad cable.
+"""The loop over two hosts (network namespaces): latency and missed ticks by the link between them.
 
     python benchmarks/two_host_loop.py [--seconds 20] [--docs] [--json]
 
-Plant and recorder run on the first host, estimator and controller on the second. The cables: none (one host), a veth
-pair, and one that delays every packet by 0.2 ms and loses one in a thousand.
+Plant and recorder run on the first host, estimator and controller on the second. The links: none (one host), a veth
+pair, and one that delays every packet by 0.2 ms, without losses and with one tick in a thousand lost each way.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from pointing_analysis.read import Run
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 
 
-def cables() -> dict[str, Callable[[], Any]]:
-    """Cables by name."""
+def links() -> dict[str, Callable[[], Any]]:
+    """Links by name."""
     sys.path.insert(0, str(SUPPORT))
     hosts = import_module("two_hosts")
     return {
         "one host": contextlib.nullcontext,
-        "two hosts": hosts.near,
-        "two hosts, 0.2 ms each way": lambda: hosts.far(loss=0.0),
-        "two hosts, 0.2 ms each way, 0.1 % lost": hosts.far,
+        "two hosts": hosts.veth_pair,
+        "two hosts, 0.2 ms each way": lambda: hosts.lossy_link(period=0),
+        "two hosts, 0.2 ms each way, 0.1 % lost": lambda: hosts.lossy_link(period=1000),
     }
 
 
@@ -46,21 +46,21 @@ def main() -> None:
     parser.add_argument("--docs", action="store_true", help="write the table into docs/real_time.md")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    result = {name: fly(cable, arguments.seconds) for name, cable in cables().items()}
+    result = {name: measured(link, arguments.seconds) for name, link in links().items()}
     if arguments.docs:
         write_between(DOCS / "real_time.md", "two_hosts", table(result))
     print(json.dumps(result) if arguments.json else table(result))
 
 
-def fly(cable: Callable[[], Any], seconds: float) -> dict[str, float]:
-    """One run over a cable; its figures."""
-    with tempfile.TemporaryDirectory(prefix="los_testbed_hosts_") as name, cable() as hosts:
+def measured(link: Callable[[], Any], seconds: float) -> dict[str, float]:
+    """One run over a link; its figures."""
+    with tempfile.TemporaryDirectory(prefix="los_testbed_hosts_") as name, link() as hosts:
         folder = Path(name)
         config = RunConfig(duration=seconds, output=str(folder / "bag"), domain=88, wait_for_recorder=True)
         if hosts is None:
             Runner(config).run()
         else:
-            hosts.fly(config, folder)
+            hosts.run(config, folder)
             hosts.unplug()
         statistics = Run.open(folder / "bag").parameters["statistics"]
     plant = statistics["plant"]
@@ -76,7 +76,7 @@ def fly(cable: Callable[[], Any], seconds: float) -> dict[str, float]:
 def table(result: dict[str, dict[str, float]]) -> str:
     """Markdown table."""
     lines = [
-        "| cable | missed ticks | latency median [us] | 99 % | 99.9 % | packets lost | ticks stepped over |",
+        "| link | missed ticks | latency median [us] | 99 % | 99.9 % | packets lost | ticks stepped over |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for name, r in result.items():

@@ -1,12 +1,11 @@
-"""Write a table of README.md between its markers, from what a command makes.
+"""Write a table of README.md between its markers, from the output of a command.
 
     los-testbed design table --json | python docs/fill_tables.py gammas
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
     python docs/fill_tables.py prediction < FOLDER/stages.md
 
-The page holds ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; what stands between them is replaced.
-``stages`` are the figures of each scenario, ``prediction`` the first scenario's transmissibility, measured beside the
-model's.
+The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
+the results of each scenario, ``prediction`` the transmissibility in the first scenario, measured and modelled.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def gammas(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Gammas of the stored designs beside the published ones, one design and problem a row.
+    """Gammas of the stored designs and the published ones, one row per design and problem.
 
     Examples
     --------
@@ -64,7 +63,7 @@ def gammas(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def parts(text: str, heading: str) -> list[str]:
-    """Paragraphs of stages.md that begin with the heading, each with the table under it.
+    """Paragraphs of stages.md that begin with `heading`, each with the table that follows it.
 
     Examples
     --------
@@ -76,21 +75,21 @@ def parts(text: str, heading: str) -> list[str]:
 
 
 def table_of(name: str, text: str) -> str:
-    """What goes between the markers `name`.
+    """Text for the markers `name`.
 
     Raises
     ------
     ValueError
-        Unknown name, or a text that holds no such table.
+        Unknown name, or a text without such a table.
     """
     if name == "gammas":
         return gammas(json.loads(text))
     chosen = {"stages": "**Scenario", "prediction": "Transmissibility"}
     if name not in chosen:
-        raise ValueError(f"expected gammas, {' or '.join(chosen)}, got {name!r}")
+        raise ValueError(f"name must be gammas, {' or '.join(chosen)}, got {name!r}")
     found = parts(text, chosen[name])
     if not found:
-        raise ValueError(f"expected the text of stages.md with a paragraph that begins with {chosen[name]!r}")
+        raise ValueError(f"input must be stages.md with a paragraph that begins with {chosen[name]!r}, got none")
     return "\n\n".join(found if name == "stages" else found[:1])
 
 
@@ -109,7 +108,8 @@ def filled(page: str, name: str, table: str) -> str:
     """
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     if page.count(begin) != 1 or page.count(end) != 1:
-        raise ValueError(f"expected {begin} and {end} once each on the page")
+        counts = page.count(begin), page.count(end)
+        raise ValueError(f"page must have {begin} and {end} once each, got {counts[0]} and {counts[1]}")
     before, rest = page.split(begin)
     return f"{before}{begin}\n\n{table}\n\n{end}{rest.split(end)[1]}"
 

@@ -1,4 +1,4 @@
-"""Picture of a report for the README: the top of the page as a desk shows it.
+"""Picture of a report for the README: the top of the page in a browser window of desktop width.
 
 python docs/report_picture.py REPORT.html docs/figures/report.png
 """
@@ -15,7 +15,7 @@ from headless_browser import Page, browser
 WIDTH, HEIGHT = 1280, 2230
 
 if browser() is None:
-    sys.exit("expected a Chromium on this machine (apt-get install chromium); found none")
+    sys.exit("Chromium must be installed (apt-get install chromium), got none")
 with Page() as page:
     page.open(Path(sys.argv[1]), WIDTH)
     picture = Image.open(io.BytesIO(page.picture()))

@@ -22,7 +22,7 @@ arguments = parser.parse_args()
 
 with tempfile.TemporaryDirectory() as folder:
     bags = arguments.bags
-    if not bags:  # two stages of an invented telescope
+    if not bags:  # two stages of a synthetic telescope
         t = 1e-3 * np.arange(6000)
         for loop, scale in (("isolator", 150.0), ("fsm", 20.0)):
             los = scale * RAD_PER_MAS * np.column_stack([np.sin(88 * t), np.cos(88 * t)])

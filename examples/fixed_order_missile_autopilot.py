@@ -1,20 +1,20 @@
 """Fixed-order H-infinity autopilot of a missile (COMPleib AC4; Fares, Apkarian and Noll 2001).
 
-Controllers of order 0, 1, 2 and 4 on the same generalised plant, beside the full-order optimum 0.5573 (two
-Riccati equations): how much does each state of the controller buy?
+Controllers of order 0, 1, 2 and 4 on the same generalised plant, compared with the full-order optimum 0.5573 (two
+Riccati equations).
 """
 
 from __future__ import annotations
 
 from robust_design import HinfGain, TuningOptions, TuningResult, state_space, tune
-from robust_design.published_plants import ac4
+from robust_design.published_plants import PLANTS
 
 FULL_ORDER_OPTIMUM = 0.557291  # python-control 0.10.2, hinfsyn
 
 
 def main() -> dict[int, TuningResult]:
     """Design and report."""
-    plant = ac4()
+    plant = PLANTS["AC4"]()
     results = {}
     for order in (0, 1, 2, 4):
         structure = state_space([("y", 2)], [("u", 1)], order)

@@ -1,9 +1,8 @@
 """PID of a slow process with a delay: five requirements at once.
 
-Process 2 / ((10 s + 1)(s + 1)) with 0.5 s of delay in the loop. Load disturbances are to be rejected as well as
-possible (soft) while
-the sensitivity peak stays below 1.7 and the complementary one below 1.3 (hard: margins), measurement noise moves
-the command by at most 0.15 units rms (hard, H2), and no closed-loop pole is faster than 12 rad/s (hard).
+Process 2 / ((10 s + 1)(s + 1)) with 0.5 s of delay in the loop. Load disturbances are rejected as well as possible
+(soft requirement). Hard requirements: peak sensitivity below 1.7, peak complementary sensitivity below 1.3 (margins),
+command due to measurement noise at most 0.15 units rms (H2), no closed-loop pole faster than 12 rad/s.
 """
 
 from __future__ import annotations
@@ -19,8 +18,10 @@ PERIOD = 0.1  # s, of these samples
 
 
 def process() -> StateSpace:
-    """Ports: load, reference, noise, valve -> level, error, command, seen. The noise is filtered at 5 rad/s
-    before the PID."""
+    """Ports: load, reference, noise, valve -> level, error, command, seen (input of the PID).
+
+    The noise is filtered at 5 rad/s before the PID.
+    """
     A = [[-0.1, 0.2, 0, 0], [0, -1, 0, 0], [0, 0, -5, 0], [-5, 0, 0, -5]]
     B = [[0, 0, 0, 0], [1, 0, 0, 1], [0, 0, 5, 0], [0, 5, 0, 0]]
     C = [[1, 0, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 0], [0, 0, -1, 1]]
@@ -32,7 +33,7 @@ def process() -> StateSpace:
 
 
 REQUIREMENTS = [
-    # integral action is wanted: a load step must leave no error, so the weight is almost an integrator
+    # a load step must leave no steady error (integral action), so the weight is almost an integrator
     HinfGain("load", "level", weight_out=transfer([1, 0.2], [1, 1e-4], name="1/s"), name="load rejection"),
     HinfGain("reference", "error", bound=1.7, hard=True, name="sensitivity peak"),
     HinfGain("reference", "level", bound=1.3, hard=True, name="overshoot"),

@@ -1,4 +1,4 @@
-"""Where does the jitter come from? Spectrum, cumulative RMS, and the share of each disturbance line.
+"""Sources of jitter: spectrum, cumulative RMS and the contribution of each disturbance line.
 
 python examples/pointing_spectrum.py [BAG]
 """

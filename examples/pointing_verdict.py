@@ -1,4 +1,4 @@
-"""Judge a bag against requirements of your own, and see what a longer run would show.
+"""Evaluate a bag against user-defined requirements; where the data are too few, print how long a run must be.
 
 python examples/pointing_verdict.py [BAG ...]
 """

@@ -1,4 +1,4 @@
-"""Open a bag and look at what is in it: topics, rates, units, gaps.
+"""Open a bag and list its content: topics, rates, units, gaps.
 
 python examples/read_bag.py [BAG]
 """

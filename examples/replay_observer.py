@@ -1,9 +1,9 @@
-"""Drive an observer of your own with the sensors of a bag; compare its knowledge error with that of the one that flew.
+"""Drive a user-defined observer with the sensors of a bag; compare its knowledge error with the recorded estimate's.
 
     python examples/replay_observer.py [BAG]
 
-Anything with ``step(measurement, out)`` and ``reset()`` will do. The controller's commands are what it would have
-sent; the recorded plant does not answer to them.
+An observer is any object with ``step(measurement, out)`` and ``reset()``. The replayed controller's commands are
+computed, but the recorded plant does not respond to them.
 """
 
 import sys
@@ -20,7 +20,7 @@ from pointing_analysis.synthetic import write_bag
 
 
 class CameraOnly:
-    """Holds the last camera frame and takes out the mirror's share; knows nothing of accelerometers."""
+    """Holds the last camera frame minus the mirror's contribution; does not use the accelerometers."""
 
     def __init__(self):
         self.reset()
@@ -46,8 +46,8 @@ class MirrorLaw:
         out[2:] = 0.0
 
 
-def invented(path):
-    """A slow motion, seen by the camera at 50 Hz; the recorded estimate lags 5 ms behind."""
+def synthetic(path):
+    """A slow motion, measured by the camera at 50 Hz; the recorded estimate has a delay of 5 ms."""
     n = 5000
     t = 1e-3 * np.arange(n)
     truth = 2000 * RAD_PER_MAS * np.column_stack([np.sin(3 * t), np.cos(2 * t)])
@@ -58,9 +58,9 @@ def invented(path):
 
 
 with tempfile.TemporaryDirectory() as folder:
-    run = Run.open(sys.argv[1] if len(sys.argv) > 1 else invented(Path(folder) / "bag"))
+    run = Run.open(sys.argv[1] if len(sys.argv) > 1 else synthetic(Path(folder) / "bag"))
     replayed = replay.replay(run, CameraOnly(), MirrorLaw())
     print(replay.compare(run, replayed))
     recorded = radial(knowledge_error(run).values)
-    print(f"knowledge error of the estimate that flew: {np.sqrt(np.nanmean(recorded**2)) / RAD_PER_MAS:.1f} mas rms")
+    print(f"knowledge error of the recorded estimate: {np.sqrt(np.nanmean(recorded**2)) / RAD_PER_MAS:.1f} mas rms")
     print(f"of the camera alone, held between frames: {replay.knowledge(run, replayed).rms / RAD_PER_MAS:.1f} mas rms")

@@ -2,9 +2,9 @@
 
     m = 3 kg +- 40 %,  c = 1 N s/m +- 20 %,  k = 2 N/m +- 30 %
 
-One PID must track for every value: the weighted sensitivity is minimised in the worst case, with the noise
-amplification (measurement noise to force) held, and a damping ratio of the loop asked for. The tuner starts with
-the nominal values and adds the worst others until nothing worse is found.
+One PID for every value: the worst case of the weighted sensitivity is minimised, with bounds on the noise
+amplification (measurement noise to force) and on the damping ratio of the closed loop. The tuner starts with
+the nominal values and adds the worst parameter values found until the search finds nothing worse.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
 
 def build(p: Mapping[str, float]) -> StateSpace:
-    """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (error as the controller sees
-    it)."""
+    """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (measured error)."""
     m, c, k = p["m"], p["c"], p["k"]
     return StateSpace(
         [[0, 1], [-k / m, -c / m]],

@@ -27,14 +27,15 @@ from lti import Connection, Port, StateSpace, UncertainSystem, connect, static_g
 from lti.delay import delayed_port
 from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
+from titop_plant.interface import COMMAND_PORTS, K_PMA_INPUTS, PLATFORM
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
+from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
-MEASUREMENTS = ("accel_Ip",)
+MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
 ORDER = 4
-FORCE = Port("pma_force", 6, "N")
+MIRROR_COMMAND, FORCE = COMMAND_PORTS
 PADE_ORDER = 3
 FORCE_SHARE = 0.5
 """Part of the actuators' authority that the design may ask for."""
@@ -77,16 +78,17 @@ def actuator_plant(
         Mean delay of held commands [s]: this part of the loop delay is in the plant, not the tuner's.
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
-    n_base, n_mirrors = Port("platform_noise", 6), Port("mirror_noise", 12)
-    split = np.eye(18)
-    mirror = Port("fsm_command", 2, "rad")
+    platform = PLATFORM.stop - PLATFORM.start
+    n_base, n_mirrors = Port("platform_noise", platform), Port("mirror_noise", ACCELEROMETER_NOISE.size - platform)
+    mirror = MIRROR_COMMAND
     late = delayed_port(mirror, loop_delay, PADE_ORDER)
     estimate = observer.output_port("los_estimate")
     law = static_gain(-np.eye(2) / parameters["fsm"]["los_sensitivity"], [estimate], [mirror])
-    noise = static_gain(split, [Port("platform", 6), Port("mirrors", 12)], [Port("accelerometer_noise", 18)])
+    parts = [Port("platform", n_base.size), Port("mirrors", n_mirrors.size)]
+    noise = static_gain(np.eye(ACCELEROMETER_NOISE.size), parts, [ACCELEROMETER_NOISE])
     systems = {"plant": plant, "observer": observer, "law": law, "late": late, "noise": noise}
     wires: list[Connection] = [
-        *((name, f"plant.{name}") for name in (*DISTURBANCES, "optical_noise", "pma_force")),
+        *((name, f"plant.{name}") for name in (*DISTURBANCES, OPTICAL_NOISE.name, "pma_force")),
         (n_base.name, "noise.platform"),
         (n_mirrors.name, "noise.mirrors"),
         ("noise.accelerometer_noise", "plant.accelerometer_noise"),
@@ -95,12 +97,12 @@ def actuator_plant(
         ("law.fsm_command", "late.fsm_command"),
         ("late.fsm_command", "plant.fsm_command"),
     ]
-    inputs = [plant.input_port(n) for n in (*DISTURBANCES, "optical_noise")] + [n_base, n_mirrors, FORCE]
+    inputs = [plant.input_port(n) for n in (*DISTURBANCES, OPTICAL_NOISE.name)] + [n_base, n_mirrors, FORCE]
     closed = connect(
         systems,
         wires,
         inputs=inputs,
-        outputs={"los_controlled": "plant.los_controlled", "accel_Ip": f"plant.{ACCELEROMETERS[0]}",
+        outputs={"los_controlled": "plant.los_controlled", "accel_Ip": "plant.accel_Ip",
                  "fsm_command": "law.fsm_command"},
     )  # fmt: skip
     return ActuatorPlant(_with_echo(closed))
@@ -109,7 +111,7 @@ def actuator_plant(
 def _with_echo(plant: UncertainSystem) -> UncertainSystem:
     """Show the force command as an output, too."""
     return connect(
-        {"plant": plant, "echo": static_gain(np.eye(6), [FORCE], [FORCE])},
+        {"plant": plant, "echo": static_gain(np.eye(FORCE.size), [FORCE], [FORCE])},
         [*((p.name, f"plant.{p.name}") for p in plant.inputs), (FORCE.name, f"echo.{FORCE.name}")],
         inputs=plant.inputs,
         outputs={**{p.name: f"plant.{p.name}" for p in plant.outputs}, FORCE.name: f"echo.{FORCE.name}"},
@@ -131,7 +133,7 @@ def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple
     )  # fmt: skip
     if not implemented:
         return paper
-    everything = ("platform_noise", "mirror_noise", "optical_noise")
+    everything = ("platform_noise", "mirror_noise", OPTICAL_NOISE.name)
     return (*paper, H2Gain(everything, (los,), weights["rpe_limit"], weight_out=relative, name="noise -> RPE"))
 
 

@@ -1,36 +1,28 @@
-"""The steering-mirror and proof-mass laws as they fly: one `step` per millisecond (numpy only)."""
+"""The steering-mirror and proof-mass laws at run time: one `step` per tick (numpy only)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.ports import Port
 from lti.sampled_system import SampledSystem
+from titop_plant.interface import (
+    COMMANDS,
+    DT,
+    FORCE_STAGES,
+    FORCES,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MIRROR,
+    MIRROR_STAGES,
+    STAGES,
+)
 
 FloatArray = NDArray[np.float64]
 
-DT = 1e-3
-"""Sampling period of the loop [s]."""
-
-MIRROR_GAIN = 0.1
-"""LOS rotation per rotation of the fast steering mirror (paper, section on optics)."""
-
-FSM_AUTHORITY = 5.3e-3
-"""Largest FSM angle per axis [rad] (paper, table of actuators)."""
-
-PMA_AUTHORITY = 31.6
-"""Largest force of one proof-mass actuator [N] (paper, table of actuators)."""
-
-LOOPS = ("none", "isolator", "fsm", "fsm+pma")
-"""Stages of the paper: hard-mounted payload, isolator, and the two actuator loops on top."""
-
-INPUTS = (Port("accel_Ip", 6, "m/s2,m/s2,m/s2,rad/s2,rad/s2,rad/s2"),)
-OUTPUTS = (Port("pma_force", 6, "N"),)
-
 
 class FsmPmaController:
-    """Mirror law ``u_fsm = -LOS_hat / 0.1`` and proof-mass law ``u_pma = K_PMA accel_Ip``.
+    """Mirror law ``u_fsm = -LOS_hat / los_sensitivity`` and proof-mass law ``u_pma = K_PMA accel_Ip``.
 
     ======== ============ ==== =========================================
     port     name         size content
@@ -47,60 +39,74 @@ class FsmPmaController:
     Parameters
     ----------
     k_pma : SampledSystem
-        Input ``accel_Ip`` (6), output ``pma_force`` (6), period 1 ms.
+        Input ``accel_Ip`` (6), output ``pma_force`` (6), period one tick.
     loop : {"none", "isolator", "fsm", "fsm+pma"}
         Stage: which of the loops are closed.
+    los_sensitivity : float
+        Line of sight by an angle of the mirror, rad/rad, that the observer was made for
+        (:meth:`titop_plant.interface.DesignBasis.mirror_sensitivity`).
     fsm_authority, pma_authority : float
         Limits per channel [rad], [N].
 
     Raises
     ------
     ValueError
-        Other ports, another period, unknown stage, limits that are not positive.
+        Other ports, another period, unknown stage, a sensitivity or a limit that is not positive.
 
     Examples
     --------
-    The mirror needs ten times the angle by which the line of sight is off, and stops at 5.3 mrad:
+    With a sensitivity of 0.1 the mirror turns by ten times the estimate, and stops at its limit:
 
-    >>> k = SampledSystem([], [], [], np.zeros((6, 6)), INPUTS, OUTPUTS, DT)
-    >>> controller, u = FsmPmaController(k, "fsm"), np.zeros(8)
+    >>> k = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    >>> controller = FsmPmaController(k, "fsm", los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
+    >>> u = np.zeros(COMMANDS)
     >>> controller.step(np.array([1e-6, -1e-3]), np.zeros(6), u)
-    >>> [round(float(x), 9) for x in u[:2]]
-    [-1e-05, 0.0053]
+    >>> [round(float(x), 9) for x in u[MIRROR]]
+    [-1e-05, 0.002]
     """
 
     def __init__(
         self,
         k_pma: SampledSystem,
-        loop: str = "fsm+pma",
-        fsm_authority: float = FSM_AUTHORITY,
-        pma_authority: float = PMA_AUTHORITY,
+        loop: str = STAGES[-1],
+        *,
+        los_sensitivity: float,
+        fsm_authority: float,
+        pma_authority: float,
     ) -> None:
-        if loop not in LOOPS:
-            raise ValueError(f"loop must be one of {', '.join(LOOPS)}, got {loop!r}")
-        for name, limit in (("fsm_authority", fsm_authority), ("pma_authority", pma_authority)):
-            if not (np.isfinite(limit) and limit > 0):
-                raise ValueError(f"{name} must be positive and finite, got {limit}")
-        k_pma.require(INPUTS, OUTPUTS, DT)
+        if loop not in STAGES:
+            raise ValueError(f"loop must be one of {', '.join(STAGES)}, got {loop!r}")
+        positive = {
+            "los_sensitivity": los_sensitivity,
+            "fsm_authority": fsm_authority,
+            "pma_authority": pma_authority,
+        }
+        for name, value in positive.items():
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+        k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
         self.k_pma = k_pma
         self.loop = loop
-        self._fsm_closed = loop in ("fsm", "fsm+pma")
-        self._pma_closed = loop == "fsm+pma"
-        self._limit = np.array([fsm_authority] * 2 + [pma_authority] * 6)
+        self.los_sensitivity = los_sensitivity
+        self._mirror_gain = -1.0 / los_sensitivity
+        self._fsm_closed = loop in MIRROR_STAGES
+        self._pma_closed = loop in FORCE_STAGES
+        self._limit = np.zeros(COMMANDS)
+        self._limit[MIRROR], self._limit[FORCES] = fsm_authority, pma_authority
         self._negative_limit = -self._limit
-        self._force = np.zeros(6)
+        self._force = np.zeros(FORCES.stop - FORCES.start)
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""
         if self._fsm_closed:
-            np.multiply(los_estimate, -1.0 / MIRROR_GAIN, out=out[:2])
+            np.multiply(los_estimate, self._mirror_gain, out=out[MIRROR])
         else:
-            out[:2] = 0.0
+            out[MIRROR] = 0.0
         if self._pma_closed:
             self.k_pma.step(accel_Ip, self._force)
-            out[2:] = self._force
+            out[FORCES] = self._force
         else:
-            out[2:] = 0.0
+            out[FORCES] = 0.0
         np.minimum(out, self._limit, out=out)
         np.maximum(out, self._negative_limit, out=out)
 

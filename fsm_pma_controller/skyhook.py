@@ -1,30 +1,33 @@
-"""A first proof-mass law: sky-hook damping of the platform.
+"""A simple proof-mass law: sky-hook damping of the platform.
 
 Above a corner the platform's acceleration is integrated to a velocity, and the six actuators together
 oppose it with a wrench ``W = -G v``::
 
     v = s a / (s^2 + 1.4 corner s + corner^2),    u = Gamma^-1 W,    Gamma: wrench on the platform by forces u
 
-Two states an axis. Plain integration would not do: below their own mode (sqrt(70/2.5) = 5.3 rad/s) the
-actuators' force on the platform turns round, and the solar arrays, damped by a thousandth, would swing up. Source:
-Preumont, Vibration Control of Active Structures, ch. 7 (sky-hook damper).
+Two states per axis. The integration begins above the corner only: below the actuators' own mode
+(sqrt(70/2.5) = 5.3 rad/s) their force on the platform has the opposite sign, and a pure integrator would destabilise
+the solar arrays, whose damping ratio is 0.001. Source: Preumont, Vibration Control of Active Structures, ch. 7
+(sky-hook damper).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from fsm_pma_controller.runtime import DT, INPUTS, OUTPUTS
 from lti import SampledSystem, UncertainSystem, state_space
 from lti.filters import high_pass, with_input_filter
 from lti.sampling import sampled
+from titop_plant.interface import DT, K_PMA_INPUTS, K_PMA_OUTPUTS, DesignBasis
 from titop_plant.structures.kinematics import FloatArray, tau
-from titop_plant.telescope.parameters import Parameters, actuator_components
+from titop_plant.telescope.components import actuator_components
+from titop_plant.telescope.parameters import Parameters
 
 
 def actuator_wrenches(parameters: Parameters) -> FloatArray:
@@ -34,7 +37,7 @@ def actuator_wrenches(parameters: Parameters) -> FloatArray:
 
     Examples
     --------
-    The six actuators together reach all six directions:
+    The six actuators together produce wrenches in all six directions:
 
     >>> from titop_plant.telescope.parameters import load_parameters
     >>> bool(linalg.svdvals(actuator_wrenches(load_parameters()))[-1] > 0.1)
@@ -67,14 +70,19 @@ def skyhook(parameters: Parameters, damping: ArrayLike, corner: float) -> Uncert
     allocation = -linalg.solve(actuator_wrenches(parameters), np.diag(G))
     A = np.kron(np.eye(6), [[0.0, 1.0], [-(corner**2), -1.4 * corner]])
     B, C = np.kron(np.eye(6), [[0.0], [1.0]]), np.kron(allocation, [[0.0, 1.0]])
-    return state_space(A, B, C, np.zeros((6, 6)), INPUTS, OUTPUTS)
+    return state_space(A, B, C, np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS)
 
 
 def sampled_controller(
-    controller: UncertainSystem, washout: float, *, name: str, provenance: Mapping[str, Any] | None = None
+    controller: UncertainSystem,
+    washout: float,
+    *,
+    name: str,
+    basis: DesignBasis | None = None,
+    provenance: Mapping[str, Any] | None = None,
 ) -> SampledSystem:
     """Sampled proof-mass law with the washout F_w on the accelerometer channels (6 more states)."""
-    (port,) = INPUTS
-    return sampled(
-        with_input_filter(controller, {port.name: high_pass(port, washout)}), DT, name=name, provenance=provenance
-    )
+    (port,) = K_PMA_INPUTS
+    filtered = with_input_filter(controller, {port.name: high_pass(port, washout)})
+    found = sampled(filtered, DT, name=name, provenance=provenance)
+    return replace(found, design_basis=(basis or DesignBasis()).to_mapping())

@@ -12,16 +12,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import linalg
 
-from los_design.options import LOOP_DELAY
 from los_design.plant_figures import STYLE
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, loop_grid
 from los_design.store import continuous, load_designs
-from los_design.verification import ARCSEC, FRAME_TICKS
+from los_design.verification import ARCSEC
 from los_estimator.kalman import kalman_observer
 from lti import SampledSystem, UncertainSystem
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains, singular_values
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.interface import FRAME_TICKS, LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
 
@@ -66,14 +68,15 @@ def stage_curves(
     if stage in ("none", "isolator"):
         system = telescope(None, stage != "none").system
         data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].data_at(values)
-        omega = frequency_grid(linalg.eigvals(data.A), 1e-2, 3e3, points=300, per_mode=5)
+        omega = frequency_grid(linalg.eigvals(data.A), 1e-2, 3e3, points=300, offsets=(0.0, 1.5, 3.0))
         response = frequency_response(data, omega)
     else:
         plant = control_loop_plant(telescope(), parameters).data_at(values)
-        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
+        sensitivity = float(parameters["fsm"]["los_sensitivity"])
+        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
         omega = loop_grid(plant, loop.hold[:-2, :-2])
         response = disturbance_response(loop, plant, omega)[:, :2]
-    return omega, singular_values(response * weight_amplitudes(parameters, omega)[:, None, :])[:, 0]
+    return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
 
 
 def _stages(
@@ -122,8 +125,8 @@ def _controllers(parameters: Parameters) -> Figure:
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
     ):
         for port, style in (("accel_Ip", "-"), ("camera_los", "--")):
-            gains = singular_values(frequency_response(system["los_estimate", port].data_at({}), omega))
-            left.loglog(omega, gains[:, 0], color=colour, ls=style, label=f"{label}: {port}")
+            gains = largest_gains(frequency_response(system["los_estimate", port].data_at({}), omega))
+            left.loglog(omega, gains, color=colour, ls=style, label=f"{label}: {port}")
     left.set(title="Observer, largest singular value", xlabel="frequency [rad/s]", ylabel="estimate per input [rad/SI]")
     left.legend()
     gains = singular_values(frequency_response(continuous(k_pma).data_at({}), omega))

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from titop_plant.telescope.control_plant import HOLD_DELAY
-
-LOOP_DELAY = 1.5e-3
-CAMERA_PERIOD = 0.02
+from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
 
 @dataclass(frozen=True)

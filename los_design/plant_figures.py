@@ -20,7 +20,14 @@ from matplotlib.ticker import LogLocator
 
 from titop_plant.disturbances import rpe_weight
 from titop_plant.structures.kinematics import FloatArray
-from titop_plant.telescope.disturbance_responses import ALL, ARCSEC, DRIVES, WHEELS, DisturbanceResponses, scene
+from titop_plant.telescope.disturbance_responses import (
+    ALL,
+    ARCSEC,
+    DRIVES,
+    WHEELS,
+    DisturbanceResponses,
+    disturbance_responses,
+)
 from titop_plant.telescope.parameters import Parameters
 
 MEMBERS = 20
@@ -78,7 +85,7 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
-    both = scene(parameters)
+    both = disturbance_responses(parameters)
     return [path for name in names or FIGURES for path in _saved(folder, name, *FIGURES[name], both)]
 
 

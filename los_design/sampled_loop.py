@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fsm_pma_controller.runtime import MIRROR_GAIN
 from lti import SampledSystem, StateSpace
 from titop_plant.disturbances import no_tones
-from titop_plant.sampled_plant import CAMERA, COMMANDS, MEASUREMENTS
+from titop_plant.interface import CAMERA, COMMANDS, FORCE_STAGES, MEASUREMENTS, MIRROR_STAGES, PLATFORM, DesignBasis
 from titop_plant.simulation import sample
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +55,13 @@ class SampledLoop:
 
 
 def sampled_loop(
-    plant: StateSpace, k_fsm: SampledSystem, k_pma: SampledSystem, *, loop: str, frame_ticks: int
+    plant: StateSpace,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    *,
+    loop: str,
+    frame_ticks: int,
+    los_sensitivity: float | None = None,
 ) -> SampledLoop:
     """Close the sampled loop around a plant at given parameter values.
 
@@ -69,11 +74,22 @@ def sampled_loop(
     loop : {"isolator", "fsm", "fsm+pma"}
     frame_ticks : int
         Ticks between camera frames.
+    los_sensitivity : float, optional
+        Of the telescope's mirror: the mirror law divides by it where the file of K_FSM does not say for which one it
+        was made.
+
+    Raises
+    ------
+    ValueError
+        The mirror's loop is closed and nothing says a sensitivity.
     """
     n = plant.A.shape[0]
     step = sample(plant, no_tones(), 1).step
-    mirror = -1.0 / MIRROR_GAIN if loop in ("fsm", "fsm+pma") else 0.0
-    actuators = 1.0 if loop == "fsm+pma" else 0.0
+    mirror = 0.0
+    if loop in MIRROR_STAGES:
+        basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
+        mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
+    actuators = 1.0 if loop in FORCE_STAGES else 0.0
     f, p = k_fsm.order, k_pma.order
     places = np.cumsum([0, n, COMMANDS, f, p, 2])
     X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(places))
@@ -91,12 +107,12 @@ def sampled_loop(
         out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
         out[F] = k_fsm.B @ both
         out[F, F] += k_fsm.A
-        out[P] = k_pma.B @ both[:6]
+        out[P] = k_pma.B @ both[PLATFORM]
         out[P, P] += k_pma.A
         out[H] = both[CAMERA]
         out[V.start : V.start + 2] = mirror * (k_fsm.D @ both)
         out[V.start : V.start + 2, F] += mirror * k_fsm.C
-        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ both[:6])
+        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ both[PLATFORM])
         out[V.start + 2 : V.stop, P] += actuators * k_pma.C
         return out[:, :size], out[:, size:]
 

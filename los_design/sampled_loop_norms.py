@@ -18,17 +18,17 @@ from scipy import linalg
 
 from los_design.sampled_loop import SampledLoop, sampled_loop
 from lti import SampledSystem, StateSpace
+from lti.batched_linalg import largest_gains
 from lti.eigenvectors import eigenpairs
-from lti.frequency_response import frequency_grid, singular_values
+from lti.frequency_grid import frequency_grid
 from lti.sampling import sampled
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
-from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-DT = 1e-3
 SIDEBANDS = 4
 """Sidebands of the camera's frame rate that are counted to each side."""
 
@@ -90,10 +90,11 @@ def sampled_loop_metrics(
     sensors : {None, "platform"}
         Noise of all sensors, or of the platform's accelerometers only.
     """
-    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
-    los = singular_values(response[:, :2])[:, 0]
+    los = largest_gains(response[:, :2])
     mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
     force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
     rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
@@ -138,7 +139,7 @@ def weighted_response(
 def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
     """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
     closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
-    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, per_mode=3)
+    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, offsets=(0.0, 3.0))
 
 
 @dataclass(frozen=True)

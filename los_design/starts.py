@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
-from fsm_pma_controller.runtime import DT
-from los_design.options import CAMERA_PERIOD
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
 from los_design.store import design_ports
 from lti import SampledSystem, StateSpace, UncertainSystem
+from titop_plant.interface import DT, FRAME_TICKS
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
@@ -32,11 +31,11 @@ def screened(
     system, rng = control_loop_plant(telescope, parameters), np.random.default_rng(seed)
     chosen = parameter_corners(parameters) + system.sample_values(rng, SCREEN_SAMPLES)
     k_fsm, k_pma = observer or zero_controller("k-fsm"), zero_controller("k-pma")
-    loop, frame_ticks = "isolator" if observer is None else "fsm", round(CAMERA_PERIOD / DT)
+    loop, sensitivity = "isolator" if observer is None else "fsm", float(parameters["fsm"]["los_sensitivity"])
     worst: dict[int, tuple[float, dict[str, float]]] = {}
     for values in chosen:
         plant = system.data_at(values)
-        closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks)
+        closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
         omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
         band = np.searchsorted(SCREEN_BANDS, omega)
         for i in range(1, len(SCREEN_BANDS)):

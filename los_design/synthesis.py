@@ -16,7 +16,7 @@ from los_estimator.problem import kalman_start, observer_plant, observer_require
 from lti import SampledSystem, StateSpace, state_space
 from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.parameters import Parameters, parameter_box, parameters_hash, uncertain_parameters
+from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
 ITERATIONS, ROUNDS, NOMINAL_ITERATIONS = 40, 4, 250
@@ -42,6 +42,7 @@ def design_observer(telescope: Telescope, parameters: Parameters, options: Desig
         system,
         parameters["sensors"]["washout"],
         name=f"K_FSM, {options.variant}",
+        basis=design_basis(parameters),
         provenance=_provenance("k-fsm", result, parameters, options),
     )
 
@@ -68,6 +69,7 @@ def design_actuators(
         system,
         parameters["sensors"]["washout"],
         name=f"K_PMA, {options.variant}",
+        basis=design_basis(parameters),
         provenance=_provenance("k-pma", result, parameters, options),
     )
 
@@ -120,7 +122,6 @@ def _provenance(
     content: dict[str, Any] = {
         "command": f"los-testbed design {kind}{flags}",
         "commit": commit(),
-        "parameters_hash": parameters_hash(parameters),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
         "status": result.status,

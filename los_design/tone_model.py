@@ -37,8 +37,9 @@ from pointing_analysis.prediction import ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.spectra import background, lines
 from titop_plant.disturbances import Tones
-from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS
-from titop_plant.simulation import DT, PlantConfig, command_limits, frame_ticks, plant_and_tones, sample
+from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.simulation import PlantConfig, command_limits, plant_and_tones, sample
+from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -130,9 +131,16 @@ class LoopModel:
         """
         plant, tones = plant_and_tones(physical)
         closed = sampled_loop(
-            plant, controllers["k_fsm"], controllers["k_pma"], loop=loop, frame_ticks=frame_ticks(physical.camera_rate)
+            plant,
+            controllers["k_fsm"],
+            controllers["k_pma"],
+            loop=loop,
+            frame_ticks=frame_ticks(physical.camera_rate),
+            los_sensitivity=float(load_parameters(physical.parameters or REFERENCE)["fsm"]["los_sensitivity"]),
         )
-        limits = np.minimum(np.r_[np.full(2, authority[0]), np.full(6, authority[1])], command_limits(physical))
+        limits = command_limits(physical)
+        for columns, limit in zip((MIRROR, FORCES), authority):
+            limits[columns] = np.minimum(limits[columns], limit)
         omega = np.unique(tones.frequency)
         amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
         seen = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)

@@ -22,7 +22,6 @@ from los_design.plant_figures import STYLE
 from los_design.store import continuous, design_file
 from los_estimator.problem import (
     ESTIMATE,
-    MEASUREMENTS,
     ObserverPlant,
     observer_plant,
     observer_requirements,
@@ -31,6 +30,7 @@ from los_estimator.problem import (
 from lti import SampledSystem, StateSpace
 from robust_design import HinfGain, Requirement, TuningOptions, tune
 from robust_design.problem import Problem
+from titop_plant.interface import MEASURED
 from titop_plant.simulation import telescope
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import load_parameters
@@ -142,7 +142,7 @@ def least_noise(wanted: Sequence[Requirement], level: float) -> list[Requirement
 
 def _model(stored: SampledSystem, plant: ObserverPlant) -> StateSpace:
     data = continuous(stored).data_at({})
-    ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
+    ports = tuple(plant.system.output_port(name) for name in MEASURED)
     return StateSpace(data.A, data.B, data.C, data.D, ports, (ESTIMATE,), "K_FSM")
 
 

@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements
-from fsm_pma_controller.problem import MEASUREMENTS as PMA_MEASUREMENTS
 from los_design.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics
 from los_design.store import continuous
-from los_estimator.problem import MEASUREMENTS as FSM_MEASUREMENTS
 from los_estimator.problem import observer_plant, observer_requirements
 from lti import SampledSystem, StateSpace, UncertainSystem
 from robust_design import certify
+from titop_plant.interface import FRAME_TICKS, K_PMA_INPUTS, MEASURED, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
 ARCSEC = np.pi / 648000.0
-FRAME_TICKS = 20
 Values = Mapping[str, float]
 FloatArray = NDArray[np.float64]
 PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
@@ -92,7 +90,7 @@ def check_implemented(
         plant = system.data_at(values)
         stages: dict[str, SampledLoopMetrics] = {
             loop: sampled_loop_metrics(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=FRAME_TICKS, noise=False)
-            for loop in ("fsm", "fsm+pma")
+            for loop in MIRROR_STAGES
         }
         one, two = stages["fsm"], stages["fsm+pma"]
         count += 1
@@ -126,10 +124,16 @@ def check_paper(
     observer, actuators = continuous(k_fsm), continuous(k_pma)
     first = observer_plant(telescope, parameters)
     second = actuator_plant(telescope, parameters, observer)
-    forces = _certified(second, actuators, PMA_MEASUREMENTS, actuator_requirements(parameters, implemented=False), at)
+    forces = _certified(
+        second,
+        actuators,
+        tuple(port.name for port in K_PMA_INPUTS),
+        actuator_requirements(parameters, implemented=False),
+        at,
+    )
     forces[3] *= FORCE_SHARE  # over the whole authority, as the paper counts
     return {
-        "fsm": _certified(first, observer, FSM_MEASUREMENTS, observer_requirements(parameters, implemented=False), at),
+        "fsm": _certified(first, observer, MEASURED, observer_requirements(parameters, implemented=False), at),
         "pma": forces,
     }
 

@@ -1,4 +1,4 @@
-"""The Kalman observer of the line of sight: first guess of K_FSM.
+"""The Kalman observer of the line of sight: start of the tuner for K_FSM.
 
 Model per axis, with ``c = C_a a`` the acceleration of the line of sight as the three accelerometer triads see
 it and the camera (less the mirror's share) as the measurement::
@@ -8,31 +8,39 @@ it and the camera (less the mirror's share) as the measurement::
 
     C_a = rotation of I_p + S_M1 (a_M1 - tau a_Ip) + S_M2 (a_M2 - tau a_Ip)
 
-w is the accelerometers' noise seen through C_a, v the camera's noise times ``K_LOS`` = 1e5, which tells the
-observer not to trust a camera whose low-pass is not in the model. The flexible detector and mirror mount are not
-sensed. Source: the paper, "Hybrid control of LOS with FSM" (Kalman model).
+w is the accelerometers' noise through C_a, v the camera's noise times ``K_LOS`` = 1e5: the camera's low-pass is not in
+the model, and the larger noise keeps the observer from following it. The flexible detector and mirror mount are not
+measured. Source: the paper, "Hybrid control of LOS with FSM" (Kalman model).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
-from los_estimator.runtime import DT, INPUTS, OUTPUTS
 from lti import SampledSystem, UncertainSystem, state_space
 from lti.filters import high_pass, with_input_filter
 from lti.sampling import sampled
+from titop_plant.interface import (
+    ACCELERATIONS,
+    ACCELEROMETERS,
+    DT,
+    K_FSM_INPUTS,
+    K_FSM_OUTPUTS,
+    MEASUREMENTS,
+    DesignBasis,
+)
 from titop_plant.structures.kinematics import FloatArray, tau
 from titop_plant.structures.modal_data import ModalData
-from titop_plant.telescope.parameters import Parameters, optics_component
+from titop_plant.telescope.components import optics_component
+from titop_plant.telescope.parameters import Parameters
 
-CAMERA_DISTRUST = 1e5
-"""The paper's K_LOS."""
-
-ACCELEROMETERS = ("accel_Ip", "accel_M1", "accel_M2")
+CAMERA_NOISE_FACTOR = 1e5
+"""The paper's K_LOS: the camera's noise in the model over that of the sensor."""
 
 
 def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> FloatArray:
@@ -43,7 +51,7 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
     parameters : mapping
         Of the telescope (table ``optics``).
     payload : ModalData
-        For the places of M1 and M2.
+        For the positions of M1 and M2.
 
     Examples
     --------
@@ -77,32 +85,37 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
         Of the telescope (tables ``optics``, ``sensors``, ``fsm``).
     payload : ModalData
     lead : float
-        The output is the estimate this much ahead, ``LOS + lead * rate`` [s]: makes up for the delay of
-        the loop at the price of more noise. 0: the paper's observer.
+        The output is the estimate this much ahead, ``LOS + lead * rate`` [s]: it compensates
+        the delay of the loop and adds noise. 0: the paper's observer.
 
     Returns
     -------
     UncertainSystem
-        Inputs as in :data:`los_estimator.runtime.INPUTS`, output ``los_estimate``; no washout.
+        Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
     C_a = acceleration_sensitivity(parameters, payload)
     sensors = parameters["sensors"]
     noise = np.tile(sensors["accelerometer_noise"], 3)
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT
-    R = (CAMERA_DISTRUST * sensors["camera_noise"]) ** 2 * DT * np.eye(2)
+    R = (CAMERA_NOISE_FACTOR * sensors["camera_noise"]) ** 2 * DT * np.eye(2)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
     C = np.hstack([np.eye(2), np.zeros((2, 2))])
     P = linalg.solve_continuous_are(A.T, C.T, Q, R)
     L = P @ C.T @ linalg.inv(R)
     S_fsm = parameters["fsm"]["los_sensitivity"]
-    B = np.hstack([np.vstack([np.zeros((2, 18)), C_a]), L, -S_fsm * L])
+    B = np.hstack([np.vstack([np.zeros((2, ACCELERATIONS.stop)), C_a]), L, -S_fsm * L])
     out = np.hstack([np.eye(2), lead * np.eye(2)])
-    return state_space(A - L @ C, B, out, np.zeros((2, 22)), INPUTS, OUTPUTS)
+    return state_space(A - L @ C, B, out, np.zeros((2, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS)
 
 
 def sampled_observer(
-    observer: UncertainSystem, washout: float, *, name: str, provenance: Mapping[str, Any] | None = None
+    observer: UncertainSystem,
+    washout: float,
+    *,
+    name: str,
+    basis: DesignBasis | None = None,
+    provenance: Mapping[str, Any] | None = None,
 ) -> SampledSystem:
     """Sampled observer with the washout F_w on each accelerometer channel (18 more states).
 
@@ -112,6 +125,11 @@ def sampled_observer(
         Continuous, ports of K_FSM.
     washout : float
         Corner of F_w [rad/s].
+    name : str
+    basis : DesignBasis, optional
+        What it was made for.
+    provenance : mapping, optional
     """
-    filters = {port.name: high_pass(port, washout) for port in INPUTS if port.name in ACCELEROMETERS}
-    return sampled(with_input_filter(observer, filters), DT, name=name, provenance=provenance)
+    filters = {port.name: high_pass(port, washout) for port in K_FSM_INPUTS if port.name in ACCELEROMETERS}
+    found = sampled(with_input_filter(observer, filters), DT, name=name, provenance=provenance)
+    return replace(found, design_basis=(basis or DesignBasis()).to_mapping())

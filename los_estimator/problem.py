@@ -1,7 +1,7 @@
-"""The design problem of K_FSM: requirements of the paper, and those of the loop as it flies.
+"""The design problem of K_FSM: requirements of the paper, and those of the implemented loop.
 
-Plant: telescope, sensors with their filters, mirror driven by ``-estimate / 0.1``. The observer is a controller of
-order 4 from 22 measurements to the estimated line of sight.
+Plant: telescope, sensors with their filters, mirror driven by ``-estimate / los_sensitivity``. The observer is a
+controller of order 4 from the 22 measurements to the estimated line of sight.
 
 =============  ======  =============================================================================
 requirement    kind    value 1 means
@@ -14,7 +14,7 @@ noise -> RPE   soft    sensor noise makes 100 mas rms (H2), as implemented only
 =============  ======  =============================================================================
 
 Source: the paper, equation of the FSM synthesis. As implemented: 1.5 ms of loop delay (one tick and the hold), a camera
-whose frames are held, and the noise requirements, without which the optimum drowns in accelerometer noise.
+whose frames are held, and the noise requirements, without which the tuned observer amplifies the accelerometers' noise.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from los_estimator.kalman import kalman_observer
-from lti import Port, StateSpace, UncertainSystem, connect, static_gain, transform
+from lti import StateSpace, UncertainSystem, connect, static_gain, transform
 from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
+from titop_plant.interface import CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import ACCELEROMETERS, DISTURBANCES, control_plant
+from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
-MEASUREMENTS = (*ACCELEROMETERS, "camera_los", "fsm_angle")
-NOISE = ("accelerometer_noise", "optical_noise")
+NOISE = (ACCELEROMETER_NOISE.name, OPTICAL_NOISE.name)
 ORDER = 4
-ESTIMATE = Port("los_estimate", 2, "rad")
+(ESTIMATE,) = ESTIMATE_PORTS
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,14 @@ def observer_plant(
     camera_period : float
         Time that a camera frame is held [s]; 0: the paper's continuous camera.
     command_hold : float
-        Mean delay of a held command [s] (:data:`titop_plant.telescope.control_plant.HOLD_DELAY`): this part of
+        Mean delay of a held command [s] (:data:`titop_plant.interface.HOLD_DELAY`): this part of
         the loop delay is in the plant, not the tuner's.
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
     mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
     inputs = (*DISTURBANCES, *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})
-    command = Port("fsm_command", 2, "rad")
+    command = COMMAND_PORTS[0]
     system = connect(
         {"plant": driven, "law": static_gain(mirror, [ESTIMATE], [command])},
         [*((p.name, f"plant.{p.name}") for p in driven.inputs), (ESTIMATE.name, "law.los_estimate")],
@@ -117,12 +117,12 @@ def observer_structure(plant: ObserverPlant, *, order: int = ORDER, held_camera:
     order : int
     held_camera : bool
         No direct path from the camera to the estimate: the steps of a value that is held between frames would
-        shake the mirror at the frame rate. Otherwise all entries are free.
+        excite the mirror at the frame rate. Otherwise all entries are free.
     """
-    free = state_space([plant.system.output_port(name) for name in MEASUREMENTS], [ESTIMATE], order)
+    free = state_space([plant.system.output_port(name) for name in MEASURED], [ESTIMATE], order)
     if not held_camera:
         return free
-    return free.with_fixed({(order + i, order + 18 + j): 0.0 for i in range(2) for j in range(2)})
+    return free.with_fixed({(order + i, order + j): 0.0 for i in range(2) for j in range(CAMERA.start, CAMERA.stop)})
 
 
 def kalman_start(

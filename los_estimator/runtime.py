@@ -1,31 +1,14 @@
-"""The line-of-sight observer as it flies: one `step` per millisecond (numpy only)."""
+"""The line-of-sight observer at run time: one `step` per tick (numpy only)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.ports import Port
 from lti.sampled_system import SampledSystem
+from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
 
 FloatArray = NDArray[np.float64]
-
-DT = 1e-3
-"""Sampling period of the loop [s]."""
-
-INPUTS = (
-    Port("accel_Ip", 6, "m/s2,m/s2,m/s2,rad/s2,rad/s2,rad/s2"),
-    Port("accel_M1", 6, "m/s2,m/s2,m/s2,rad/s2,rad/s2,rad/s2"),
-    Port("accel_M2", 6, "m/s2,m/s2,m/s2,rad/s2,rad/s2,rad/s2"),
-    Port("camera_los", 2, "rad"),
-    Port("fsm_angle", 2, "rad"),
-)
-"""Ports of K_FSM in the order of the measurement vector (22 signals)."""
-
-OUTPUTS = (Port("los_estimate", 2, "rad"),)
-
-CAMERA = slice(18, 20)
-"""Place of the camera in the measurement vector."""
 
 
 class LosEstimator:
@@ -58,11 +41,11 @@ class LosEstimator:
 
     Examples
     --------
-    An observer that believes the camera keeps its value between two frames:
+    An observer that hands on the camera value holds it between two frames:
 
-    >>> D = np.zeros((2, 22)); D[:, CAMERA] = np.eye(2)
-    >>> k = SampledSystem([], [], [], D, INPUTS, OUTPUTS, DT)
-    >>> estimator, y, los = LosEstimator(k), np.zeros(22), np.zeros(2)
+    >>> D = np.zeros((2, MEASUREMENTS)); D[:, CAMERA] = np.eye(2)
+    >>> k = SampledSystem([], [], [], D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+    >>> estimator, y, los = LosEstimator(k), np.zeros(MEASUREMENTS), np.zeros(2)
     >>> y[CAMERA] = 1e-6, -2e-6
     >>> estimator.step(y, los); los.tolist()
     [1e-06, -2e-06]
@@ -72,16 +55,16 @@ class LosEstimator:
     """
 
     def __init__(self, k_fsm: SampledSystem) -> None:
-        k_fsm.require(INPUTS, OUTPUTS, DT)
+        k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
-        self._u = np.zeros(22)
-        self._camera = np.zeros(2)
+        self._u = np.zeros(MEASUREMENTS)
+        self._camera = np.zeros(CAMERA.stop - CAMERA.start)
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
         u = self._u
         u[:] = measurement
-        x, y = measurement[18], measurement[19]
+        x, y = measurement[CAMERA.start], measurement[CAMERA.start + 1]
         # x - x is 0 for a finite number only: cheaper than np.isfinite on two elements
         if x - x == 0.0 and y - y == 0.0:
             self._camera[0] = x
@@ -90,6 +73,6 @@ class LosEstimator:
         self.k_fsm.step(u, out)
 
     def reset(self) -> None:
-        """Back to the zero state; the held camera value is forgotten."""
+        """Back to the zero state; the camera value that was held is set to zero."""
         self.k_fsm.reset()
         self._camera[:] = 0.0

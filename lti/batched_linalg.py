@@ -1,6 +1,6 @@
 """Linear algebra on stacks of small matrices.
 
-The one place of the package that uses ``numpy.linalg``: its routines run over a stack (N, p, p) inside LAPACK
+The one module of the library that uses ``numpy.linalg``: its routines run over a stack (N, p, p) inside LAPACK
 loops written in C, which ``scipy.linalg`` does in Python only. At a thousand frequencies that is a factor of a hundred.
 """
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.linalg import eigh as _eigh
 from numpy.linalg import eigvalsh as _eigvalsh
 from numpy.linalg import solve as _solve
+from numpy.linalg import svd as _svd
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -41,6 +42,11 @@ def largest_gains(T: ComplexArray) -> FloatArray:
         middle = 0.5 * (gram[:, 0, 0] + gram[:, 1, 1]).real
         return np.asarray(np.sqrt(middle + np.hypot(half, np.abs(gram[:, 0, 1]))))
     return np.asarray(np.sqrt(np.maximum(_eigvalsh(gram)[:, -1], 0.0)))
+
+
+def singular_values(T: ComplexArray) -> FloatArray:
+    """All singular values of each matrix of the stack `T` (N, p, m), largest first: shape (N, min(p, m))."""
+    return np.asarray(_svd(T, compute_uv=False))
 
 
 def gains_above(T: ComplexArray, fraction: float) -> FloatArray:

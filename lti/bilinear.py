@@ -1,6 +1,6 @@
 """The bilinear (Tustin) map between continuous and discrete time, ``s = (2 / dt) (z - 1) / (z + 1)``.
 
-It keeps stability and norms; frequencies are bent, ``w = (2 / dt) tan(theta / 2)`` for ``z = exp(j theta)``.
+It keeps stability and norms; frequencies are warped, ``w = (2 / dt) tan(theta / 2)`` for ``z = exp(j theta)``.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from lti.ports import FloatArray
 from lti.state_space_model import Matrices
@@ -34,19 +35,21 @@ def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: 
     n = len(A)
     if n == 0:
         return A, B, C, D
-    try:
-        factors = sl.lu_factor(np.eye(n) - 0.5 * dt * A, check_finite=False)
-        a = sl.lu_solve(factors, np.eye(n) + 0.5 * dt * A)
-        b = sl.lu_solve(factors, B) * dt
-    except sl.LinAlgError:
-        raise ValueError(f"the system must have no pole at 2 / dt = {2.0 / dt} rad/s, got one") from None
+    factors = _factors(np.eye(n) - 0.5 * dt * A, f"2 / dt = {2.0 / dt} rad/s")
+    a = sl.lu_solve(factors, np.eye(n) + 0.5 * dt * A)
+    b = sl.lu_solve(factors, B) * dt
     return a, b, sl.lu_solve(factors, C.T, trans=1).T, D + 0.5 * C @ b
 
 
 def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float = 2.0) -> Matrices:
     """Matrices of the continuous-time system that :func:`to_discrete` takes to the given ones.
 
-    A must have no eigenvalue at -1. With ``dt = 2`` the frequency is ``tan(theta / 2)``.
+    With ``dt = 2`` the frequency is ``tan(theta / 2)``.
+
+    Raises
+    ------
+    ValueError
+        A pole at -1, which has no image.
 
     Examples
     --------
@@ -57,7 +60,7 @@ def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt
     n = len(A)
     if n == 0:
         return A, B, C, D
-    factors = sl.lu_factor(A + np.eye(n), check_finite=False)
+    factors = _factors(A + np.eye(n), "-1")
     seen = sl.lu_solve(factors, C.T, trans=1).T
     return (
         (2.0 / dt) * sl.lu_solve(factors, A - np.eye(n)),
@@ -65,3 +68,11 @@ def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt
         2.0 * seen,
         D - seen @ B,
     )
+
+
+def _factors(M: FloatArray, pole: str) -> tuple[FloatArray, NDArray[np.int32]]:
+    """LU factors of a matrix that is singular where the system has the named pole."""
+    lu, pivots, info = sl.lapack.dgetrf(M)
+    if info > 0:
+        raise ValueError(f"poles must not be at {pole}, got one there")
+    return lu, pivots

@@ -19,14 +19,15 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from lti.batched_linalg import largest_gains
-from lti.modal_response import FrequencyResponse
+from lti.frequency_response import FrequencyResponse
 
 sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MOST_INTERVALS = 40_000
+MAX_INTERVALS = 40_000
 CHUNK = 2_000
+PEAK_CUTS = 13  # halvings of the distance of the nearest pole
 GROWTH = 4.0  # of the intervals away from a pole
 INSIDE = 0.75  # an interval's half width over the distance of the nearest pole, at most
 
@@ -50,7 +51,7 @@ class LevelTest:
     frequencies: FloatArray
 
 
-def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) -> LevelTest:
+def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray, peak: float | None = None) -> LevelTest:
     """Whether the largest singular value stays below `level` for all real frequencies.
 
     Parameters
@@ -59,7 +60,9 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) 
         In modal form, all poles off the imaginary axis.
     level : float
     seeds : ndarray, shape (k,)
-        Frequencies [rad/s] at which the axis is first cut: resonances and the peak.
+        Frequencies [rad/s] at which the axis is first cut: resonances.
+    peak : float, optional
+        Frequency of the largest gain known [rad/s], where the cuts are closest.
 
     Notes
     -----
@@ -69,11 +72,11 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray) 
     largest pole the same is done in 1/w, down to 0, so that infinity is covered too.
     """
     if not response.modal:
-        raise ValueError("the interval test needs a modal response; got a Schur form")
+        raise ValueError("response must be in modal form, got a Schur form")
     poles = response.poles
-    residue = np.sqrt(np.sum(np.abs(response.left) ** 2, axis=0) * np.sum(np.abs(response.right) ** 2, axis=1))
+    residue = response.residue_norms
     top = 2.0 * float(np.abs(poles).max(initial=1.0))
-    cuts = _cuts(poles, seeds, top)
+    cuts = _cuts(poles, seeds if peak is None else np.concatenate([seeds, _around(peak, poles)]), top)
     ends = np.column_stack([cuts[:-1], cuts[1:]])
     tail = np.array([[0.0, 1.0 / top]])
     products = _residue_products(response)
@@ -100,6 +103,14 @@ def _cuts(poles: ComplexArray, seeds: FloatArray, top: float) -> FloatArray:
     return np.asarray(every[(every >= 0.0) & (every <= top)])
 
 
+def _around(peak: float, poles: ComplexArray) -> FloatArray:
+    """Cuts around a peak: where its parabola has fallen by x^2, intervals of the length x pass."""
+    if not np.isfinite(peak):
+        return np.zeros(0)
+    steps = np.abs(1j * peak - poles).min() * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
+    return np.concatenate([[peak], peak - steps, peak + steps])
+
+
 def _residue_products(response: FrequencyResponse) -> ComplexArray:
     p, n = response.left.shape
     m = response.right.shape[1]
@@ -117,7 +128,7 @@ def _cover(
     done = 0
     while len(intervals):
         done += len(intervals)
-        if done > MOST_INTERVALS:
+        if done > MAX_INTERVALS:
             return LevelTest(False, False, np.zeros(0))
         kept = []
         for start in range(0, len(intervals), CHUNK):

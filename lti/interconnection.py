@@ -45,11 +45,11 @@ def connect(
     ------
     ValueError
         Unknown name, a target with two drivers, an input without a driver, sizes or units that
-        differ, an algebraic loop that is not well posed. The message says what exists.
+        differ, an algebraic loop that is not well posed. The message lists the existing names.
 
     Examples
     --------
-    A mass on a spring, closed by hand: ``force -> velocity`` with the spring force fed back.
+    A mass on a spring: ``force -> velocity`` with the spring force fed back.
 
     >>> from lti import Port, connect, state_space
     >>> mass = state_space([[0.0]], [[0.5]], [[1.0]], [[0.0]], [Port("f", 1, "N")], [Port("v", 1, "m/s")])
@@ -68,13 +68,12 @@ def connect(
     for source, target in connections:
         wiring.target(target)
         if target in drivers:
-            raise ValueError(f"input {target!r} has two drivers: {drivers[target]} and {source}")
+            raise ValueError(f"input {target!r} must have one driver, got two: {drivers[target]} and {source}")
         drivers[target] = source
     free = [t for t in wiring.targets if t not in drivers]
     if free:
         raise ValueError(
-            f"unconnected input{'s' if len(free) > 1 else ''}: {', '.join(free)}; "
-            f"sources are: {', '.join(wiring.sources)}"
+            f"every input must have a driver, got none for {', '.join(free)} (sources: {', '.join(wiring.sources)})"
         )
     whole = _side_by_side(systems)
     S, E = wiring.matrices([(drivers[t], t) for t in wiring.targets], wiring.targets)
@@ -84,12 +83,12 @@ def connect(
 
 
 class _Wiring:
-    """Names and places of all sources and targets of one `connect` call."""
+    """Names and indices of all sources and targets of one `connect` call."""
 
     def __init__(self, systems: Mapping[str, UncertainSystem], external: Sequence[Port]) -> None:
         for name in systems:
             if "." in name or name.startswith("-"):
-                raise ValueError(f"system name {name!r} must not hold a dot or start with a minus sign")
+                raise ValueError(f"name of a system must not contain a dot or start with a minus sign, got {name!r}")
         self.targets = {f"{s}.{p.name}": p for s, system in systems.items() for p in system.inputs}
         inner = {f"{s}.{p.name}": p for s, system in systems.items() for p in system.outputs}
         self.sources = {**inner, **{p.name: p for p in external}}
@@ -100,7 +99,7 @@ class _Wiring:
 
     def target(self, name: str) -> Port:
         if name not in self.targets:
-            raise ValueError(f"unknown input {name!r}, expected one of: {', '.join(self.targets)}")
+            raise ValueError(f"input must be one of {', '.join(self.targets)}, got {name!r}")
         return self.targets[name]
 
     def terms(self, source: Source) -> list[tuple[float, str, Port]]:
@@ -109,10 +108,10 @@ class _Wiring:
         for part in parts:
             name = part.removeprefix("-")
             if name not in self.sources:
-                raise ValueError(f"unknown source {name!r}, expected one of: {', '.join(self.sources)}")
+                raise ValueError(f"source must be one of {', '.join(self.sources)}, got {name!r}")
             result.append((-1.0 if part.startswith("-") else 1.0, name, self.sources[name]))
         if not result:
-            raise ValueError("a sum needs at least one source, got an empty tuple")
+            raise ValueError("sum must have at least one source, got an empty tuple")
         return result
 
     def shape_of(self, source: Source) -> tuple[int, str]:
@@ -136,17 +135,17 @@ class _Wiring:
         start = 0
         for source, port in zip(sources, ports):
             for sign, name, _ in self.terms(source):
-                matrix, place = (S, self._inner[name]) if name in self._inner else (E, self._external[name])
-                matrix[start : start + port.size, place] += sign * np.eye(port.size)
+                matrix, columns = (S, self._inner[name]) if name in self._inner else (E, self._external[name])
+                matrix[start : start + port.size, columns] += sign * np.eye(port.size)
             start += port.size
         return S, E
 
 
 def _check_same(source: Port, target: Port, where: str) -> None:
     if source.size != target.size:
-        raise ValueError(f"{where}: sizes differ, {source.size} and {target.size}")
+        raise ValueError(f"{where}: ports must have the same size, got {source.size} and {target.size}")
     if source.unit != target.unit:
-        raise ValueError(f"{where}: units differ, {source.unit!r} and {target.unit!r}")
+        raise ValueError(f"{where}: ports must have the same unit, got {source.unit!r} and {target.unit!r}")
 
 
 def _side_by_side(systems: Mapping[str, UncertainSystem]) -> UncertainSystem:
@@ -195,7 +194,7 @@ def _close_loop(
     Dyy, Dyd, Ddy = D[q:, q:], D[q:, :q], D[:q, q:]
     # u as a function of [x, w_delta, u_ext]
     right = np.hstack([S @ Cy, S @ Dyd, E])
-    U = _solve(np.eye(S.shape[0]) - S @ Dyy, right, "these connections are not well posed")
+    U = _solve(np.eye(S.shape[0]) - S @ Dyy, right, "these connections must be well posed")
     Ux, Uw, Ue = U[:, :n], U[:, n : n + q], U[:, n + q :]
     Yx, Yw, Ye = Cy + Dyy @ Ux, Dyd + Dyy @ Uw, Dyy @ Ue
     return UncertainSystem(
@@ -229,7 +228,8 @@ def parallel(first: UncertainSystem, second: UncertainSystem, sign: float = 1.0)
     if sign not in (1.0, -1.0):
         raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
     if first.inputs != second.inputs or first.outputs != second.outputs:
-        raise ValueError("parallel systems must have the same input and output ports")
+        ports = [[[p.name for p in side] for side in (s.inputs, s.outputs)] for s in (first, second)]
+        raise ValueError(f"parallel systems must have the same ports, got {ports[0]} and {ports[1]}")
     minus = "-" if sign < 0 else ""
     return connect(
         {"first": first, "second": second},
@@ -240,7 +240,7 @@ def parallel(first: UncertainSystem, second: UncertainSystem, sign: float = 1.0)
 
 
 def star(upper: UncertainSystem, lower: UncertainSystem, via: Mapping[str, str]) -> UncertainSystem:
-    """Redheffer star product: connected ports vanish, all other ports of both stay.
+    """Redheffer star product: connected ports are removed, all other ports of both systems stay.
 
     `via` maps outputs to inputs, each written ``upper.port`` or ``lower.port``.
 
@@ -255,7 +255,7 @@ def star(upper: UncertainSystem, lower: UncertainSystem, via: Mapping[str, str])
     free_out = [(n, p) for n, s in systems.items() for p in s.outputs if f"{n}.{p.name}" not in via]
     names = [p.name for _, p in free_out]
     if len(set(names)) < len(names):
-        raise ValueError(f"a free output name is in both systems: {sorted(names)}; rename a port first")
+        raise ValueError(f"free output names of upper and lower must differ, got {sorted(names)}: rename a port")
     return connect(
         systems,
         [*via.items(), *((p.name, f"{n}.{p.name}") for n, p in free_in)],
@@ -268,8 +268,8 @@ def close(plant: UncertainSystem, controller: UncertainSystem, via: Mapping[str,
     """Lower LFT: close a controller around a plant.
 
     `via` maps the plant's measurement ports to the controller's input ports and the controller's
-    output ports to the plant's command ports, by bare names. **Positive feedback: signs are the
-    controller's.**
+    output ports to the plant's command ports, by bare names. **Positive feedback: a negative
+    feedback gain has its sign in the controller.**
     """
     plant_out = {p.name for p in plant.outputs}
     wires = {
@@ -285,7 +285,7 @@ def transform(
     inputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
     outputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
 ) -> UncertainSystem:
-    """Replace ports by linear images of them, at their places.
+    """Replace ports by linear images of them; the order of the ports stays.
 
     Parameters
     ----------
@@ -309,10 +309,10 @@ def transform(
     left = [outputs.get(p.name, (np.eye(p.size), p)) for p in system.outputs]
     for old, (T, new) in zip(system.inputs, right):
         if np.shape(T) != (old.size, new.size):
-            raise ValueError(f"input {old.name!r}: expected a {old.size} x {new.size} matrix, got {np.shape(T)}")
+            raise ValueError(f"matrix of input {old.name!r} must be {old.size} x {new.size}, got {np.shape(T)}")
     for old, (T, new) in zip(system.outputs, left):
         if np.shape(T) != (new.size, old.size):
-            raise ValueError(f"output {old.name!r}: expected a {new.size} x {old.size} matrix, got {np.shape(T)}")
+            raise ValueError(f"matrix of output {old.name!r} must be {new.size} x {old.size}, got {np.shape(T)}")
     R = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in right)))
     Lm = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in left)))
     return replace(
@@ -326,11 +326,11 @@ def transform(
 
 
 def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSystem:
-    """Swap cause and effect of chosen channels.
+    """Exchange inputs and outputs of chosen channels.
 
-    Each input port `u` in `channels` becomes an output and the output port it maps to becomes an
-    input (same size): afterwards ``system.at(...)`` gives the `u` that makes that output what it is.
-    The direct feedthrough of the channels together must be invertible.
+    Each input port `u` in `channels` becomes an output, and the output port `y` that it maps to becomes an
+    input of the same size: the new system gives the `u` that produces a given `y`. The direct feedthrough
+    of all the channels together must be invertible.
 
     Raises
     ------
@@ -350,7 +350,7 @@ def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSys
     outs = [system.output_port(b) for b in channels.values()]
     for a, b in zip(ins, outs):
         if a.size != b.size:
-            raise ValueError(f"channel {a.name} -> {b.name} cannot be inverted: sizes {a.size} and {b.size}")
+            raise ValueError(f"channel {a.name} -> {b.name} must be square to be inverted, got {b.size} x {a.size}")
     q = len(system.channels)
     i, o = (
         q + port_indices(system.inputs, channels, "input"),
@@ -358,8 +358,7 @@ def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSys
     )
     D11 = system.D[np.ix_(o, i)]
     where = ", ".join(f"{a} -> {b}" for a, b in channels.items())
-    problem = f"channel {where} is not invertible"
-    Dinv = _solve(D11, np.eye(i.size), problem)
+    Dinv = _solve(D11, np.eye(i.size), f"channel {where} must be invertible")
     keep_i = np.setdiff1d(np.arange(system.D.shape[1]), i)
     keep_o = np.setdiff1d(np.arange(system.D.shape[0]), o)
     Bi, Co = system.B[:, i], system.C[o]

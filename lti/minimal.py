@@ -1,12 +1,12 @@
 """Exact minimal realisation of an uncertain system: fewest states, fewest occurrences.
 
-States and each parameter are treated alike: a repeated scalar (1/s, or delta_i) closed around a block of
-the LFT matrix. For one block the others count as inputs and outputs; what cannot be reached from them, or does
-not reach them, is removed by an orthogonal change of coordinates of that block (staircase). The pass over
-all blocks is repeated until nothing more is removed. The response at every parameter value is the same
-as before; nothing is approximated.
+The states and the channels of each parameter are treated alike: a repeated scalar (1/s, or delta_i) closed around
+a block of the LFT matrix. For one block the others count as inputs and outputs; the part that is not controllable
+from them, or not observable from them, is removed by an orthogonal change of coordinates of that block (staircase).
+The pass over all blocks is repeated until nothing more is removed. The response at every parameter value is
+unchanged; nothing is approximated.
 
-Assumption: parameters and 1/s are taken as if they did not commute, which never removes too much. Source: Beck,
+Assumption: parameters and 1/s are treated as non-commuting, which never removes too much. Source: Beck,
 Doyle and Glover, IEEE TAC 41 (1996), "Model reduction of multidimensional and uncertain systems"; D'Andrea and
 Khatri, ACC 1997.
 """
@@ -23,13 +23,13 @@ from lti.parameters import parameter_table
 from lti.ports import FloatArray
 from lti.uncertain_system import UncertainSystem
 
-#: Part of the block's norm below which a coupling counts as none.
+#: Fraction of the block's norm below which a coupling is treated as zero.
 TOLERANCE = 1e-11
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """A minimal system and what was removed to get it.
+    """A minimal system with the numbers of states and occurrences that were removed.
 
     Parameters
     ----------
@@ -50,23 +50,23 @@ class Reduction:
 
 
 def minimal_realisation(system: UncertainSystem, *, tolerance: float = TOLERANCE) -> Reduction:
-    """Remove what neither reaches nor is reached, keeping the Delta channels that matter.
+    """Remove uncontrollable and unobservable states and Delta channels.
 
     Parameters
     ----------
     system : UncertainSystem
     tolerance : float
-        Couplings below this part of the norm of the (balanced) block count as none.
+        Couplings below this fraction of the norm of the (balanced) block are treated as zero.
 
     Returns
     -------
     Reduction
-        Channels of a parameter stand side by side in the new system. A block that is minimal already keeps
-        its coordinates.
+        Channels of a parameter are adjacent in the new system. A block that is already minimal keeps its
+        coordinates.
 
     Examples
     --------
-    An integrator that is written twice is one state:
+    Two integrators of the same input reduce to one state:
 
     >>> from lti import Port, state_space
     >>> u, y = [Port("u", 1)], [Port("y", 1)]
@@ -127,7 +127,7 @@ def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float) -> t
 
 
 def _reachable(A: FloatArray, B: FloatArray, tolerance: float) -> FloatArray:
-    """Orthonormal basis of the smallest A-invariant subspace that holds the columns of B."""
+    """Orthonormal basis of the smallest A-invariant subspace that contains the columns of B."""
     n = A.shape[0]
     sizes = np.sqrt(np.sum(B**2, axis=0))
     columns = B[:, sizes > 0] / sizes[sizes > 0]
@@ -141,7 +141,7 @@ def _reachable(A: FloatArray, B: FloatArray, tolerance: float) -> FloatArray:
 
 
 def _orthonormal(columns: FloatArray, Q: FloatArray, allowed: float) -> FloatArray:
-    for _ in range(2):  # twice is enough
+    for _ in range(2):  # Gram-Schmidt twice is enough for orthogonality to rounding
         columns = columns - Q @ (Q.T @ columns)
     if columns.shape[1] == 0 or Q.shape[1] == Q.shape[0]:
         return np.zeros((Q.shape[0], 0))

@@ -17,15 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from lti.batched_linalg import largest_gains
 from lti.bilinear import to_continuous
-from lti.eigenvectors import balanced
+from lti.eigenvectors import EPS, balanced
+from lti.frequency_response import FrequencyResponse, refined_response, resonances
 from lti.hinf_level_test import LevelTest, hamiltonian_test, interval_test
-from lti.modal_response import FrequencyResponse, direct_response, resonances
 from lti.state_space_model import Matrices, checked_matrices
 
 sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 
 MAX_ROUNDS = 40
+CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
+STENCIL_STEPS = 10  # of the search for a peak, to each side
+_STENCIL = np.linspace(-1.0, 1.0, 2 * STENCIL_STEPS + 1)
 
 
 @dataclass(frozen=True)
@@ -105,9 +108,7 @@ def hinf_norm(
         return _continuous(system, rtol, certificate)
     if not dt > 0:
         raise ValueError(f"dt must be positive, got {dt}")
-    abscissa = sl.eigvals(system[0])
-    if np.any(np.abs(abscissa) >= 1.0):
-        worst = abscissa[np.argmax(np.abs(abscissa))]
+    if (worst := _on_or_outside_circle(system[0])) is not None:
         return HInfNorm(np.inf, np.inf, float(abs(np.angle(worst))) / dt, "unstable")
     norm = _continuous(to_continuous(*system), rtol, certificate)
     return HInfNorm(norm.value, norm.upper, 2.0 * float(np.arctan(norm.omega)) / dt, norm.certificate)
@@ -141,11 +142,11 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
             return 0.0
         a, b, c = balanced(a, b, c)
         T, Q = sl.schur(a, output="real", check_finite=False)
-        if np.diag(T).max() >= 0.0:  # the diagonal of a real Schur form holds the real parts
+        if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
         return float(np.sqrt(max(np.sum((seen @ P) * seen), 0.0)))
-    if len(a) and np.abs(sl.eigvals(a)).max() >= 1.0:
+    if _on_or_outside_circle(a) is not None:
         return float("inf")
     P = sl.solve_discrete_lyapunov(a, b @ b.T) if len(a) else np.zeros((0, 0))
     return float(np.sqrt(max(np.trace(c @ P @ c.T + d @ d.T), 0.0)))
@@ -166,87 +167,115 @@ def spectral_abscissa(A: ArrayLike) -> float:
     return float(sl.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
 
 
+def _on_or_outside_circle(A: FloatArray) -> complex | None:
+    """Eigenvalue of the largest magnitude if that is 1 or more to rounding."""
+    if not len(A):
+        return None
+    poles = sl.eigvals(A)
+    worst = complex(poles[np.argmax(np.abs(poles))])
+    return worst if abs(worst) >= 1.0 - 4.0 * EPS * len(A) else None
+
+
 def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     A, B, C, D = system
-    if len(A) == 0:
-        value = float(largest_gains(D[None].astype(complex))[0])
-        return HInfNorm(value, value, 0.0, "static")
+    if len(A) == 0 or not (B.any() and C.any()):
+        return _norm_of_feedthrough(A, D)
     A, B, C = balanced(A, B, C)
-    system = A, B, C, D
-    response = FrequencyResponse.of(A, B, C, D)
+    response = FrequencyResponse.of(A, B, C, D, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
-    if response.poles[worst].real >= 0.0:
+    if response.poles[worst].real >= 0.0 or response.on_axis.size:
         return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
+    return _certified((A, B, C, D), response, rtol, certificate)
+
+
+def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certificate: str) -> HInfNorm:
     test = "interval" if response.modal and certificate != "hamiltonian" else "hamiltonian"
-    seeds = _seeds(response)
+    seeds, terms = _seeds(response)
     value, omega = _best_peak(response, seeds, rtol)
+    noise = CANCELLATION * EPS * terms
     for _ in range(MAX_ROUNDS):
-        modal_value = value
-        value, omega = _directly(system, value, omega)
-        if abs(value - modal_value) > 0.1 * rtol * value:
+        modal_value, value = value, _direct_gain(system, omega)
+        if abs(value - modal_value) > max(0.1 * rtol * value, noise):
             test = "hamiltonian"
-        if value == 0.0 and not (np.any(B) and np.any(C)):
-            return HInfNorm(0.0, 0.0, 0.0, test)
-        upper = max(value * (1.0 + rtol), np.finfo(float).tiny)
-        outcome = _level_test(test, response, system, upper, np.append(seeds, omega))
+        upper = value * (1.0 + rtol)
+        cancelled = value <= EPS**0.5 * noise / rtol
+        if cancelled:  # the modal terms cancel to rounding
+            test, upper = "interval", value + noise
+        outcome = _level_test(test, response, system, upper, seeds, omega)
         if outcome.below:
             return HInfNorm(value, upper, omega, test)
         if not outcome.decided:
+            if test == "hamiltonian":
+                break
             test = "hamiltonian"
             continue
-        better, place = _best_peak(response, outcome.frequencies, rtol)
-        exact, place = _directly(system, better, place)
-        if exact <= upper:  # what the test saw above the level is rounding of the modal form: the bound allows for it
+        better, frequency = _best_peak(response, outcome.frequencies, rtol)
+        exact = _direct_gain(system, frequency)
+        if exact <= upper:  # what the test found above the level is rounding of the modal form: the bound includes it
             return HInfNorm(value, max(upper, better * (1.0 + rtol)), omega, test)
-        value, omega = exact, place
-    raise ArithmeticError(f"the H-infinity norm did not settle in {MAX_ROUNDS} rounds (order {len(A)})")
+        value, omega = better, frequency
+    raise ArithmeticError(f"the H-infinity norm did not settle in {MAX_ROUNDS} rounds (order {len(system[0])})")
 
 
-def _level_test(test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray) -> LevelTest:
+def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
+    """Norm of D; the states, if any, are not driven or not observed, but they must be stable."""
+    if len(A):
+        poles = sl.eigvals(A)
+        worst = poles[np.argmax(poles.real)]
+        if worst.real >= 0.0:
+            return HInfNorm(np.inf, np.inf, float(abs(worst.imag)), "unstable")
+    value = float(largest_gains(D[None].astype(complex))[0])
+    return HInfNorm(value, value, 0.0, "static")
+
+
+def _level_test(
+    test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray, peak: float
+) -> LevelTest:
     if test == "interval":
-        return interval_test(response, level, seeds[np.isfinite(seeds)])
+        return interval_test(response, level, seeds[np.isfinite(seeds)], peak)
     return hamiltonian_test(*system, level)
 
 
-def _directly(system: Matrices, value: float, omega: float) -> tuple[float, float]:
+def _direct_gain(system: Matrices, omega: float) -> float:
     """Gain at the peak by a direct solution: the modal form never has the last word."""
-    return float(largest_gains(direct_response(*system, omega)[None])[0]), omega
+    return float(largest_gains(refined_response(*system, omega)[None])[0])
 
 
-def _seeds(response: FrequencyResponse) -> FloatArray:
-    light = resonances(response.poles)
-    sizes = np.abs(response.poles)
-    return np.asarray(np.unique(np.concatenate([[0.0, np.inf], light, sizes])))
+def _seeds(response: FrequencyResponse) -> tuple[FloatArray, float]:
+    """Frequencies of possible peaks, and the largest sum of the magnitudes of the modal terms (0 in Schur form)."""
+    poles = response.poles
+    size = np.abs(poles)
+    seeds = np.unique(np.concatenate([[0.0, np.inf], resonances(poles), size]))
+    if not response.modal:
+        return seeds, 0.0
+    distance = np.maximum(np.abs(size - poles.imag), np.abs(poles.real))
+    return seeds, float(np.sum(response.residue_norms / np.maximum(distance, 1e-300)))
 
 
 def _best_peak(response: FrequencyResponse, seeds: FloatArray, rtol: float) -> tuple[float, float]:
-    """Largest gain near the best seeds, refined by a parabola through log gain and golden sections."""
+    """Largest gain near the best three seeds: (gain, frequency).
+
+    Around each, points over two pole distances to both sides, then around the best of them, until they are so close
+    that the parabola of the peak falls by less than a tenth of `rtol` between them.
+    """
     gains = largest_gains(response.at(seeds))
     chosen = np.argsort(gains)[::-1][:3]
-    best, place = float(gains[chosen[0]]), float(seeds[chosen[0]])
-    for i in chosen:
-        centre = float(seeds[i])
-        if not np.isfinite(centre) or centre == 0.0 or gains[i] < 0.7 * best:
-            continue
-        width = float(np.min(np.abs(1j * centre - response.poles)))
-        value, omega = refine_peak(response, centre, min(2.0 * width, 0.9 * centre), 1e-6 * width)
-        if value > best:
-            best, place = value, omega
-    return best, place
-
-
-def refine_peak(response: FrequencyResponse, centre: float, half_width: float, fine: float) -> tuple[float, float]:
-    """Local maximum of the gain within `half_width` of `centre` [rad/s]: (gain, frequency).
-
-    Thirteen points, then the interval around the best of them, until it is narrower than `fine`.
-    """
-    best, place = -np.inf, centre
-    while half_width > max(fine, 1e-15 * abs(place)):
-        points = place + half_width * np.linspace(-1.0, 1.0, 13)
-        points = points[points >= 0.0]
-        gains = largest_gains(response.at(points))
-        i = int(np.argmax(gains))
-        if gains[i] > best:
-            best, place = float(gains[i]), float(points[i])
-        half_width *= 0.2
-    return best, place
+    best, omega = float(gains[chosen[0]]), float(seeds[chosen[0]])
+    centre = seeds[chosen[gains[chosen] >= 0.7 * best]]
+    centre = centre[np.isfinite(centre) & (centre > 0.0)]
+    if not centre.size:
+        return best, omega
+    width = np.abs(1j * centre[:, None] - response.poles).min(axis=1)
+    half = np.minimum(2.0 * width, 0.9 * centre)
+    fine = np.sqrt(0.1 * rtol) * width
+    rows = np.arange(len(centre))
+    while np.any(half > np.maximum(fine, 1e-15 * centre)):
+        points = np.abs(centre[:, None] + half[:, None] * _STENCIL)
+        gains = largest_gains(response.at(points.ravel())).reshape(points.shape)
+        index = gains.argmax(axis=1)
+        centre = points[rows, index]
+        half = 1.5 * half / STENCIL_STEPS
+        top = int(gains[rows, index].argmax())
+        if gains[top, index[top]] > best:
+            best, omega = float(gains[top, index[top]]), float(centre[top])
+    return best, omega

@@ -1,4 +1,4 @@
-"""Real parameters that are uncertain or vary slowly."""
+"""Real parameters that are uncertain or vary slowly, with nominal value and range."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class RealParameter:
     Parameters
     ----------
     name : str
-        Unique; blocks that use the same name move together.
+        Unique; blocks that use the same name share the parameter.
     nominal, lower, upper : float
         ``lower <= nominal <= upper``, in `unit`.
     unit : str
@@ -29,7 +29,7 @@ class RealParameter:
 
     Examples
     --------
-    The map to [-1, 1] keeps both ends and the nominal value, also for lopsided ranges:
+    The map to [-1, 1] keeps both ends and the nominal value, also for asymmetric ranges:
 
     >>> k = RealParameter("stiffness", 1.0, 0.9, 1.4, "N/m")
     >>> [round(k.from_normalised(v), 12) for v in (-1, 0, 1)]
@@ -45,12 +45,13 @@ class RealParameter:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise ValueError("a parameter needs a name, got an empty string")
-        if not all(math.isfinite(v) for v in (self.nominal, self.lower, self.upper)):
-            raise ValueError(f"parameter {self.name!r}: nominal, lower and upper must be finite numbers")
+            raise ValueError("name of a parameter must not be empty, got ''")
+        bounds = (self.lower, self.nominal, self.upper)
+        if not all(math.isfinite(v) for v in bounds):
+            raise ValueError(f"parameter {self.name!r}: lower, nominal and upper must be finite, got {bounds}")
         if not self.lower <= self.nominal <= self.upper:
             raise ValueError(
-                f"parameter {self.name!r}: expected lower <= nominal <= upper, "
+                f"parameter {self.name!r} must have lower <= nominal <= upper, "
                 f"got {self.lower} <= {self.nominal} <= {self.upper} {self.unit}"
             )
 
@@ -60,14 +61,13 @@ class RealParameter:
         Raises
         ------
         ValueError
-            Not a number in [lower, upper] (a rounding error of 1e-12 of the range is let through).
+            Not a number in [lower, upper] (a rounding error of 1e-12 of the range is accepted).
         """
         number = float(value)
         slack = 1e-12 * max(self.upper - self.lower, abs(self.nominal))
         if not self.lower - slack <= number <= self.upper + slack:
             raise ValueError(
-                f"parameter {self.name!r}: expected a value in [{self.lower:g}, {self.upper:g}] {self.unit}, "
-                f"got {number:g}"
+                f"parameter {self.name!r} must be in [{self.lower:g}, {self.upper:g}] {self.unit}, got {number:g}"
             )
         return number
 
@@ -75,8 +75,8 @@ class RealParameter:
     def bilinear(self) -> tuple[float, float]:
         """Coefficients (a, b) of ``value - nominal = a nu / (1 + b nu)`` with nu in [-1, 1].
 
-        With one side of zero width the map would degenerate; then nu runs over the other side only
-        through the affine map with half of it unused: a = the larger side, b = 0.
+        If one side of the range has zero width the bilinear map is singular; then the map is affine, with a the
+        width of the other side and b = 0, and half of the interval of nu is not used.
         """
         up, down = self.upper - self.nominal, self.nominal - self.lower
         if up == 0.0 or down == 0.0:
@@ -84,12 +84,12 @@ class RealParameter:
         return 2.0 * up * down / (up + down), (down - up) / (down + up)
 
     def from_normalised(self, nu: float) -> float:
-        """Physical value that belongs to the normalised one, nu in [-1, 1]."""
+        """Physical value of the normalised value nu in [-1, 1]."""
         a, b = self.bilinear
         return self.nominal + a * nu / (1.0 + b * nu)
 
     def to_normalised(self, value: float) -> float:
-        """Normalised value in [-1, 1] that belongs to a physical one."""
+        """Normalised value in [-1, 1] of a physical value."""
         a, b = self.bilinear
         deviation = self.check(value) - self.nominal
         return 0.0 if deviation == 0.0 else deviation / (a - b * deviation)
@@ -108,7 +108,7 @@ def parameter_table(parameters: Iterable[RealParameter]) -> dict[str, RealParame
         known = table.setdefault(parameter.name, parameter)
         if known != parameter:
             raise ValueError(
-                f"parameter {parameter.name!r} has two definitions: nominal {known.nominal:g} in "
+                f"parameter {parameter.name!r} must have one definition, got two: nominal {known.nominal:g} in "
                 f"[{known.lower:g}, {known.upper:g}] {known.unit} and nominal {parameter.nominal:g} in "
                 f"[{parameter.lower:g}, {parameter.upper:g}] {parameter.unit}"
             )
@@ -127,7 +127,7 @@ def checked_values(
     """
     unknown = sorted(set(values) - set(parameters))
     if unknown:
-        raise ValueError(f"unknown parameter {unknown[0]!r}, expected one of: {', '.join(parameters) or '(none)'}")
+        raise ValueError(f"parameter must be one of {', '.join(parameters) or '(none)'}, got {unknown[0]!r}")
     result = {}
     for name, parameter in parameters.items():
         value = float(values.get(name, parameter.nominal))

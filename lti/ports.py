@@ -38,7 +38,7 @@ class Port:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise ValueError("the name of a port must be a text of at least one letter, got an empty one")
+            raise ValueError("name of a port must not be empty, got ''")
         if self.size < 1:
             raise ValueError(f"size of port {self.name!r} must be at least 1, got {self.size}")
 
@@ -56,7 +56,7 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     Raises
     ------
     ValueError
-        A name that is used twice; `what` says where.
+        A name that is used twice; the message begins with `what`.
     """
     made = tuple(p if isinstance(p, Port) else Port(*p) for p in ports)
     names = [p.name for p in made]
@@ -67,7 +67,7 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
 
 
 def read_only(array: ArrayLike) -> FloatArray:
-    """Contiguous float copy that refuses to be written to."""
+    """Contiguous read-only float copy."""
     copy = np.array(array, dtype=float, order="C")
     copy.setflags(write=False)
     return copy
@@ -88,18 +88,18 @@ def total_size(ports: Iterable[Port]) -> int:
 
 
 def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str = "") -> NDArray[np.intp]:
-    """Indices of the signals of the ports `names`, in the order asked for, in the stacked vector of all `ports`.
+    """Indices of the signals of the ports `names`, in the given order, in the stacked vector of all `ports`.
 
     Raises
     ------
     ValueError
-        A port that does not exist; the message lists those that do. `kind` and `of` say of which system.
+        Unknown port; the message lists the existing ones and names the system by `kind` and `of`.
     """
     slices = port_slices(ports)
     chosen: list[int] = []
     for name in names:
         if name not in slices:
             known = ", ".join(slices) or "(none)"
-            raise ValueError(f"{of + ': ' if of else ''}unknown {kind} port {name!r}, expected one of: {known}")
+            raise ValueError(f"{of + ': ' if of else ''}{kind} port must be one of {known}, got {name!r}")
         chosen.extend(range(slices[name].start, slices[name].stop))
     return np.array(chosen, dtype=np.intp)

@@ -1,7 +1,19 @@
 """Sampled linear systems with named ports, ready for a real-time loop (numpy only).
 
-A :class:`SampledSystem` is what flies: the observer K_FSM and the controller K_PMA are files of this
-kind (``designs/*.json``), and whoever brings a controller of their own writes such a file.
+The observer K_FSM and the controller K_PMA are stored as files of this kind (``designs/*.json``), and so is a user's
+own controller. The file is a JSON object:
+
+=================  ============================================================================================
+key                value
+=================  ============================================================================================
+``format``         ``los-testbed/sampled-system``; ``version``: 1
+``name``           text
+``dt``             sampling period [s]
+``inputs``         list of ports, objects with ``name``, ``size``, ``unit``; ``outputs`` alike
+``A`` ... ``D``    matrices as lists of rows
+``design_basis``   what the system was made for, names and values; may be missing
+``provenance``     how the system was made; may be missing
+=================  ============================================================================================
 """
 
 from __future__ import annotations
@@ -36,8 +48,11 @@ class SampledSystem:
         Sampling period [s].
     name : str
         What the system is, for messages and reports.
+    design_basis : mapping
+        What the system was made for, names and values; empty where nothing is known. Of a controller:
+        :class:`titop_plant.interface.DesignBasis`.
     provenance : mapping
-        Birth certificate: command, parameters hash, seed, commit, norms.
+        How it was made: command, seed, commit, norms.
 
     Raises
     ------
@@ -64,6 +79,7 @@ class SampledSystem:
     outputs: tuple[Port, ...]
     dt: float
     name: str = "controller"
+    design_basis: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     _x: FloatArray = field(init=False, repr=False, compare=False)
     _next: FloatArray = field(init=False, repr=False, compare=False)
@@ -93,19 +109,19 @@ class SampledSystem:
         return self._x.copy()
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
-        """Check that this system fits a place in a loop: ports by name and size, and period [s].
+        """Check the ports, by name and size, and the sampling period [s].
 
         Raises
         ------
         ValueError
-            Other ports or another period; the message lists what was expected and what came.
+            Other ports or another period; the message lists both.
         """
         for kind, expected, present in (("inputs", inputs, self.inputs), ("outputs", outputs, self.outputs)):
-            wanted, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
-            if got != wanted:
-                raise ValueError(f"{self.name}: expected {kind} {wanted}, got {got}")
+            required, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
+            if got != required:
+                raise ValueError(f"{self.name}: {kind} must be {required}, got {got}")
         if abs(self.dt - dt) > 1e-12:
-            raise ValueError(f"{self.name}: expected a period of {dt} s, got {self.dt}")
+            raise ValueError(f"{self.name}: sampling period must be {dt} s, got {self.dt}")
 
     def step(self, u: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing."""
@@ -130,6 +146,7 @@ class SampledSystem:
             "inputs": [vars(port) for port in self.inputs],
             "outputs": [vars(port) for port in self.outputs],
             **{key: getattr(self, key).tolist() for key in "ABCD"},
+            "design_basis": dict(self.design_basis),
             "provenance": dict(self.provenance),
         }
         target = Path(path)
@@ -159,6 +176,9 @@ class SampledSystem:
         missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]
         if missing:
             raise ValueError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
+        for key in ("design_basis", "provenance"):
+            if not isinstance(content.get(key, {}), dict):
+                raise ValueError(f"{path}: {key} must be an object of names and values, got {content[key]!r}")
         try:
             inputs, outputs = (tuple(Port(**port) for port in content[key]) for key in ("inputs", "outputs"))
             return cls(
@@ -170,6 +190,7 @@ class SampledSystem:
                 outputs=outputs,
                 dt=float(content["dt"]),
                 name=str(content.get("name", Path(path).stem)),
+                design_basis=content.get("design_basis", {}),
                 provenance=content.get("provenance", {}),
             )
         except TypeError:

@@ -34,7 +34,7 @@ class StateSpace:
     inputs, outputs : sequence of Port (or of (name, size))
         Sizes add up to m and p; names are unique on each side.
     name : str
-        What the model is, for messages and results (for instance the parameter values).
+        Name of the model in messages and results (for instance the parameter values).
 
     Raises
     ------
@@ -77,15 +77,15 @@ class StateSpace:
         return self.A, self.B, self.C, self.D
 
     def input_indices(self, names: Iterable[str]) -> NDArray[np.intp]:
-        """Columns of the ports `names`, in the order asked for."""
+        """Columns of the ports `names`, in the given order."""
         return port_indices(self.inputs, names, "input", self.name)
 
     def output_indices(self, names: Iterable[str]) -> NDArray[np.intp]:
-        """Rows of the ports `names`, in the order asked for."""
+        """Rows of the ports `names`, in the given order."""
         return port_indices(self.outputs, names, "output", self.name)
 
     def channel(self, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
-        """The part from the ports `inputs` to the ports `outputs`; all states are kept."""
+        """Subsystem from the ports `inputs` to the ports `outputs`; all states are kept."""
         columns, rows = self.input_indices(inputs), self.output_indices(outputs)
         by_in = {p.name: p for p in self.inputs}
         by_out = {p.name: p for p in self.outputs}
@@ -167,7 +167,7 @@ def checked_matrices(
     Raises
     ------
     ValueError
-        Naming the matrix, what was expected and what came.
+        Wrong shape or an entry that is not finite; the message names the matrix, its required and its actual shape.
     """
     given = {key: _array(key, value) for key, value in zip("ABCD", (A, B, C, D))}
     d = np.atleast_2d(given["D"])
@@ -196,7 +196,7 @@ def _array(key: str, value: ArrayLike) -> FloatArray:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"matrix {key} must be a rectangular array of numbers, got something else") from None
+        raise ValueError(f"matrix {key} must be a rectangular array of numbers, got {type(value).__name__}") from None
 
 
 def _ports(labels: Sequence[str], units: Mapping[str, str]) -> tuple[Port, ...]:

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class UncertainSystem:
-    """Upper LFT ``F_u(M, Delta)`` with ``Delta = diag(value - nominal)`` and named ports.
+    """Upper linear fractional transformation (LFT) ``F_u(M, Delta)`` with named ports.
+
+    ``Delta = diag(value - nominal)``, a parameter repeated as often as it occurs.
 
     The stored matrices are those of M: the first inputs and outputs are the Delta channels, one for
     each entry of `channels`; the ports follow in their order. **Delta = 0 is the nominal system.**
@@ -72,7 +74,7 @@ class UncertainSystem:
         table = parameter_table(self.parameters)
         missing = sorted(set(self.channels) - set(table))
         if missing:
-            raise ValueError(f"Delta channel of parameter {missing[0]!r} has no RealParameter")
+            raise ValueError(f"every Delta channel must have a RealParameter, got none for {missing[0]!r}")
         used = tuple(p for p in dict.fromkeys(self.parameters) if p.name in set(self.channels))
         object.__setattr__(self, "parameters", used)
 
@@ -82,7 +84,7 @@ class UncertainSystem:
         return self.A.shape[0]
 
     def occurrences(self) -> dict[str, int]:
-        """How often each parameter is repeated in Delta, in the order of `parameters`."""
+        """Number of repetitions of each parameter in Delta, in the order of `parameters`."""
         count = Counter(self.channels)
         return {parameter.name: count[parameter.name] for parameter in self.parameters}
 
@@ -92,13 +94,13 @@ class UncertainSystem:
         Raises
         ------
         ValueError
-            There is no such parameter; the message lists those that exist.
+            Unknown parameter; the message lists the existing ones.
         """
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         known = ", ".join(p.name for p in self.parameters)
-        raise ValueError(f"unknown parameter {name!r}, expected one of: {known or '(none)'}")
+        raise ValueError(f"parameter must be one of {known or '(none)'}, got {name!r}")
 
     def data_at(self, values: Mapping[str, float], *, beyond_range: bool = False) -> StateSpace:
         """Matrices at the given parameter values (nominal where none is given).
@@ -118,7 +120,7 @@ class UncertainSystem:
         if active.size:
             loop = np.eye(active.size) - self.D[np.ix_(active, active)] * delta[active]
             right = np.hstack([self.C[active], self.D[active, q:]])
-            w = delta[active, None] * _solve(loop, right, f"the LFT is not well posed at {dict(values)}")
+            w = delta[active, None] * _solve(loop, right, f"the LFT must be well posed at {dict(values)}")
             n = self.order
             A = A + self.B[:, active] @ w[:, :n]
             B = B + self.B[:, active] @ w[:, n:]
@@ -127,11 +129,11 @@ class UncertainSystem:
         return StateSpace(A, B, C, D, self.inputs, self.outputs)
 
     def at(self, values: Mapping[str, float]) -> control.StateSpace:
-        """The member of the family at the given values (others nominal), as `control.StateSpace`."""
+        """The system at the given parameter values (others nominal), as `control.StateSpace`."""
         return self.data_at(values).to_control()
 
     def nominal(self) -> control.StateSpace:
-        """The nominal member, as `control.StateSpace`."""
+        """The system at the nominal parameter values, as `control.StateSpace`."""
         return self.data_at({}).to_control()
 
     def sample_values(self, rng: np.random.Generator, count: int = 1) -> list[dict[str, float]]:
@@ -139,13 +141,13 @@ class UncertainSystem:
         return [{p.name: float(rng.uniform(p.lower, p.upper)) for p in self.parameters} for _ in range(count)]
 
     def sample(self, rng: np.random.Generator, count: int = 1) -> list[control.StateSpace]:
-        """`count` random members of the family."""
+        """The system at `count` random parameter values."""
         return [self.at(values) for values in self.sample_values(rng, count)]
 
     def __getitem__(self, key: tuple[str | Sequence[str], str | Sequence[str]]) -> UncertainSystem:
         """Sub-system ``system[outputs, inputs]`` by port names; all states and channels stay."""
         if not isinstance(key, tuple) or len(key) != 2:
-            raise ValueError("expected system[output ports, input ports], for example P['los', 'u']")
+            raise ValueError(f"index must be [output ports, input ports], for example P['los', 'u'], got {key!r}")
         return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
 
     def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> UncertainSystem:
@@ -154,7 +156,7 @@ class UncertainSystem:
         Raises
         ------
         ValueError
-            Unknown port; the message lists those that exist.
+            Unknown port; the message lists the existing ones.
         """
         q = len(self.channels)
         keep_in = tuple(self.inputs if inputs is None else (self.input_port(n) for n in inputs))
@@ -184,7 +186,7 @@ class UncertainSystem:
         known = {p.name for p in self.inputs + self.outputs}
         for name in ports:
             if name not in known:
-                raise ValueError(f"unknown port {name!r}, expected one of: {', '.join(sorted(known))}")
+                raise ValueError(f"port must be one of {', '.join(sorted(known))}, got {name!r}")
         for name in parameters:
             self.parameter(name)
         return replace(
@@ -196,15 +198,15 @@ class UncertainSystem:
         )
 
     def input_port(self, name: str) -> Port:
-        """Input port of that name, or a ValueError that lists those that exist."""
+        """Input port of this name; a ValueError lists the existing ones."""
         return _find(self.inputs, name, "input")
 
     def output_port(self, name: str) -> Port:
-        """Output port of that name, or a ValueError that lists those that exist."""
+        """Output port of this name; a ValueError lists the existing ones."""
         return _find(self.outputs, name, "output")
 
     def sorted_channels(self, order: Sequence[str] | None = None) -> UncertainSystem:
-        """The same LFT with equal parameters side by side, in the order of `order` (or as they come)."""
+        """The same LFT with the channels of each parameter adjacent, in the order of `order` (default: as stored)."""
         names = list(order) if order is not None else [p.name for p in self.parameters]
         q = len(self.channels)
         rank = {name: i for i, name in enumerate(names)}
@@ -221,11 +223,11 @@ class UncertainSystem:
         )
 
     def normalised(self) -> UncertainSystem:
-        """The same family with every parameter in [-1, 1] and nominal 0.
+        """The same uncertain system with every parameter in [-1, 1] and nominal value 0.
 
-        A symmetric range is scaled; a lopsided one takes the bilinear map of
-        :attr:`RealParameter.bilinear`, which costs no further occurrence. A normalised value nu
-        belongs to the physical ``parameter.from_normalised(nu)``.
+        A symmetric range is scaled; an asymmetric one uses the bilinear map of
+        :attr:`RealParameter.bilinear`, which adds no occurrence. A normalised value nu
+        corresponds to the physical value ``parameter.from_normalised(nu)``.
         """
         q = len(self.channels)
         table = {p.name: p for p in self.parameters}
@@ -271,20 +273,20 @@ def _find(ports: Sequence[Port], name: str, kind: str) -> Port:
     for port in ports:
         if port.name == name:
             return port
-    raise ValueError(f"unknown {kind} port {name!r}, expected one of: {', '.join(p.name for p in ports) or '(none)'}")
+    raise ValueError(f"{kind} port must be one of {', '.join(p.name for p in ports) or '(none)'}, got {name!r}")
 
 
-def _solve(matrix: FloatArray, right: FloatArray, problem: str) -> FloatArray:
-    """Solve, or say in one line that the loop is not well posed."""
+def _solve(matrix: FloatArray, right: FloatArray, requirement: str) -> FloatArray:
+    """Solve; a singular matrix is a ValueError that begins with `requirement`."""
     if matrix.size == 0:
         return np.zeros_like(right)
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # judged here, by the pivots
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the pivots are checked below
         lu, pivots = linalg.lu_factor(matrix, check_finite=False)
         smallest = np.min(np.abs(np.diag(lu)))
     if not smallest > 1e-14 * np.max(np.abs(matrix)):
-        raise ValueError(f"{problem}: the algebraic loop is singular")
+        raise ValueError(f"{requirement}, got a singular algebraic loop")
     x = linalg.lu_solve((lu, pivots), right, check_finite=False)
-    # one step of refinement: rows of very different size then keep their own digits (Skeel 1980), which slow
-    # motion of a free spacecraft needs, a small difference of large forces
+    # One step of iterative refinement makes the solution accurate row by row when the rows differ in scale (Skeel
+    # 1980). Slow motion of a free spacecraft needs it: the net force is a small difference of large forces.
     return np.asarray(x + linalg.lu_solve((lu, pivots), right - matrix @ x, check_finite=False))

@@ -87,7 +87,7 @@ def combine(contributions: Sequence[Contribution], index: str = "APE", factor: f
     ----------
     contributions : independent of one another
     index : ``APE`` (all of them) or ``RPE`` (those that vary within an exposure, without means)
-    factor : number of standard deviations for the wanted probability
+    factor : number of standard deviations for the required probability
 
     Raises
     ------

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
+from pointing_analysis.telescope_values import telescope_value
 from pointing_analysis.topic import on_grid, read_only
 
 Floats = NDArray[np.float64]
@@ -19,7 +20,6 @@ RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
 SETTLING = 5.0
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
-FSM_TO_LOS = 0.1  # LOS rotation per FSM tilt, used where the bag does not give ``fsm_to_los``
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSer
 def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
     """True controlled line of sight minus its target, which is zero.
 
-    **Sign: error = actual minus wanted.**
+    **Sign: error = actual minus target.**
 
     Parameters
     ----------
@@ -108,8 +108,9 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
 def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
     """Estimated minus true line of sight, joined by stamp.
 
-    The observer estimates the line of sight *without* the mirror's contribution (the mirror law ``u = -estimate / 0.1``
-    cancels it), so the truth is the controlled line of sight less 0.1 times the mirror angle by its gauges.
+    The observer estimates the line of sight *without* the mirror's contribution (the mirror law
+    ``u = -estimate / los_sensitivity`` cancels it), so the truth is the controlled line of sight less
+    ``los_sensitivity`` times the mirror angle by its gauges.
     **Sign: error = estimate minus truth.**
 
     Raises
@@ -143,7 +144,7 @@ def knowledge_error_of(
     _need(run, "truth/los", "fsm/strain_gauge")
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
     grid, dt = on_grid(truth)
-    gain = float(run.parameters.get("fsm_to_los", FSM_TO_LOS))
+    gain = telescope_value(run, "los_sensitivity")
     full = np.full((len(grid), 2), np.nan)
     step = round(dt * 1e9)
     common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)

@@ -61,8 +61,8 @@ class FileInfo:
     attachments: dict[str, bytes] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     finished: bool = False
-    # Which chunks to unpack, by the times of their first and last message; the others are passed over unread.
-    wanted: Callable[[int, int], bool] = lambda first, last: True
+    # Whether to unpack a chunk, by the times [ns] of its first and last message; the others are skipped unread.
+    unpacks: Callable[[int, int], bool] = lambda first, last: True
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,8 @@ class _Walk:
         op, length = RECORD.unpack(head)
         if op == OP_CHUNK and 16 < length < LARGEST_RECORD:
             times = self.stream.read(16)
-            if len(times) == 16 and not self.info.wanted(*struct.unpack("<QQ", times)):
-                return self._pass_over(op, length - 16)
+            if len(times) == 16 and not self.info.unpacks(*struct.unpack("<QQ", times)):
+                return self._skip(op, length - 16)
             body = times + self.stream.read(min(length - 16, self.largest))
             if len(body) < length:
                 self._cut("a chunk")
@@ -236,8 +236,8 @@ class _Walk:
             self._cut("a record")
         return op, body, len(body) == length
 
-    def _pass_over(self, op: int, length: int) -> tuple[int, bytes, bool]:
-        """Leave out a chunk; read what may be its end so that a cut file is still noticed."""
+    def _skip(self, op: int, length: int) -> tuple[int, bytes, bool]:
+        """Skip a chunk; read its last byte so that a file that was cut off is still noticed."""
         self.stream.seek(length - 1, os.SEEK_CUR)
         whole = len(self.stream.read(1)) == 1
         if not whole:
@@ -278,8 +278,8 @@ class _Walk:
                 self._summary()
                 break
             if op == OP_CHUNK and len(body) > 40:
-                place = self.stream.tell() - len(body) - RECORD.size
-                chunk = _unpack(self.info, body, f"{self.where}, byte {place}", cut=not whole)
+                offset = self.stream.tell() - len(body) - RECORD.size
+                chunk = _unpack(self.info, body, f"{self.where}, byte {offset}", cut=not whole)
             elif op == OP_MESSAGE and whole:
                 self.plain += RECORD.pack(op, len(body)) + body
                 if len(self.plain) > PLAIN_BLOCK:

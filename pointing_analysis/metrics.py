@@ -234,14 +234,14 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats
     return np.asarray(drift[~np.isnan(drift).any(axis=1)])
 
 
-def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, most: int = 1000) -> Floats:
+def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = 1000) -> Floats:
     """Reproducibility: differences of the window means of two observations.
 
     Parameters
     ----------
     first, second : (n, 2) errors of the two observations
     dt, window : sampling period and window length [s]
-    most : windows to take of each observation, spread evenly over it (the number of pairs is its square)
+    max_windows : windows to take of each observation, spread evenly over it (the number of pairs is its square)
 
     Returns
     -------
@@ -250,7 +250,7 @@ def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, most: int
 
     def means(error: ArrayLike) -> Floats:
         m = mpe(error, dt, window)
-        return m[np.unique(np.linspace(0, len(m) - 1, min(most, len(m))).astype(int))] if len(m) else m
+        return m[np.unique(np.linspace(0, len(m) - 1, min(max_windows, len(m))).astype(int))] if len(m) else m
 
     a, b = means(first), means(second)
     return np.asarray((b[None, :, :] - a[:, None, :]).reshape(-1, 2))

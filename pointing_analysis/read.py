@@ -248,10 +248,10 @@ class Run:
                     column.name = self.short(topic)
                     self._topics[column.name] = column.topic()
 
-    def _pass(self, wanted: Callable[[str], bool] | None) -> tuple[dict[str, _Column], bool]:
+    def _pass(self, selects: Callable[[str], bool] | None) -> tuple[dict[str, _Column], bool]:
         """One pass over the files; returns the columns and whether they stayed inside the memory limit.
 
-        Without `wanted` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
+        Without `selects` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
         """
         self._infos = []
         columns: dict[str, _Column] = {}
@@ -261,15 +261,15 @@ class Run:
             info = FileInfo()
             self._infos.append(info)
             if origin is not None:
-                info.wanted = self._in_window(origin)
+                info.unpacks = self._in_window(origin)
             for block in walk(file, info):
                 if origin is None:
                     origin = int(block.heads["log"].min())
-                    info.wanted = self._in_window(origin)
-                if wanted is None:
-                    info.wanted = lambda first, last: False
+                    info.unpacks = self._in_window(origin)
+                if selects is None:
+                    info.unpacks = lambda first, last: False
                     continue
-                self._take(block, info, columns, wanted, origin, packed)
+                self._take(block, info, columns, selects, origin, packed)
                 if sum(c.nbytes for c in columns.values()) > self._limit:
                     return self._pass(None)[0], False
             self._noted.update(dict.fromkeys(info.problems))
@@ -289,7 +289,7 @@ class Run:
         block: Block,
         info: FileInfo,
         columns: dict[str, _Column],
-        wanted: Callable[[str], bool],
+        selects: Callable[[str], bool],
         origin: int,
         packed: bool,
     ) -> None:
@@ -303,7 +303,7 @@ class Run:
             channel: Channel | None = info.channels.get(int(number))
             if channel is None or channel.encoding != "cdr" or channel.schema not in cdr.SUPPORTED:
                 continue
-            if not wanted(channel.topic):
+            if not selects(channel.topic):
                 continue
             chosen = numbers == number if inside is None else (numbers == number) & inside
             if not chosen.any():

@@ -1,10 +1,10 @@
 """Replay: drive an observer and a controller with the sensors of a bag, and compare with what the bag recorded.
 
-Through the controllers that flew, the replay gives the recorded estimates and commands again, bit by bit: the proof
+Through the recorded controllers, the replay gives the recorded estimates and commands again, bit by bit: the proof
 that the bag holds all that the loop saw. Through others it gives what they would have estimated and commanded on the
 same sensors (open loop: the plant does not answer to the new commands).
 
-This module knows no controller: anything with ``step`` and ``reset`` will do.
+This module imports no controller: `Estimator` and `Controller` say what one must have.
 """
 
 from __future__ import annotations
@@ -34,25 +34,29 @@ MEASUREMENT = {
 }
 #: topic -> columns of the command vector (8)
 COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
-#: the nodes step their cores on held samples over a gap of at most so many ticks; after a longer one they just go on
+#: sizes of the two vectors, columns of the platform's accelerations and of the camera
+MEASUREMENTS = max(columns.stop for columns in MEASUREMENT.values())
+COMMANDS = max(columns.stop for columns in COMMAND.values())
+PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
+#: the nodes step on held samples over a gap of at most so many ticks; over a longer one they do not
 GAP_LIMIT = 50
 
 
 class Estimator(Protocol):
-    """Observer: one tick turns a measurement (22,) into an estimate (2,)."""
+    """Observer at run time, of a node as of a replay: a measurement (22,) to an estimate (2,) [rad]."""
 
     def step(self, measurement: Floats, out: Floats) -> None:
-        """One tick."""
+        """One tick: write the estimate into `out`; camera columns of `measurement` may be NaN."""
 
     def reset(self) -> None:
         """Back to the zero state."""
 
 
 class Controller(Protocol):
-    """Controller: one tick turns an estimate (2,) and an acceleration (6,) into a command (8,)."""
+    """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
 
     def step(self, los_estimate: Floats, accel_Ip: Floats, out: Floats) -> None:
-        """One tick."""
+        """One tick: write the command into `out`."""
 
     def reset(self) -> None:
         """Back to the zero state."""
@@ -126,7 +130,7 @@ def sensors(run: Run) -> Sensors:
         # A frame that is due and not in the bag: the node never saw this tick complete, or the bag lacks the frame.
         due = (stamp % frame == camera.stamp[0] % frame) & (stamp >= camera.stamp[0])
         stamp = stamp[~due | np.isin(stamp, camera.stamp)]
-    measurement = np.full((len(stamp), 22), np.nan)
+    measurement = np.full((len(stamp), MEASUREMENTS), np.nan)
     for name, columns in MEASUREMENT.items():
         topic = run[name]
         _, rows, source = np.intersect1d(stamp, topic.stamp, assume_unique=True, return_indices=True)
@@ -172,26 +176,27 @@ def replay(
     stamp, measurement = given.stamp[rows], given.measurement[rows]
     total = 2 * len(stamp)
     estimate = np.zeros((len(stamp), 2))
-    out, held = np.zeros(2), np.zeros(22)
-    held[18:20] = np.nan
+    out, held = np.zeros(2), np.zeros(MEASUREMENTS)
+    held[CAMERA] = np.nan
     estimator.reset()
     for i, left_out in enumerate(_gaps(stamp, given.period)):
         for _ in range(left_out):
             estimator.step(held, out)
         estimator.step(measurement[i], out)
         estimate[i] = out
-        held[:18], held[20:] = measurement[i, :18], measurement[i, 20:]
+        held[:] = measurement[i]
+        held[CAMERA] = np.nan
         if i % 1000 == 0:
             progress(i, total)
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
     command_stamp = stamp[acted]
-    command = _commands(controller, estimate[acted], measurement[acted, :6], _gaps(command_stamp, given.period))
+    command = _commands(controller, estimate[acted], measurement[acted, PLATFORM], _gaps(command_stamp, given.period))
     progress(total, total)
     return Replayed(read_only(stamp.copy()), read_only(estimate), read_only(command_stamp.copy()), read_only(command))
 
 
 def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: NDArray[np.int64]) -> Floats:
-    command, out = np.zeros((len(estimate), 8)), np.zeros(8)
+    command, out = np.zeros((len(estimate), COMMANDS)), np.zeros(COMMANDS)
     held_los, held_accel = np.zeros(2), np.zeros(6)
     controller.reset()
     for i, left_out in enumerate(gaps):

@@ -19,19 +19,18 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import figures, requirements, spectra
+from pointing_analysis import figures, spectra
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
-from pointing_analysis.requirements import Requirement, Verdict
+from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.summary import WINDOW, Summary, summarise
+from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
-AUTHORITY = {
-    "fsm/command": 5.3e-3,
-    "pma/command": 31.6,
-}  # [rad], [N]; the bag's own ``fsm_authority``, ``pma_authority`` go before
+#: topic -> largest value that its actuator can do, a name of `telescope_value`
+AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
@@ -143,13 +142,8 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
 
 
 def _authority(runs: Sequence[Run]) -> dict[str, float]:
-    known = dict(AUTHORITY)
-    for run in runs:
-        for topic, key in (("fsm/command", "fsm_authority"), ("pma/command", "pma_authority")):
-            own = run.parameters.get(key)
-            if isinstance(own, (int, float)) and own > 0:
-                known[topic] = float(own)
-    return known
+    """Largest values of the command topics, of the last run."""
+    return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
 def intervals_us(run: Run) -> NDArray[np.float64]:
@@ -171,9 +165,11 @@ def latency_us(run: Run) -> NDArray[np.float64]:
     return delay if delay.size and np.any(delay != 0) else np.empty(0)
 
 
-def pictures(views: Sequence[RunView], wanted: Sequence[Requirement], model: Model | None = None) -> list[Picture]:
+def pictures(
+    views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
+) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    limits = {k: sorted({r.limit for r in wanted if r.index == k and not r.axis}) for k in ("APE", "RPE")}
+    limits = {k: sorted({r.limit for r in requirements if r.index == k and not r.axis}) for k in ("APE", "RPE")}
     ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
     runs = [v.run for v in views]
     made: list[Picture | None] = [
@@ -296,7 +292,7 @@ def render(
     runs: Sequence[Run],
     *,
     transient: float | None = None,
-    wanted: Sequence[Requirement] | None = None,
+    requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
 ) -> str:
@@ -306,7 +302,7 @@ def render(
     ----------
     runs : one or several opened bags, for instance the four loop stages
     transient : seconds to drop at the start of each
-    wanted : requirements; by default those of the reference telescope
+    requirements : by default those of the reference telescope
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
     predictions : for each run what a model predicts of its tones, or None; by default none at all
 
@@ -321,9 +317,9 @@ def render(
         raise ValueError("expected at least one run for a report; got none")
     if predictions and len(predictions) != len(runs):
         raise ValueError(f"expected one prediction for each of {len(runs)} runs; got {len(predictions)}")
-    chosen = requirements.load() if wanted is None else tuple(wanted)
+    chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
-    summaries = [summarise(run, transient=transient, wanted=chosen) for run in runs]
+    summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
     views = [view(run, name, transient) for run, name in zip(runs, names)]
     drawn = pictures(views, chosen, model)
     rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
@@ -331,7 +327,7 @@ def render(
     if len(runs) > 1:
         over_runs = [r for r in chosen if r.across_runs]
         rows = [row for row in rows if row.text not in {str(r) for r in over_runs}]
-        rows += [_row("all runs", requirements.judge(r, runs, transient)) for r in over_runs]
+        rows += [_row("all runs", judge(r, runs, transient)) for r in over_runs]
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -361,7 +357,7 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     transient: float | None = None,
-    wanted: Sequence[Requirement] | None = None,
+    requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
 ) -> Path:
@@ -369,7 +365,7 @@ def write_report(
 
     Parameters
     ----------
-    runs, transient, wanted, model, predictions : see `render`
+    runs, transient, requirements, model, predictions : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -377,7 +373,7 @@ def write_report(
     The path of the file.
     """
     target = Path(path)
-    page = render(runs, transient=transient, wanted=wanted, model=model, predictions=predictions)
+    page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
     if not target.parent.is_dir():
         raise ValueError(f"expected an existing folder for the report; got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:

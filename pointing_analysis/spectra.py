@@ -152,16 +152,16 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     True
     """
     e = np.asarray(error, dtype=float)
-    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
     present = ~np.isnan(e).any(axis=1)
     n = len(e)
     if n <= 2 * NEIGHBOURS[-1] or not present.any():
-        return np.full(wanted.shape, np.nan)
+        return np.full(tones.shape, np.nan)
     w = np.where(present, _taper(n), 0.0)
     e = np.where(present[:, None], e, 0.0)
     e = w[:, None] * (e - w @ e / w.sum())
-    found = np.empty(wanted.shape)
-    for i, omega in enumerate(wanted):
+    found = np.empty(tones.shape)
+    for i, omega in enumerate(tones):
         spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
         power = np.square(2 * np.abs(spectrum) / w.sum()).sum(axis=1) / MEDIAN
         below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
@@ -201,9 +201,9 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     e = np.asarray(error, dtype=float)
     present = ~np.isnan(e).any(axis=1)
     duration = dt * len(e)
-    wanted = np.atleast_1d(np.asarray(omegas, dtype=float))
-    wanted = np.unique(wanted[np.isfinite(wanted) & (wanted > 2 * np.pi / duration) & (wanted < np.pi / dt)])
-    groups = _resolved(wanted, duration)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = np.unique(tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)])
+    groups = _resolved(tones, duration)
     if not groups or present.sum() < 4 * len(groups) + 2:
         return ()
     centre = np.array([g.mean() for g in groups])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics, requirements
+from pointing_analysis import metrics
 from pointing_analysis.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
@@ -21,7 +21,7 @@ from pointing_analysis.errors import (
 )
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import KNOWN, Run
-from pointing_analysis.requirements import Requirement, Verdict
+from pointing_analysis.requirements import Requirement, Verdict, judge, load
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
@@ -123,10 +123,10 @@ class Summary:
         }
 
 
-def applicable(wanted: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
+def applicable(requirements: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
     loop = run.parameters.get("loop")
-    return tuple(r for r in wanted if not r.loops or loop is None or loop in r.loops)
+    return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
 
 
 def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
@@ -190,7 +190,7 @@ def summarise(
     run: Run,
     *,
     transient: float | None = None,
-    wanted: Sequence[Requirement] | None = None,
+    requirements: Sequence[Requirement] | None = None,
 ) -> Summary:
     """Figures and verdicts of one run.
 
@@ -199,14 +199,14 @@ def summarise(
     run : an opened bag
     transient : seconds to drop at the start; by default the bag's ``transient_s``, else 5 s,
         from runs shorter than 10 s their first half (:func:`pointing_analysis.errors.default_transient`)
-    wanted : requirements; by default those of the reference telescope
+    requirements : by default those of the reference telescope
 
     Raises
     ------
     BagError
         No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
     """
-    chosen = applicable(requirements.load() if wanted is None else wanted, run)
+    chosen = applicable(load() if requirements is None else requirements, run)
     series = performance_error(run, transient)
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
@@ -246,6 +246,6 @@ def summarise(
         lost_by_topic=lost,
         camera_dropped=dropped,
         knowledge=_knowledge(run, transient),
-        verdicts=tuple(requirements.judge(r, [run], transient) for r in chosen),
+        verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
     )

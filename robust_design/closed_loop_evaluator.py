@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from lti.batched_linalg import largest_gains, solve
 from lti.feedback import close_loop
-from lti.modal_response import FrequencyResponse, direct_response, refined_grid
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import FrequencyResponse, direct_response
 from lti.norms import h2_norm
 from lti.state_space_model import StateSpace
 from robust_design.certificate import delayed_controller, weighted_loop
@@ -79,7 +80,7 @@ class ClosedLoopEvaluator:
         poles = self._response.poles
         sizes = np.abs(poles[np.abs(poles) > 0])
         low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
-        grid = refined_grid(poles, low / 10.0, high * 10.0, 12, (0.0, 1.0))
+        grid = frequency_grid(poles, low / 10.0, high * 10.0, per_decade=12, offsets=(0.0, 1.0))
         return np.concatenate([[0.0], grid, [np.inf]])
 
     def _weighted(self, r: HinfGain, omega: FloatArray, T: ComplexArray) -> ComplexArray:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti.batched_linalg import solve
-from lti.modal_response import FrequencyResponse, refined_grid
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import FrequencyResponse
 from lti.state_space_model import StateSpace
 from robust_design.controller_response import controller_factors, controller_response
 from robust_design.prefeedback import applied, prefeedback
@@ -25,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50
+
+GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,10 @@ class PlantResponses:
         self._F = prefeedback(model.A, model.B[:, cu], model.C[ry], D[nz:, nw:])
         plant = applied(model.A, model.B[:, columns], model.C[rows], D, nz, nw, self._F)
         self._response = FrequencyResponse.of(*plant)
+        sizes = np.abs(self._response.poles)
+        self._slowest = float(sizes[sizes > 1e-9].min(initial=np.inf))
+        if not np.isfinite(self._slowest):
+            self._slowest = 1.0
         self._columns = [_positions(cw, model.input_indices(r.inputs)) for r in requirements]
         self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
         self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
@@ -111,7 +118,9 @@ class PlantResponses:
         sizes = np.abs(every[np.abs(every) > 1e-9])
         if len(sizes) == 0:
             sizes = np.array([1.0])
-        inner = refined_grid(every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade)
+        inner = frequency_grid(
+            every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
+        )
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
         at_origin = np.any(np.abs(every) <= 1e-9)
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
@@ -119,16 +128,15 @@ class PlantResponses:
 
     def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
         """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
-        poles = self._response.poles
-        fixed = poles.imag[(np.abs(poles.real) < 1e-2 * MIN_DISTANCE * np.abs(poles)) & (poles.imag > 0)]
-        for w in fixed:
-            omega = np.where(np.abs(omega - w) < MIN_DISTANCE * w, w * (1.0 + MIN_DISTANCE), omega)
+        for w in self._response.on_axis:
+            distance = MIN_DISTANCE * (w if w > self._slowest else self._slowest)
+            omega = np.where(np.abs(omega - w) < distance, w + distance, omega)
         return omega
 
     def arrays(self, omega: FloatArray, which: tuple[int, ...] | None = None) -> Arrays:
         """Responses of the plant at the frequencies `omega` (N,) for the requirements `which` (all of them if None)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            P = self._response.at(omega)
+            P = self._response.at(self._apart_from_poles(omega))
         nz, nw = self._split
         P11: dict[int, ComplexArray] = {}
         P12: dict[int, ComplexArray] = {}

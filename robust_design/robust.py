@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.problem import Problem
-from robust_design.progress import Progress
 from robust_design.requirements import Requirement
 from robust_design.single_start import tune_from
 from robust_design.starts import start_checked, starts_of
@@ -139,7 +139,7 @@ class _Rounds:
         tuning: TuningResult | None = None
         worst: tuple[WorstCase, ...] = ()
         status = "iterations"
-        with one_thread(), Progress(self.options.progress, "robust design") as progress:
+        with one_thread(), Progress("robust design", self.options.progress) as progress:
             for number in range(max_rounds):
                 left = self.start_time + self.options.wall_limit - time.monotonic()
                 if left <= 0.0 and tuning is not None:
@@ -148,7 +148,7 @@ class _Rounds:
                 tuning = self._tuned(problem, tuning, given, max(left, 1.0))
                 worst = self._worst(tuning, number)
                 rounds.append(self._round(problem, tuning, worst))
-                progress.say(_line(number, rounds[-1]))
+                progress.print(_line(number, rounds[-1]))
                 new = self._new(tuning, worst, chosen, slack)
                 if tuning.status in ("interrupted", "not_stabilised"):
                     status = tuning.status

@@ -114,6 +114,7 @@ class _Run:
         if _merit(problem, self.x) <= NEGLIGIBLE * first:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
         confirmed = False
+        limits = replace(limits, target=max(limits.target, NEGLIGIBLE * first))
         for _ in range(MAX_CYCLES):
             left = max(limits.iterations - self.steps, 1)
             found = minimise(self._oracle, self.x, replace(limits, iterations=left), self._rng)
@@ -124,6 +125,8 @@ class _Run:
             confirmed = self._confirmed()
             if confirmed or time.monotonic() > limits.deadline:
                 break
+        if found.reason is StopReason.TARGET and self._limits.target < limits.target:
+            return TuningStatus.ITERATIONS
         moved = _merit(problem, self.x) < first * (1.0 - VISIBLE)
         return _status(found, found.result.constraint + 1.0, confirmed, moved, time.monotonic() > limits.deadline)
 
@@ -132,7 +135,7 @@ class _Run:
         self.x, self.evaluations = smooth.x, self.evaluations + smooth.evaluations
 
     def _confirmed(self) -> bool:
-        """Whether neither the smooth phase in its metric nor random directions lower the value; else the point moves."""
+        """Whether neither a smooth phase nor random directions lower the value; the point moves if they do."""
         value, before = _merit(self._problem, self.x), self.x
         self._smooth(CONFIRMING_EVALUATIONS)
         if _lower(self._problem, self.x, value) is not None:

@@ -206,12 +206,12 @@ class SmoothObjective:
                 if len(index) == 0:
                     continue
                 G = self._relative_slopes(x, K, e, index) * np.sqrt(p * w[index] / sum_of_weights)[:, None]
-                total += G.T @ G
-        return np.asarray(total)
+                total = total + np.asarray(G.T @ G, dtype=float)
+        return total
 
     def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: NDArray[np.intp]) -> FloatArray:
         if e.gradients:
-            return e.gradients[0][None] / e.values[0]
+            return np.asarray(e.gradients[0][None] / e.values[0])
         grid, i = self._grids[e.model], self._problem.gain_numbers.index(e.requirement)
         if i in self._h2:
             slopes = [grid.h2_gradient(K, i)]

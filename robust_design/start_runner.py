@@ -11,10 +11,10 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
+from lti.progress import Progress
 from lti.threads import one_thread
 from robust_design.descent import DescentOptions
 from robust_design.problem import Problem
-from robust_design.progress import Progress
 from robust_design.single_start import StartResult, screen, tune_from
 from robust_design.status import TuningStatus
 
@@ -92,7 +92,7 @@ class _Runner:
                 results.append(work(self._problem, x, seed, limits, self._band))
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, x))
-            self._progress.report(len(results), len(jobs), min(r.soft for r in results))
+            self._progress.report(len(results), len(jobs), best=min(r.soft for r in results))
             if self.ended(results) or time.monotonic() > limits.deadline:
                 break
         return results
@@ -109,7 +109,8 @@ class _Runner:
             try:
                 for future in as_completed(futures):
                     results[futures[future]] = future.result()
-                    self._progress.report(len(results), len(jobs), min(r.soft for r in results.values()))
+                    best = min(r.soft for r in results.values())
+                    self._progress.report(len(results), len(jobs), best=best)
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
                 found = list(results.values()) or [_interrupted(self._problem, jobs[0][0])]

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import DescentOptions
 from robust_design.problem import MIN_DECAY, Problem, worst_values
-from robust_design.progress import Progress
 from robust_design.requirements import Requirement
 from robust_design.single_start import FEASIBLE, StartResult, tune_from
 from robust_design.start_runner import run_starts
@@ -193,7 +193,7 @@ def tune(
     if not jobs:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
-    with one_thread(), Progress(options.progress, "tuning") as progress:
+    with one_thread(), Progress("tuning", options.progress) as progress:
         runs = run_starts(
             problem, jobs, len(given), limits_of(options, deadline), options.band, options.workers, progress
         )

@@ -1,7 +1,36 @@
-"""For every test: linear algebra on one thread, as the testbed runs it; two threads are slower on these sizes."""
+"""For every test: linear algebra on one thread, as the testbed runs it; no time limit per hypothesis example.
+
+At the end of a run: what was skipped and how to get it.
+"""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
+
+import pytest
+from support.skip_remedies import summary
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
+
+from hypothesis import settings
+
+settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
+settings.load_profile("any-machine")
+
+SKIPPED_VARIABLE = "SKIPPED_TESTS_FILE"
+"""Environment variable: a file that the lines are appended to, so that several runs can be summed up."""
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line per reason for which tests were skipped, with the remedy."""
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = [str(report.longrepr[2]).removeprefix("Skipped: ").splitlines()[0] for report in reports]
+    lines = summary(reasons)
+    if lines:
+        terminalreporter.section("skipped tests, and how to run them")
+        for line in lines:
+            terminalreporter.write_line(line)
+    if file := os.environ.get(SKIPPED_VARIABLE):
+        with Path(file).open("a", encoding="utf-8") as stream:
+            stream.writelines(f"{line}\n" for line in lines)

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lti import StateSpace
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
 
@@ -187,8 +189,8 @@ def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Gener
     response = frequency_response(plant, omega) * size[:, None, :]
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
     wheels, drives = slice(0, 20), slice(20, 22)
-    peaks = _highest_peaks(seen * singular_values(response[:, :, wheels])[:, 0], parameters["design_scenario"]["tones"])
-    worst = int(np.argmax(seen * singular_values(response[:, :, drives])[:, 0]))
+    peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), parameters["design_scenario"]["tones"])
+    worst = int(np.argmax(seen * largest_gains(response[:, :, drives])))
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:
         left = linalg.svd(response[k][:, channels])[0][:, 0]

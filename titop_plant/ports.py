@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from lti import Port
+from lti.ports import Port
 
 TWIST_UNIT = ",".join(["m/s2"] * 3 + ["rad/s2"] * 3)
 WRENCH_UNIT = ",".join(["N"] * 3 + ["Nm"] * 3)
 IMBALANCE_UNIT = ",".join(["N"] * 3 + ["Nm"] * 2)
+
+AXES = ("x translation", "y translation", "z translation", "x rotation", "y rotation", "z rotation")
+"""Names of the six directions of a twist or a wrench."""
 
 
 def accel(point: str) -> Port:

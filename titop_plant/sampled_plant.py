@@ -1,4 +1,4 @@
-"""The telescope in time: one step a tick, nothing allocated.
+"""The telescope as a sampled simulation: one step a tick, nothing allocated.
 
 Commands are held between ticks (zero-order hold). Disturbance tones are not held but integrated exactly
 from tick to tick, so tones above half the sampling rate do not alias into the structure::
@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from titop_plant.interface import CAMERA, COMMANDS, MEASUREMENTS, TRUTH
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MEASUREMENTS = 22
-COMMANDS = 8
-CAMERA = slice(18, 20)
 _NOISE_BLOCK = 64
 
 
@@ -86,7 +85,7 @@ class SampledPlant:
     tones : ndarray, shape (K,)
         Frequencies of the disturbance at the start [rad/s], for reports.
     parameters_hash : str
-        Name of the parameter values.
+        Name of the configuration and its parameter values.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class SampledPlant:
         self._z = np.zeros(self._segments[0].step.shape[1])
         self._x, self._v = self._z[:n], self._z[n : n + COMMANDS]
         self._p = self._z[n + COMMANDS :].view(complex)
-        self._out = np.zeros(n + MEASUREMENTS + 2)
+        self._out = np.zeros(n + MEASUREMENTS + TRUTH)
         self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
         self.reset()
@@ -135,7 +134,7 @@ class SampledPlant:
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick.
 
-        ``measurement[18:20]`` holds a camera frame every `frame_ticks` ticks and NaN otherwise, also for
+        ``measurement[CAMERA]`` holds a camera frame every `frame_ticks` ticks and NaN otherwise, also for
         a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
         """
         n, segment = self._n, self._segments[self._index]

@@ -1,4 +1,4 @@
-"""From a configuration to the telescope in time."""
+"""From a configuration to the sampled simulation of the telescope."""
 
 from __future__ import annotations
 
@@ -14,16 +14,14 @@ from scipy import linalg
 
 from lti import StateSpace, UncertainSystem
 from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joined, no_tones, sadm_tones
-from titop_plant.sampled_plant import COMMANDS, MEASUREMENTS, ComplexArray, SampledPlant, Segment, SensorModel
+from titop_plant.interface import CAMERA_RATE, COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, SCENARIOS, frame_ticks
+from titop_plant.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.control_plant import COMMANDS as COMMAND_PORTS
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 
-DT = 1e-3
 RAMP_STEP = 0.25
-SCENARIOS = ("design", "imbalance")
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class PlantConfig:
     ramp_duration : float
         s; 0: everything is constant.
     camera_rate : float
-        Frames per second; must divide 1000.
+        Frames per second; must divide the tick rate.
     camera_dropout : float
         Probability that a frame is lost.
     scenario : {"design", "imbalance"}
@@ -73,7 +71,7 @@ class PlantConfig:
     theta_rate: float = 0.0
     wheel_acceleration: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     ramp_duration: float = 0.0
-    camera_rate: float = 50.0
+    camera_rate: float = CAMERA_RATE
     camera_dropout: float = 0.0
     scenario: str = "design"
     noise: bool = True
@@ -83,7 +81,7 @@ class PlantConfig:
 
     def __post_init__(self) -> None:
         if self.scenario not in SCENARIOS:
-            raise ValueError(f"unknown scenario {self.scenario!r}, expected one of: {', '.join(SCENARIOS)}")
+            raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, got {self.scenario!r}")
         if not 0.0 <= self.camera_dropout <= 1.0:
             raise ValueError(f"camera_dropout must be a probability in [0, 1], got {self.camera_dropout}")
         if self.seed < 0:
@@ -102,20 +100,6 @@ class PlantConfig:
         return self.ramp_duration > 0.0 and (self.theta_rate != 0.0 or any(self.wheel_acceleration))
 
 
-def frame_ticks(camera_rate: float) -> int:
-    """Ticks between camera frames.
-
-    Raises
-    ------
-    ValueError
-        The rate does not divide 1 kHz.
-    """
-    ticks = 1.0 / (camera_rate * DT) if camera_rate > 0.0 else 0.0
-    if not (math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks):
-        raise ValueError(f"camera_rate must divide 1000 Hz, got {camera_rate:g} Hz")
-    return round(ticks)
-
-
 def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 0.0) -> dict[str, float]:
     """Values of the telescope's uncertain parameters at a time [s] of the run."""
     t = min(time, config.ramp_duration)
@@ -132,9 +116,6 @@ def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 
 def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
     """The assembled telescope of a parameter file (kept for the next call)."""
     return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
-
-
-MEASURED = ("accel_Ip", "accel_M1", "accel_M2", "camera_los", "fsm_angle")
 
 
 def build_plant(config: PlantConfig) -> SampledPlant:
@@ -176,21 +157,23 @@ def command_limits(config: PlantConfig) -> FloatArray:
 
 
 def configuration_hash(config: PlantConfig) -> str:
-    """What the plant of a configuration says about itself, `SampledPlant.parameters_hash`, without building it."""
+    """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
     return _hash(config, load_parameters(config.parameters or REFERENCE))
 
 
 def _limits(parameters: Parameters) -> FloatArray:
-    return np.repeat([float(parameters["fsm"]["authority"]), float(parameters["pma"]["authority"])], [2, 6])
+    limits = np.empty(COMMANDS)
+    limits[MIRROR], limits[FORCES] = parameters["fsm"]["authority"], parameters["pma"]["authority"]
+    return limits
 
 
 def control_loop_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
-    """What the fine control flies on: commands (8), disturbances (22) to measurements (22), line of sight (2).
+    """The plant of the fine control loop: commands (8), disturbances (22) to measurements (22), line of sight (2).
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
     """
     return with_camera(assembled.system, parameters).select(
-        inputs=(*COMMAND_PORTS, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+        inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
     )
 
 
@@ -285,15 +268,11 @@ def _hash(config: PlantConfig, parameters: Parameters) -> str:
 
 
 __all__ = [
-    "DT",
-    "MEASURED",
-    "MEASUREMENTS",
     "PlantConfig",
     "build_plant",
     "command_limits",
     "configuration_hash",
     "control_loop_plant",
-    "frame_ticks",
     "parameter_values",
     "plant_and_tones",
 ]

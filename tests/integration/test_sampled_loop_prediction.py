@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files
+from los_testbed.factories import assemble_controller, controller_files
 
-from fsm_pma_controller.runtime import FsmPmaController
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from los_estimator.runtime import LosEstimator
 from lti import SampledSystem
 from titop_plant.disturbances import Tones, no_tones
+from titop_plant.interface import DT, MEASURED
 from titop_plant.sampled_plant import SampledPlant, SensorModel
-from titop_plant.simulation import DISTURBANCES, DT, MEASURED, sample, telescope
+from titop_plant.simulation import DISTURBANCES, sample, telescope
 from titop_plant.telescope.control_plant import with_camera
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.parameters import design_basis, load_parameters
 
 POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}
 
@@ -38,7 +38,10 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     limits = np.full(8, 1e6)
     plant = SampledPlant([sample(data, tones, 10**9)], state, sensors, limits, dt=DT, tones=tones.frequency,
                          parameters_hash="test")  # fmt: skip
-    estimator, controller = LosEstimator(k_fsm), FsmPmaController(k_pma, "fsm+pma")
+    estimator, controller = (
+        LosEstimator(k_fsm),
+        assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, design_basis(load_parameters()), "fsm+pma"),
+    )
     measured, estimate, command = np.zeros(22), np.zeros(2), np.zeros(8)
     los = np.zeros((ticks, 2))
     for k in range(ticks):

@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
-from los_testbed.config import LOOPS, RunConfig
+from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
 
 from pointing_analysis.errors import SETTLING
 from pointing_analysis.read import Run
+from titop_plant.interface import STAGES
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def compared(tmp_path_factory):
 
 def test_the_parts_add_up_to_the_whole(compared) -> None:
     _, results = compared
-    for loop in LOOPS:
+    for loop in STAGES:
         whole, alone, noise = (
             Run.open(select(results, "imbalance", loop, part)["nominal"].bag)["truth/los"].values[:, :2]
             for part in ("all", "disturbance", "noise")
@@ -39,17 +40,17 @@ def test_every_stage_has_the_same_noise_and_disturbance(compared) -> None:
     bags = [select(results, "imbalance", loop, "noise")["nominal"].bag for loop in ("none", "isolator")]
     first, second = (Run.open(bag)["m1/accel"].values for bag in bags)
     assert np.array_equal(first, second)  # nothing moves: what is seen is the noise
-    tones = [Run.open(select(results, "imbalance", x, "all")["nominal"].bag).parameters["tones_rad_s"] for x in LOOPS]
+    tones = [Run.open(select(results, "imbalance", x, "all")["nominal"].bag).parameters["tones_rad_s"] for x in STAGES]
     assert all(t == tones[0] for t in tones)
 
 
 def test_open_stages_have_no_noise_in_the_line_of_sight(compared) -> None:
     _, results = compared
     for loop in ("none", "isolator"):
-        assert select(results, "imbalance", loop, "noise")["nominal"].figures["ape_max_arcsec"] == 0.0
+        assert select(results, "imbalance", loop, "noise")["nominal"].metrics["ape_max_arcsec"] == 0.0
 
 
-@pytest.mark.parametrize("loop", LOOPS)
+@pytest.mark.parametrize("loop", STAGES)
 def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
     """The record of the nodes' cores against matrices of the closed loop: another route to the same motion.
 
@@ -67,7 +68,7 @@ def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
 def test_the_tables_hold_all_stages(compared) -> None:
     plan, results = compared
     text = markdown(results, plan)
-    for loop in LOOPS:
+    for loop in STAGES:
         assert f"| {loop} |" in text
     assert "Transmissibility" in text and "imbalance" in text
 
@@ -81,13 +82,13 @@ def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> 
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert json.loads((tmp_path / "out" / "stages.json").read_text()) == content
     runs = {(r["telescope"], r["loop"]): r for r in content["runs"]}
-    assert set(runs) == {(name, loop) for name in ("nominal", "sample-1") for loop in LOOPS}
+    assert set(runs) == {(name, loop) for name in ("nominal", "sample-1") for loop in STAGES}
     assert all(r["rpe_rms_mas"] > 0 for r in runs.values())
     assert runs["nominal", "fsm"]["rpe_rms_mas"] != runs["sample-1", "fsm"]["rpe_rms_mas"]
     page = (tmp_path / "out" / "report-design.html").read_text()
     assert page.count('<article class="card') == 4
     kept = sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_dir())
-    assert kept == sorted(f"design-nominal-{loop}" for loop in LOOPS)
+    assert kept == sorted(f"design-nominal-{loop}" for loop in STAGES)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The tutorial's code runs as it is printed, prints what is printed, and obeys the mechanics it tells of."""
+"""The tutorial's code runs as printed, its output is the printed one, and its results agree with the mechanics."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
+from los_testbed.cli import run as run_command
 from los_testbed.variants import check_ranges
 from scipy import linalg
 
@@ -41,7 +42,7 @@ def spacecraft() -> dict[str, Any]:
     return names
 
 
-def test_it_takes_less_than_forty_lines() -> None:
+def test_the_spacecraft_has_fewer_than_forty_lines() -> None:
     building = code(sections()["1"])[:-1]
     assert sum(bool(line.strip()) for block in building for line in block.splitlines()) < 40
 
@@ -81,35 +82,35 @@ def test_free_poles_are_those_of_the_coupled_equations(spacecraft: dict[str, Any
         assert np.abs(ours - pole).min() < 1e-9 * abs(pole)
 
 
-def test_slow_motion_sees_the_rigid_spacecraft(spacecraft: dict[str, Any]) -> None:
+def test_low_frequency_inertia_is_that_of_the_rigid_spacecraft(spacecraft: dict[str, Any]) -> None:
     M, _, _ = coupled(spacecraft, spacecraft["w1"])
     rigid = M[:6, :6]
     about_cg = rigid[3:, 3:] - rigid[3:, :3] @ linalg.solve(rigid[:3, :3], rigid[:3, 3:])
     np.testing.assert_allclose(spacecraft["inertia"], about_cg, rtol=1e-10, atol=1e-9)
 
 
-def test_a_constant_torque_leaves_its_angle_and_winds_no_hinge(spacecraft: dict[str, Any]) -> None:
+def test_a_constant_torque_gives_a_steady_angle_and_no_hinge_deflection(spacecraft: dict[str, Any]) -> None:
     rest = spacecraft["spacecraft"].nominal()(0).real
     np.testing.assert_allclose(rest[:3, :3], np.diag(1.0 / (0.1**2 * np.diag(spacecraft["inertia"]))), atol=1e-10)
     np.testing.assert_allclose(rest[3], [0, 0, 0, 1.0 / 3000.0], atol=1e-12)
     np.testing.assert_allclose(rest[:3, 3], 0.0, atol=1e-10)
 
 
-def test_stable_for_every_boom_of_the_family(spacecraft: dict[str, Any]) -> None:
+def test_stable_for_every_boom_frequency(spacecraft: dict[str, Any]) -> None:
     system = spacecraft["spacecraft"]
     for w in np.linspace(0.8, 1.2, 9) * spacecraft["w1"]:
         assert linalg.eigvals(system.data_at({"boom.omega_1": w}).A).real.max() < -0.05
 
 
 def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slow observer takes most of a slow wandering out; without it the error is the wandering itself."""
+    """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     exec("\n".join(code(sections()["2"]) + code(sections()["3"])), names)
-    loose = names["Wandering"]()
-    loose.reset()
+    uncontrolled = names["SlowMotion"]()
+    uncontrolled.reset()
     config = names["RunConfig"](duration=20.0, loop="isolator", mode="inprocess")
-    names["run_in_process"](config, Path("open_bag"), plant=loose)
+    names["run_in_process"](config, Path("open_bag"), plant=uncontrolled)
     peaks = []
     for folder in ("my_bag", "open_bag"):
         truth = Run.open(tmp_path / folder)["truth/los"]
@@ -126,7 +127,7 @@ def printed_and_shown(page: str) -> tuple[str, str]:
     return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
 
 
-def test_the_page_on_uncertain_systems_shows_what_comes_out() -> None:
+def test_the_output_of_the_page_on_linear_systems() -> None:
     printed, shown = printed_and_shown("linear_systems.md")
     assert printed == shown
 
@@ -154,7 +155,7 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
     """Configurations only: nothing is started."""
     (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "execute", lambda config, console: (_ for _ in ()).throw(Understood(config)))
+    monkeypatch.setattr(run_command, "execute", lambda config: (_ for _ in ()).throw(Understood(config)))
     lines = re.findall(
         r"^    los-testbed (run .*?)(?:\s+#.*)?$", PAGE.with_name("telescope.md").read_text("utf-8"), re.M
     )
@@ -166,4 +167,4 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
 
 
 class Understood(Exception):
-    """The configuration of a command, in the place of a run."""
+    """Carries the configuration of a command instead of starting a run."""

@@ -7,8 +7,8 @@ one stiffness and one damping matrix (the gyroscopic terms of the wheels and the
 
     M q'' + D q' + K q = B u,     y = Ca q'' + Cv q' + Cp q + F u
 
-Written from the equations of motion and the paper. It uses numpy and scipy, reads the modal data of the
-bodies and the numbers of the parameter file, and nothing else of the project.
+Derived from the equations of motion and the paper. Its inputs are the modal data of the bodies and the numbers of
+the parameter file; it shares no code with the project and imports numpy and scipy only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ OUTPUTS = {
 }
 
 
-def places(sizes: Mapping[str, int]) -> dict[str, slice]:
+def index_slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     """Slice of each name in the stacked vector."""
     result, start = {}, 0
     for name, size in sizes.items():
@@ -94,7 +94,7 @@ class SecondOrder:
         """Response at each frequency, shape (k, outputs, inputs).
 
         Translation has no stiffness: its unknown is the acceleration (column not multiplied by s^2), which
-        keeps the equations regular at any frequency. Rows and columns are scaled alike.
+        keeps the equations regular at any frequency. Rows and columns have the same scaling.
         """
         response = np.empty((len(omega), *self.F.shape), dtype=complex)
         for i, w in enumerate(omega):
@@ -133,7 +133,7 @@ class Spacecraft:
     values : mapping
         ``wheel_i.speed``, ``solar_array.omega_1``, ``solar_array.omega_2``, ``solar_array.tau``.
     isolated : bool
-        False: the platform is bolted to the body.
+        False: the platform is fixed to the body.
     """
 
     def __init__(
@@ -152,10 +152,10 @@ class Spacecraft:
             "A1": array.frequencies.size,
             "A2": array.frequencies.size,
         }
-        self.at = places(sizes)
+        self.at = index_slices(sizes)
         n = sum(sizes.values())
         self.M, self.D, self.K = (np.zeros((n, n)) for _ in range(3))
-        self.inputs, self.outputs = places(INPUTS), places(OUTPUTS)
+        self.inputs, self.outputs = index_slices(INPUTS), index_slices(OUTPUTS)
         self.B = np.zeros((n, sum(INPUTS.values())))
         p = sum(OUTPUTS.values())
         self.Ca, self.Cv, self.Cp = (np.zeros((p, n)) for _ in range(3))
@@ -192,7 +192,7 @@ class Spacecraft:
         self.Cv[self.outputs["attitude_rate"]] = self.twist_G[3:]
 
     def add_wheels(self) -> None:
-        """Each rotor turns freely about its axis: there it loads the structure by its motor torque only."""
+        """Each rotor rotates freely about its axis; about this axis it exerts the motor torque only."""
         table = self.parameters["reaction_wheel"]
         base = self.child_twist(self.body, self.twist_G, "body", "I_w")
         cant, J_w = math.radians(table["cant_deg"]), table["axial_inertia"]
@@ -206,7 +206,7 @@ class Spacecraft:
             J_r = table["radial_inertia"]
             self.add_rigid(np.diag([table["mass"]] * 3 + [J_r, J_r, 0.0]), twist)
             momentum = J_w * self.values[f"wheel_{i + 1}.speed"]
-            # Torque that keeps h z turning at omega: omega x h z = h (omega_y, -omega_x).
+            # Torque that rotates the angular momentum h z at the rate omega: omega x h z = h (omega_y, -omega_x).
             self.D += momentum * (np.outer(twist[3], twist[4]) - np.outer(twist[4], twist[3]))
             first = self.inputs["wheel_imbalance"].start + 5 * i
             self.B[:, first : first + 5] = twist[:5].T
@@ -216,7 +216,7 @@ class Spacecraft:
             self.Ca[rotor], self.F[rotor, motor] = -twist[5], -1.0 / J_w
 
     def add_arrays(self) -> None:
-        """Body -> gearbox angle -> root turned by theta -> modes."""
+        """Body -> gearbox angle -> root rotated by theta -> modes."""
         table, sadm = self.parameters["solar_array"], self.parameters["sadm"]
         axis = np.asarray(table["drive_axis"], dtype=float)
         theta = 4.0 * math.atan(self.values["solar_array.tau"])
@@ -234,7 +234,7 @@ class Spacecraft:
             self.Cp[self.outputs["sadm_angle"].start + i] = angle
 
     def add_platform(self) -> None:
-        """The isolator's platform stands on springs on the body and carries the proof-mass actuators."""
+        """The isolator's platform on its springs and dampers, with the proof-mass actuators."""
         table = self.parameters["isolator"]
         moved = self.pick("isolator")
         self.platform = self.child_twist(self.body, self.twist_G, "body", "I_p")
@@ -250,15 +250,15 @@ class Spacecraft:
         """At each azimuth one along +z, then one along the tangent; its inertia is given with z along the stroke."""
         table = self.parameters["pma"]
         up = np.array([0.0, 0.0, 1.0])
-        places_and_axes = []
+        mounts = []
         for azimuth in np.radians(table["azimuths_deg"]):
             radial = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
             tangent = np.cross(up, radial)
-            place = table["mounting_radius"] * radial + table["height"] * up
-            places_and_axes += [(place, [radial, tangent, up]), (place, [up, radial, tangent])]
-        for i, (place, axes) in enumerate(places_and_axes):
+            position = table["mounting_radius"] * radial + table["height"] * up
+            mounts += [(position, [radial, tangent, up]), (position, [up, radial, tangent])]
+        for i, (position, axes) in enumerate(mounts):
             frame, stroke = np.array(axes), self.pick("pma")[i]
-            twist = carry(place) @ self.platform
+            twist = carry(position) @ self.platform
             inertia = frame.T @ np.diag(table["inertia"]) @ frame
             self.add_rigid(linalg.block_diag(table["casing_mass"] * np.eye(3), inertia), twist)
             moving = twist[:3] + np.outer(frame[2], stroke)
@@ -286,10 +286,10 @@ class Spacecraft:
         self.Cp[self.outputs["fsm_angle"]] = angles
 
     def add_line_of_sight(self) -> None:
-        """Chief ray of a two-mirror telescope: see each element's effect on the image, over the focal length.
+        """Chief ray of a two-mirror telescope: displacement of the image by each element, over the focal length.
 
-        About y: M1 tilted by e turns the ray by 2 e, shifted along x by e it acts as if tilted by e / (2 f1); M2
-        is seen from the object's side through the primary, the detector at the full focal length.
+        About y: a tilt e of M1 rotates the ray by 2 e, a shift e of M1 along x is equivalent to a tilt e / (2 f1);
+        M2 acts through the image of the primary, the detector through the full focal length.
         """
         optics, modes = self.parameters["optics"], self.pick("payload")
         f1, d, b = (optics[k] for k in ("primary_focal_length", "mirror_distance", "back_focal_distance"))
@@ -346,7 +346,7 @@ def assemble(
     Parameters
     ----------
     control_inertia : ndarray, shape (3, 3), optional
-        Total inertia that the attitude law is tuned on. Default: that of these parameter values.
+        Total inertia used in the attitude law. Default: that of these parameter values.
     """
     craft = Spacecraft(parameters, body, payload, array, values, isolated)
     craft.add_body()
@@ -363,5 +363,5 @@ def assemble(
 
 
 def total_inertia(M: np.ndarray) -> np.ndarray:
-    """Inertia felt by a torque on the free spacecraft whose parts all move as one, about its centre of mass."""
+    """Inertia of the free rigid spacecraft about its centre of mass."""
     return np.asarray(M[3:6, 3:6] - M[3:6, :3] @ linalg.solve(M[:3, :3], M[:3, 3:6]))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from lti.delay import pade_delay
 from lti.feedback import cascade, close_loop
-from lti.modal_response import FrequencyResponse, direct_response
+from lti.frequency_response import FrequencyResponse, direct_response
 from lti.norms import h2_norm, hinf_norm, spectral_abscissa
 from lti.state_space_model import StateSpace
 from robust_design.problem import Problem

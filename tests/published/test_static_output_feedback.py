@@ -1,62 +1,65 @@
-"""Static output feedback on published plants: our values beside the best known to us, each certified.
+"""Static output feedback on published plants: our values beside the best published ones, each certified.
 
-Plants: COMPleib (F. Leibfritz 2004). Best known to us: table of H-infinity static output feedback in Q. Tran
-Dinh, S. Gumussoy,
-W. Michiels and M. Diehl, IEEE Trans. Autom. Control 57(6), 2012 (the best of HIFOO, PENBMI and their own method).
-Those numbers are quoted from memory, not checked against the printed page.
+Plants and values: ``robust_design/published_plants.json``, which names their sources. A bound is the published value
+plus 0.1 %; a run ends when it is half of that above the value. Most plants have several local minima: the number of
+random starts is several times what the processors tried so far needed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import pytest
 from oracles.full_order_bound import full_order_bound
 
 from lti.state_space_model import StateSpace
-from robust_design.published_plants import PLANTS
+from robust_design.published_plants import BEST_KNOWN, PLANTS
 from robust_design.requirements import HinfGain
 from robust_design.structures import gain, state_space
 from robust_design.tuner import TuningOptions, TuningResult, tune
 
-# plant: (published value, starts, iterations)
-KNOWN = {
-    "AC2": (0.1115, 1, 300),
-    "AC3": (3.5053, 16, 600),
-    "AC4": (0.9355, 1, 300),
-    "AC6": (4.1140, 1, 300),
-    "AC15": (15.1995, 4, 300),
-    "AC16": (14.9881, 2, 300),
-    "AC17": (6.6124, 1, 300),
-    "HE1": (0.1540, 1, 300),
-    "HE2": (4.4931, 1, 300),
-    "REA1": (0.8815, 6, 300),
-    "REA2": (1.1881, 1, 300),
-    "DIS2": (1.0548, 1, 300),
-    "DIS3": (1.0816, 4, 600),
-}
-SLOW = {"AC3"}
+STARTS = {"AC2": 3, "AC4": 3, "AC6": 3, "AC16": 6, "AC17": 3, "HE1": 6, "REA2": 6}
+SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24}
+NO_LIMIT = 1e6
+"""Seconds: work is limited by starts and iterations, so that the speed of the machine does not matter."""
 
 
-def tuned(plant: StateSpace, order: int, starts: int, iterations: int = 300) -> TuningResult:
+def tuned(plant: StateSpace, order: int, starts: int, iterations: int = 300, target: float = -np.inf) -> TuningResult:
     ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
     structure = state_space([ports["y"]], [ports["u"]], order) if order else gain([ports["y"]], [ports["u"]])
-    options = TuningOptions(starts=starts, iterations=iterations, wall_limit=250)
+    options = TuningOptions(starts=starts, iterations=iterations, wall_limit=NO_LIMIT, target=target)
     return tune([plant], [HinfGain("w", "z")], structure, options=options)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in SLOW else []) for n in KNOWN])
-def test_static_output_feedback(name: str) -> None:
-    published, starts, iterations = KNOWN[name]
-    result = tuned(PLANTS[name](), 0, starts, iterations)
+@pytest.mark.parametrize("name", [*STARTS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_STARTS)])
+def test_the_published_value_is_reached(name: str) -> None:
+    best, starts = BEST_KNOWN[name], {**STARTS, **SLOW_STARTS}[name]
+    result = tuned(PLANTS[name](), 0, starts, target=1.0005 * best)
     assert result.certificate is not None and result.certificate.stable
     assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-5)
-    assert result.certificate.upper.max() <= 1.001 * published
+    assert result.certificate.upper.max() <= 1.001 * best
 
 
 def test_decoupling_is_found_for_ac1() -> None:
-    """AC1: the disturbance can be rejected completely; the infimum is 0 (2e-7 by PENBMI)."""
-    result = tuned(PLANTS["AC1"](), 0, 3)
+    """AC1: the disturbance can be rejected completely; the infimum is 0."""
+    assert BEST_KNOWN["AC1"] == 0.0
+    result = tuned(PLANTS["AC1"](), 0, 6, target=8e-3)
     assert result.soft < 1e-2
     assert result.certificate is not None and result.certificate.upper.max() < 1e-2
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_plant_has_a_value_and_ports(name: str) -> None:
+    plant = PLANTS[name]()
+    assert [p.name for p in plant.inputs] == ["w", "u"] and [p.name for p in plant.outputs] == ["z", "y"]
+    assert BEST_KNOWN[name] >= 0.0
+
+
+@pytest.mark.parametrize("name", ["AC4", "AC8"])
+def test_the_published_value_is_above_the_full_order_bound(name: str) -> None:
+    """Values and matrices belong together: no static gain is better than the best controller of any order."""
+    assert full_order_bound(PLANTS[name]()) <= BEST_KNOWN[name]
 
 
 def scherer() -> StateSpace:
@@ -81,11 +84,11 @@ def test_riccati_bound_reproduces_hinfsyn() -> None:
 @pytest.mark.parametrize(
     ("plant", "order"), [(PLANTS["AC4"], n) for n in (0, 1, 2, 4)] + [(scherer, n) for n in (1, 2, 3)]
 )
-def test_fixed_order_is_never_better_than_full_order(plant: object, order: int) -> None:
-    model = plant()  # type: ignore[operator]
+def test_fixed_order_is_never_better_than_full_order(plant: Callable[[], StateSpace], order: int) -> None:
+    model = plant()
     bound = full_order_bound(model)
-    result = tuned(model, order, 3)
+    result = tuned(model, order, 6, target=1.005 * bound)
     assert result.certificate is not None
     assert result.certificate.values.max() >= bound * (1 - 1e-6)
     if order == model.order:
-        assert result.soft <= 1.03 * bound, "with the full order the bound is nearly reached"
+        assert result.certificate.upper.max() <= 1.01 * bound, "with the full order the bound is nearly reached"

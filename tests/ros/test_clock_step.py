@@ -52,7 +52,7 @@ def test_the_offset_reaches_processes(steps):
 
 def test_a_stepped_wall_clock_does_not_touch_the_loop(steps, tmp_path):
     config = config_for(tmp_path, duration=3.0, start_timeout=15.0)
-    began, told = time.time(), []
+    start_time, told = time.time(), []
 
     def progress(ticks):
         """A step at each word of the plant: one of them falls between a sample and its command."""
@@ -65,7 +65,7 @@ def test_a_stepped_wall_clock_does_not_touch_the_loop(steps, tmp_path):
     stamps = run["truth/los"].stamp
     assert len(stamps) == 3000
     assert np.all(np.diff(stamps) == 1_000_000)
-    assert abs(stamps[-1] / 1e9 - began) < HOUR / 2, "stamps go on from the start of the run"
+    assert abs(stamps[-1] / 1e9 - start_time) < HOUR / 2, "stamps go on from the start of the run"
     statistics = results.statistics
     assert statistics["recorder"]["samples_lost"] == "0"
     assert statistics["estimator"]["gap_ticks"] == statistics["controller"]["gap_ticks"] == "0"

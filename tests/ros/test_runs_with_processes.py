@@ -208,10 +208,10 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
     try:
         while json.loads(process.stdout.readline())["event"] != "ready":
             pass
-        began = time.monotonic()
+        start_time = time.monotonic()
         os.kill(process.pid, number)
         assert process.wait(10) == 0
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - start_time < 2.0
         assert b"Traceback" not in process.stderr.read()
     finally:
         process.kill()

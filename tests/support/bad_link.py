@@ -13,10 +13,12 @@ import signal
 import sys
 
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.loop.real_time import become_real_time
+from los_testbed.loop.scheduling import become_real_time
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription, Waiter
-from los_testbed.topics import TICK_NS, TOPICS
+from los_testbed.topics import TOPICS
+
+from titop_plant.interface import TICK_NS
 
 LOST, TWICE, DELAYED, SWAPPED = 10, 30, 50, 70
 """Ticks, modulo 100."""

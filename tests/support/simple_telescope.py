@@ -11,11 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fsm_pma_controller import runtime as pma
-from los_estimator import runtime as fsm
 from lti.sampled_system import SampledSystem
-
-DT = 1e-3
+from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 
 class SimpleTelescope:
@@ -55,9 +52,9 @@ def write_controllers(folder: Path) -> dict[str, str]:
     D = np.zeros((2, 22))
     B = np.zeros((2, 22))
     B[:, 18:20], B[:, 20:22] = 0.02 * np.eye(2), -0.002 * np.eye(2)
-    k_fsm = SampledSystem(0.98 * np.eye(2), B, np.eye(2), D, fsm.INPUTS, fsm.OUTPUTS, DT, "test observer")
+    k_fsm = SampledSystem(0.98 * np.eye(2), B, np.eye(2), D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT, "test observer")
     k_pma = SampledSystem(
-        0.9 * np.eye(6), 0.1 * np.eye(6), np.eye(6), np.eye(6), pma.INPUTS, pma.OUTPUTS, DT, "test force law"
+        0.9 * np.eye(6), 0.1 * np.eye(6), np.eye(6), np.eye(6), K_PMA_INPUTS, K_PMA_OUTPUTS, DT, "test force law"
     )
     k_fsm.to_file(folder / "k_fsm.json")
     k_pma.to_file(folder / "k_pma.json")

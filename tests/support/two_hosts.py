@@ -1,8 +1,9 @@
-"""Two hosts on one machine: network namespaces joined by a cable, good or bad."""
+"""Two hosts on one machine: network namespaces joined by a veth pair, or by a link that delays and loses packets."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -14,8 +15,8 @@ from pathlib import Path
 from los_testbed.config import RunConfig
 from los_testbed.run.runner import environment, node_command, parameter_file
 
-WIRE = str(Path(__file__).with_name("bad_wire.py"))
-PLACES = {"plant": "a", "recorder": "a", "estimator": "b", "controller": "b"}
+LINK = str(Path(__file__).with_name("lossy_link.py"))
+HOST_OF_NODE = {"plant": "a", "recorder": "a", "estimator": "b", "controller": "b"}
 
 
 class NotPermittedError(RuntimeError):
@@ -24,21 +25,29 @@ class NotPermittedError(RuntimeError):
 
 @dataclass
 class Hosts:
-    """Names of the namespaces, and what the bad cable carried and lost after :meth:`unplug`."""
+    """Names of the namespaces; after :meth:`unplug`, what the lossy link carried and lost.
+
+    ``lost_outward`` and ``lost_returning`` are stamps of ticks [ns] whose samples were lost on the way from the
+    plant's host and on the way back to it.
+    """
 
     names: Mapping[str, str]
-    wire: subprocess.Popen[str] | None = None
+    link: subprocess.Popen[str] | None = None
     carried: int = 0
     lost: int = 0
+    lost_outward: tuple[int, ...] = ()
+    lost_returning: tuple[int, ...] = ()
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def unplug(self) -> None:
-        """End the bad cable; its packets are counted then."""
-        if self.wire is not None and self.wire.poll() is None:
-            self.wire.terminate()
-            self.carried, self.lost = map(int, self.wire.communicate()[0].split())
+        """End the lossy link and read its account."""
+        if self.link is not None and self.link.poll() is None:
+            self.link.terminate()
+            account = json.loads(self.link.communicate()[0])
+            self.carried, self.lost = account["carried"], account["lost"]
+            self.lost_outward, self.lost_returning = (tuple(stamps) for stamps in account["stamps"])
 
-    def fly(self, config: RunConfig, folder: Path, plant: Sequence[str] | None = None) -> None:
+    def run(self, config: RunConfig, folder: Path, plant: Sequence[str] | None = None) -> None:
         """Plant and recorder on the first host, estimator and controller on the second, until the run is over.
 
         Raises
@@ -50,7 +59,7 @@ class Hosts:
         parameter_file(config, parameters)
         variables = {**environment(config, folder), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
         try:
-            for name, host in PLACES.items():
+            for name, host in HOST_OF_NODE.items():
                 command = plant if plant is not None and name == "plant" else node_command(name)
                 self.processes[name] = subprocess.Popen(
                     ["ip", "netns", "exec", self.names[host], *command, "--ros-args", "--params-file", str(parameters)],
@@ -61,7 +70,7 @@ class Hosts:
             self._await("plant", config.duration + 60.0)
             for name in ("estimator", "controller", "recorder"):
                 self.processes[name].send_signal(signal.SIGINT)
-                self._await(name, 20.0)
+                self._await(name, 60.0)
         finally:
             for process in self.processes.values():
                 process.kill()
@@ -75,8 +84,8 @@ class Hosts:
 
 
 @contextlib.contextmanager
-def near() -> Iterator[Hosts]:
-    """Two hosts joined by a good cable (a veth pair).
+def veth_pair() -> Iterator[Hosts]:
+    """Two hosts joined by a veth pair, which loses nothing.
 
     Raises
     ------
@@ -90,8 +99,8 @@ def near() -> Iterator[Hosts]:
 
 
 @contextlib.contextmanager
-def far(delay: float = 2e-4, loss: float = 1e-3) -> Iterator[Hosts]:
-    """Two hosts and a cable that delays every packet by `delay` [s] and loses the fraction `loss`.
+def lossy_link(delay: float = 2e-4, period: int = 100) -> Iterator[Hosts]:
+    """Two hosts and a link that delays every packet by `delay` [s] and loses the data of two ticks in `period`.
 
     Raises
     ------
@@ -104,14 +113,14 @@ def far(delay: float = 2e-4, loss: float = 1e-3) -> Iterator[Hosts]:
             _sh("ip", "-n", w, "link", "set", f"{host}w", "up")
         _address(a, b)
         for host in (a, b):
-            _sh("ip", "netns", "exec", host, sys.executable, WIRE, "--whole-checksums", host)
-        command = ["ip", "netns", "exec", w, sys.executable, WIRE, f"{a}w", f"{b}w", str(delay), str(loss), "1"]
-        wire = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            _sh("ip", "netns", "exec", host, sys.executable, LINK, "--whole-checksums", host)
+        command = ["ip", "netns", "exec", w, sys.executable, LINK, f"{a}w", f"{b}w", str(delay), str(period)]
+        link = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
-            yield Hosts(names, wire)
+            yield Hosts(names, link)
         finally:
-            wire.kill()
-            wire.wait()
+            link.kill()
+            link.wait()
 
 
 @contextlib.contextmanager

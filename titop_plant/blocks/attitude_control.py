@@ -1,15 +1,15 @@
 """Attitude of the spacecraft and its control law.
 
-``attitude`` integrates the angular acceleration of the root point G once to the rate and once more to
-the angle: the only absolute integrators of a spacecraft model. Translation is not integrated, since
-nothing that is measured or controlled depends on it.
+``attitude`` integrates the angular acceleration of the root point G to the rate and the rate to the
+angle. These are the only absolute integrators of a spacecraft model. Translation is not integrated:
+no measured or controlled variable depends on it.
 
-``attitude_control`` is the paper's proportional-derivative law with the sign that is stable::
+``attitude_control`` is the paper's proportional-derivative law with the stable sign::
 
     u = -Gamma^+ (K_d rate + K_p angle),   K_p = omega^2 J,   K_d = 2 zeta omega J
 
-**u > 0 pushes the structure along the spin axis.** (The paper prints the angle term with the other
-sign, which is unstable with a positive angle.) J is the diagonal of the total inertia, found as the
+**u > 0 is a torque on the structure along the spin axis.** (The paper prints the angle term with the
+opposite sign, which is unstable for a positive angle.) J is the diagonal of the total inertia, the
 inverse of the low-frequency gain from external torque to angular acceleration.
 """
 
@@ -43,7 +43,7 @@ def attitude_control(
     inertia : array_like, shape (3,)
         Total inertia about x, y, z [kg m2].
     spin_axes : array_like, shape (3, n)
-        Gamma: a column for each wheel.
+        Gamma: one column per wheel.
     bandwidth : float
         omega [rad/s].
     damping : float
@@ -56,7 +56,7 @@ def attitude_control(
 
     Examples
     --------
-    A positive angle asks for a torque that brings it back:
+    A positive angle gives a restoring (negative) torque:
 
     >>> law = attitude_control([10.0, 10.0, 10.0], np.eye(3), bandwidth=0.1, damping=0.7)
     >>> round(float(law["wheel_torque", "angle_G"].nominal().D[0, 0]), 12)
@@ -64,9 +64,12 @@ def attitude_control(
     """
     J, Gamma = np.asarray(inertia, dtype=float), np.asarray(spin_axes, dtype=float)
     if J.shape != (3,) or not np.all(J > 0.0):
-        raise ValueError(f"attitude control: expected three positive moments of inertia, got {J.tolist()}")
-    if Gamma.ndim != 2 or Gamma.shape[0] != 3 or linalg.null_space(Gamma.T).size:
-        raise ValueError("attitude control: the spin axes must be a 3 x n matrix of rank 3")
+        raise ValueError(f"attitude control: inertia must be three positive moments, got {J.tolist()}")
+    rank = 3 - linalg.null_space(Gamma.T).shape[1] if Gamma.ndim == 2 and Gamma.shape[0] == 3 else 0
+    if rank < 3:
+        raise ValueError(
+            f"attitude control: spin_axes must be a 3 x n matrix of rank 3, got shape {Gamma.shape} of rank {rank}"
+        )
     allocation = linalg.pinv(Gamma)
     gain = -allocation @ np.hstack([np.diag(bandwidth**2 * J), np.diag(2.0 * damping * bandwidth * J)])
     wheels = Port("wheel_torque", Gamma.shape[1], "Nm")
@@ -79,7 +82,7 @@ def total_inertia(torque_to_acceleration: UncertainSystem) -> FloatArray:
     Parameters
     ----------
     torque_to_acceleration : UncertainSystem
-        Three inputs [Nm], three outputs [rad/s2], all relative motion stable, attitude not integrated.
+        Three inputs [Nm], three outputs [rad/s2]; all states stable, attitude not integrated.
     """
     s = torque_to_acceleration.data_at({})
     gain = s.D - s.C @ linalg.solve(s.A, s.B) if s.A.size else s.D

@@ -1,7 +1,7 @@
 """Piezo-electric fast steering mirror (FSM): a rigid mirror on two revolute joints, x then y.
 
-Commands are angles: each acts through the joint's stiffness, so at rest the mirror stands where it
-is told, and above its own mode (sqrt(k/J)) it no longer follows. Four states.
+A commanded angle acts through the joint's stiffness: the static gain from command to angle is 1, and the
+bandwidth is the natural frequency sqrt(k/J) of the mirror on its joint. Four states.
 
 =================  ====  ==================================================================
 port               size  meaning
@@ -9,7 +9,7 @@ port               size  meaning
 in ``accel_<P>``   6     acceleration twist of the mount
 in ``fsm_command`` 2     commanded angles about x, y [rad]
 out ``wrench_<P>`` 6     by the mirror on its mount
-out ``fsm_angle``  2     angles of the mirror against its mount, x, y [rad]
+out ``fsm_angle``  2     angles of the mirror relative to its mount, x, y [rad]
 =================  ====  ==================================================================
 
 Source: the paper, "Fast Steering Mirror". Neglected: actuator hysteresis and electronics.
@@ -42,7 +42,7 @@ class FastSteeringMirror:
     stiffness, damping : float
         Of each joint [Nm/rad], [Nm s/rad].
     center_of_mass : tuple of float
-        From the pivot, which both axes pass through [m].
+        From the pivot, the intersection of both axes [m].
     """
 
     mass: float
@@ -57,7 +57,7 @@ def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> Uncerta
 
     Examples
     --------
-    At rest the mirror stands where it is told:
+    The static gain from commanded to actual angle is 1:
 
     >>> fsm = fast_steering_mirror(FastSteeringMirror(0.05, np.diag([3e-5, 3e-5, 6e-5]), 77.0, 0.015))
     >>> np.round(fsm["fsm_angle", "fsm_command"].nominal()(0).real, 12).tolist()

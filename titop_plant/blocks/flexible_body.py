@@ -19,8 +19,8 @@ output             size  meaning
 ``deflection_C``   6     elastic deflection of the children named in `deflections` [m, rad]
 =================  ====  ===========================================================================
 
-Rotation and rate travel beside the acceleration so that they are integrated once, at the root of the
-spacecraft; a second integrator anywhere else would repeat states that are already there.
+Rotation and rate are passed on beside the acceleration so that they are integrated once, at the root of
+the spacecraft; a second integrator elsewhere would add uncontrollable states at zero.
 
 Assumptions: small motion, mass-normalised modes clamped at P, modal damping, no gyroscopic terms.
 Source: the paper, "The TITOP framework"; Alazard, Perez, Cumer, Loquen (2015).
@@ -53,12 +53,12 @@ def flexible_body(
     data : ModalData
         Body with n modes.
     motion : bool
-        Carry rotation and rate of the parent through to the children.
+        Add the ports that pass rotation and rate of the parent on to the children.
     deflections : collection of str
         Children whose elastic deflection is an output.
     frequencies, dampings : mapping
-        Mode index to the parameter that replaces its frequency [rad/s] (2 occurrences) or its damping
-        ratio (1 occurrence).
+        Mode index to the parameter that replaces the frequency [rad/s] (2 occurrences) or the damping
+        ratio (1 occurrence) of this mode.
 
     Returns
     -------
@@ -68,11 +68,11 @@ def flexible_body(
     Raises
     ------
     ValueError
-        A mode index or a child name that does not exist.
+        Unknown mode index or child name.
 
     Examples
     --------
-    Shaken slowly a body weighs its rigid mass, whatever its modes:
+    The low-frequency mass is the rigid mass, whatever the modes:
 
     >>> import numpy as np
     >>> from titop_plant.structures.modal_data import ModalData, from_inertia
@@ -131,7 +131,7 @@ def _modal_parameters(
 ) -> tuple[tuple[str, ...], FloatArray, tuple[FloatArray, FloatArray]]:
     """Delta channels of ``eta'' = -omega (omega eta + 2 zeta eta') + f``.
 
-    The inner product omega eta is one occurrence, the outer one the second; zeta sits between.
+    The inner product omega eta is the first occurrence of omega, the outer product the second; zeta is between them.
     """
     channels: list[str] = []
     columns: list[FloatArray] = []

@@ -1,7 +1,7 @@
 """Six-degree-of-freedom passive isolator with its platform, and the platform with proof-mass actuators.
 
-A spring and damper K, D (6 x 6) joins the parent's point P and the platform's point C, which coincide
-at rest. Twelve states: the relative displacement delta of C against P and its rate::
+A spring and a damper K, D (6 x 6) join the parent's point P and the platform's point C, which coincide
+at rest. Twelve states: the displacement delta of C relative to P and its rate::
 
     M accel_C = -K delta - D delta' + wrench_C          (platform of mass matrix M at C)
     delta''   = accel_C - accel_P
@@ -12,7 +12,7 @@ port               size  meaning
 =================  ====  ================================================================
 in ``accel_P``     6     acceleration twist of the parent's point
 in ``angle_P``     3     its rotation; ``rate_P`` its rate
-in ``wrench_C``    6     wrench on the platform by all that stands on it
+in ``wrench_C``    6     wrench on the platform by all that is mounted on it
 out ``wrench_P``   6     by the isolator on its parent
 out ``accel_C``    6     acceleration twist of the platform
 out ``angle_C``    3     rotation of the platform; ``rate_C`` its rate
@@ -76,7 +76,7 @@ def isolator(data: Isolator, parent: str = "P", child: str = "C") -> UncertainSy
 
     Examples
     --------
-    Well above its modes it isolates: the platform does not follow its parent.
+    Well above its modes the transmissibility is small:
 
     >>> iso = isolator(Isolator(np.eye(6), 100.0 * np.eye(6), 1e-3 * np.eye(6)))
     >>> follow = iso["accel_C", "accel_P"].nominal()
@@ -127,8 +127,8 @@ def actuated_platform(
     Returns
     -------
     UncertainSystem
-        New ports ``pma_force`` [N] and ``pma_stroke`` [m], one signal an actuator;
-        ``wrench_<child>`` still takes what else stands on the platform.
+        New ports ``pma_force`` [N] and ``pma_stroke`` [m], one signal per actuator;
+        ``wrench_<child>`` remains an input for everything else mounted on the platform.
     """
     n = len(actuators)
     accel, wrench = ports.accel(child), ports.wrench(child)

@@ -22,10 +22,10 @@ def mounted(
     Parameters
     ----------
     block : UncertainSystem
-        Has ``accel_<point>`` as input and ``wrench_<point>`` as output, perhaps ``rate_<point>`` and
+        Has ``accel_<point>`` as input and ``wrench_<point>`` as output, optionally ``rate_<point>`` and
         ``angle_<point>`` as inputs.
     point, at : str
-        Own attachment point, and the point of the parent that it is rigidly linked to.
+        Attachment point of the block, and the point of the parent that it is rigidly linked to.
     position : array_like, shape (3,)
         Vector from `at` to `point` in the parent's frame [m].
     dcm : array_like, shape (3, 3)
@@ -34,7 +34,7 @@ def mounted(
     Returns
     -------
     UncertainSystem
-        Ports ``accel_<at>``, ``wrench_<at>``, ... in the place of the old ones.
+        Ports ``accel_<at>``, ``wrench_<at>``, ... instead of the old ones.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def mounted(
 
     Examples
     --------
-    A 2 kg point mass 3 m out has the inertia m r^2 = 18 kg m2:
+    A 2 kg point mass at a distance of 3 m has the inertia m r^2 = 18 kg m2:
 
     >>> import numpy as np
     >>> from titop_plant.blocks.flexible_body import rigid_body

@@ -1,13 +1,13 @@
-"""Proof-mass actuator (PMA): a mass m that slides along v in a casing that rides on the structure.
+"""Proof-mass actuator (PMA): a mass m that slides along v in a casing fixed to the structure.
 
 The paper's equations, with ``a_G = tau_GP accel_P`` the twist of the centre of mass at rest::
 
     m (v' a_G + stroke'') = -k stroke - d stroke' + u
     wrench_P = -tau_GP' ( diag((m_c + m) I, J) a_G + m [v; 0] stroke'' )
 
-**Slow motion sees m_c + m, fast motion along v sees the casing m_c alone. u > 0 pushes the proof mass
-along +v and the structure along -v.** (The paper writes M for all that rides on the mount and lists
-3.5 kg as "caging"; here ``casing_mass`` excludes the moving mass.)
+**At low frequency the mount carries the mass m_c + m, at high frequency along v the casing mass m_c alone.
+u > 0 is a force on the proof mass along +v and on the structure along -v.** (The paper writes M for the
+total mass on the mount and lists 3.5 kg as "caging"; here ``casing_mass`` excludes the moving mass.)
 
 =====================  ====  ============================================
 port                   size  meaning
@@ -15,7 +15,7 @@ port                   size  meaning
 in ``accel_<P>``       6     acceleration twist of the mount
 in ``pma_force``       1     force of the motor between casing and mass [N]
 out ``wrench_<P>``     6     by the actuator on its mount
-out ``pma_stroke``     1     displacement of the mass against the casing [m]
+out ``pma_stroke``     1     displacement of the mass relative to the casing [m]
 =====================  ====  ============================================
 
 Source: the paper, "Proof-Mass Actuators", equations of the PMA. Neglected: end stops, friction.

@@ -7,8 +7,8 @@ inertia J_r and axial inertia J_w, rigid mount)::
                - J_w Omega [ 0 ; omega_y ; -omega_x ; 0 ]
     Omega'   = -u / J_w - omega_dot_z
 
-The gyroscopic term needs the angular *rate* of the hub; with the rate at hand the speed Omega occurs
-twice and no integrator is added. **u > 0 pushes the structure along +z (the wheel is pushed by -u).**
+The gyroscopic term needs the angular *rate* of the hub; with the rate as an input the speed Omega occurs
+twice and no integrator is added. **u > 0 is a torque on the structure along +z (-u acts on the wheel).**
 
 ======================  ====  ==============================================================
 port                    size  meaning
@@ -70,7 +70,7 @@ class MountedWheel:
     ----------
     wheel : ReactionWheel
     axis : ndarray, shape (3,)
-        Spin axis in the parent's frame; made a unit vector.
+        Spin axis in the parent's frame; normalised to a unit vector.
     position : ndarray, shape (3,)
         Wheel centre from the assembly's point [m].
     speed : RealParameter
@@ -88,7 +88,7 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
 
     Examples
     --------
-    A spinning wheel on a turning base does no work: the gyroscopic torque is across the rate.
+    The gyroscopic torque is perpendicular to the rate of the base, so it does no work:
 
     >>> wheel = reaction_wheel(ReactionWheel(1.0, 0.096, 0.047), RealParameter("speed", 0, -1000, 1000))
     >>> G = wheel["wrench_G", "rate_G"].at({"speed": 500.0}).D[3:]
@@ -121,7 +121,7 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
 def spin_frame(axis: ArrayLike) -> FloatArray:
     """DCM from the parent's frame to a wheel frame whose z is `axis`: **v_wheel = dcm @ v_parent**.
 
-    The wheel's x is horizontal (across the parent's z) unless the axis is the parent's z itself.
+    The wheel's x is perpendicular to the parent's z; if the axis is parallel to it, x is the parent's x.
     """
     z = _unit(axis)
     across = np.cross([0.0, 0.0, 1.0], z)
@@ -173,5 +173,5 @@ def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> Uncerta
 
 
 def pyramid_axes(cant: float, azimuths: Sequence[float]) -> FloatArray:
-    """Spin axes of a pyramid about +z, shape (3, n): `cant` [rad] above the xy plane, azimuths [rad]."""
+    """Spin axes of a pyramid about +z, shape (3, n): elevation `cant` [rad] above the xy plane, azimuths [rad]."""
     return np.array([[np.cos(cant) * np.cos(a), np.cos(cant) * np.sin(a), np.sin(cant)] for a in azimuths]).T

@@ -1,8 +1,8 @@
-"""Revolute joint with stiffness and damping: a body that may turn about one axis.
+"""Revolute joint with stiffness and damping: a body that rotates about one axis.
 
-The joint has no mass. Its angle phi obeys the balance of torques about the axis: what the child
-exerts on the joint plus ``-k phi - d phi' + torque`` is zero. The child is a block from acceleration
-to wrench, so phi'' is found by inverting that one channel (the paper's "invertibility of all of its
+The joint is massless. Its angle phi follows from the balance of torques about the axis: the torque of
+the child on the joint plus ``-k phi - d phi' + torque`` is zero. The child is a block from acceleration
+to wrench, so phi'' is obtained by inverting that one channel (the paper's "invertibility of all of its
 12 input-output channels").
 """
 
@@ -33,14 +33,14 @@ def on_revolute_joint(
     child : UncertainSystem
         Has ``accel_<point>`` as input and ``wrench_<point>`` as output; other ports stay.
     point : str
-        Attachment point; keeps its name on the side of the parent.
+        Attachment point; its name is kept on the parent's side.
     axis : array_like, shape (3,)
         Joint axis in the child's frame.
     stiffness, damping : float
         k [Nm/rad] and d [Nm s/rad], not negative.
     angle, torque : str
-        Names of the new output (joint angle [rad], **positive turns the child about +axis**) and the
-        new input (**motor torque on the child about +axis** [Nm]; the parent feels the opposite).
+        Names of the new output (joint angle [rad], **positive: the child is rotated about +axis**) and the
+        new input (**motor torque on the child about +axis** [Nm]; the opposite torque acts on the parent).
 
     Returns
     -------
@@ -54,7 +54,7 @@ def on_revolute_joint(
 
     Examples
     --------
-    A constant torque turns the child against the spring and leaves no torque on the parent:
+    A constant torque rotates the child against the spring; the static torque on the parent is zero:
 
     >>> from titop_plant.blocks.flexible_body import rigid_body
     >>> wheel = rigid_body("wheel", "P", np.eye(6))
@@ -76,9 +76,9 @@ def on_revolute_joint(
     C = np.zeros((14, 2))
     D = np.zeros((14, 14))
     D[:6, :6], D[:6, 6:7] = np.eye(6), turn  # acceleration of the child
-    D[6:12, 7:13] = np.eye(6)  # a massless joint hands the child's wrench on to the parent
+    D[6:12, 7:13] = np.eye(6)  # a massless joint transmits the child's wrench to the parent
     C[12] = [-stiffness, -damping]
-    D[12, 7:13], D[12, 13] = turn[:, 0], 1.0  # torque balance, zero in the end
+    D[12, 7:13], D[12, 13] = turn[:, 0], 1.0  # torque balance, set to zero by the inversion below
     C[13] = [1.0, 0.0]
     swing, balance = Port("swing", 1, "rad/s2"), Port("balance", 1, "Nm")
     reaction, moved = Port("reaction", 6, ports.WRENCH_UNIT), Port("moved", 6, ports.TWIST_UNIT)
@@ -113,7 +113,7 @@ def on_revolute_joint(
     try:
         free = invert(both, {swing.name: balance.name})
     except ValueError:
-        raise ValueError(f"revolute joint at {point}: the child has no inertia about the axis") from None
+        raise ValueError(f"revolute joint at {point}: child must have inertia about the axis, got none") from None
     return free.select(
         inputs=[p.name for p in free.inputs if p.name != balance.name],
         outputs=[p.name for p in free.outputs if p.name != swing.name],
@@ -121,5 +121,5 @@ def on_revolute_joint(
 
 
 def position_commanded(block: UncertainSystem, torque: str, command: str, stiffness: float) -> UncertainSystem:
-    """Drive a joint by a commanded angle: ``torque = stiffness * command`` [rad], as a piezo stack does."""
+    """Drive a joint by a commanded angle [rad], ``torque = stiffness * command``, as with a piezo stack."""
     return transform(block, inputs={torque: (np.array([[stiffness]]), Port(command, 1, "rad"))})

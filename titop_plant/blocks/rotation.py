@@ -2,7 +2,7 @@
 
 In the plane of rotation ``R(theta/2) = (I + tau J)(I - tau J)^-1`` is a Cayley map with tau repeated
 twice, and ``R(theta)`` is its square: 4 occurrences for a vector, 8 for a twist or a wrench, 16 for a
-body that is turned (once for the twist going out, once for the wrench coming back).
+rotated body (8 for the twist towards the body, 8 for the wrench back).
 ``tau = 0`` is theta = 0, ``tau = 1`` is theta = pi; theta in (-2 pi, 2 pi) is regular.
 
 Source: the paper, "Full spacecraft assembly" (Delta_tau); Sanfedino et al. (2022), doi 10.1016/j.ymssp.2021.108168.
@@ -36,15 +36,15 @@ def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign:
     axis : array_like, shape (3,)
         Axis of rotation.
     tau : RealParameter
-        tan(theta / 4); its nominal value may be any.
+        tan(theta / 4) with any nominal value.
     port : Port
-        3 signals a vector; input and output have this port.
+        3 signals per vector; the port of both input and output.
     sign : {1.0, -1.0}
-        -1 turns back.
+        -1 gives the inverse rotation.
 
     Examples
     --------
-    tau = 1 turns by pi:
+    tau = 1 is a rotation by pi:
 
     >>> turn = rotation([0, 1, 0], RealParameter("tau", 0.0, -1.0, 1.0))
     >>> bool(np.allclose(turn.at({"tau": 1.0}).D, np.diag([-1.0, 1.0, -1.0])))
@@ -55,7 +55,7 @@ def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign:
     e1 /= np.sqrt(e1 @ e1)
     plane = np.column_stack([e1, np.cross(u, e1)])  # (e1, e2, u) is right-handed
     J, I2 = sign * np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(2)
-    # A half turn p -> q with w = tau z: z = J (p + w), q = p + 2 w. Two in a row:
+    # Rotation by theta / 2, p -> q, with w = tau z: z = J (p + w), q = p + 2 w. Two in series:
     Dzw, Dzp = np.block([[J, np.zeros((2, 2))], [2.0 * J, J]]), np.vstack([J, J])
     Dqw, Dqp = np.hstack([2.0 * I2, 2.0 * I2]), I2
     # Around the nominal value: w = tau_0 z + w', w' = (tau - tau_0) z.
@@ -75,7 +75,7 @@ def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign:
 
 
 def turned(block: UncertainSystem, point: str, axis: ArrayLike, tau: RealParameter) -> UncertainSystem:
-    """A block turned by theta about an axis through its attachment point (16 occurrences of tau).
+    """A block rotated by theta about an axis through its attachment point (16 occurrences of tau).
 
     Parameters
     ----------
@@ -84,13 +84,13 @@ def turned(block: UncertainSystem, point: str, axis: ArrayLike, tau: RealParamet
     point : str
         Attachment point.
     axis : array_like, shape (3,)
-        In the frame of the parent. **Positive theta turns the block about +axis.**
+        In the frame of the parent. **Positive theta rotates the block about +axis.**
     tau : RealParameter
         tan(theta / 4).
 
     Examples
     --------
-    A rod along x, turned by a quarter turn about z, points along y:
+    A rod along x, rotated by pi / 2 about z, is along y:
 
     >>> from titop_plant.blocks.flexible_body import rigid_body
     >>> from titop_plant.structures.modal_data import from_inertia
@@ -103,7 +103,7 @@ def turned(block: UncertainSystem, point: str, axis: ArrayLike, tau: RealParamet
     accel, wrench = ports.accel(point), ports.wrench(point)
     others_in = [p for p in block.inputs if p.name != accel.name]
     others_out = [p for p in block.outputs if p.name != wrench.name]
-    # A vector of the parent's frame has the coordinates R(-theta) v in the turned frame.
+    # A vector of the parent's frame has the coordinates R(-theta) v in the rotated frame.
     return connect(
         {
             "out": rotation(axis, tau, accel, sign=-1.0),
@@ -127,5 +127,5 @@ def turned(block: UncertainSystem, point: str, axis: ArrayLike, tau: RealParamet
 def _unit(axis: ArrayLike) -> FloatArray:
     vector = np.asarray(axis, dtype=float)
     if vector.shape != (3,) or not np.sqrt(vector @ vector) > 0:
-        raise ValueError(f"an axis must be a vector of length 3 that is not zero, got {axis!r}")
+        raise ValueError(f"axis must be a nonzero vector of length 3, got {axis!r}")
     return np.asarray(vector / np.sqrt(vector @ vector))

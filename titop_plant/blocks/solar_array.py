@@ -1,4 +1,4 @@
-"""Solar array on its drive mechanism (SADM), turned by theta.
+"""Solar array on its drive mechanism (SADM), rotated by theta.
 
 From the spacecraft outwards: rotation by theta about the drive axis (tau = tan(theta/4), 16
 occurrences), the gearbox as a revolute joint of stiffness k and damping d with the micro-stepping
@@ -13,8 +13,8 @@ out ``wrench_<A>``      6     by the array on the spacecraft
 out ``sadm_angle``      1     elastic angle of the gearbox [rad]
 ======================  ====  ==========================================================
 
-Slow disturbance torques wind up the gearbox and do not reach the spacecraft: the path is high-pass
-below sqrt(k / J). Source: the paper, "Full spacecraft assembly"; Sanfedino et al. (2022).
+Slow disturbance torques twist the gearbox and are not transmitted to the spacecraft: the path is high-pass
+with corner frequency sqrt(k / J). Source: the paper, "Full spacecraft assembly"; Sanfedino et al. (2022).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class SolarArray:
     modes : ModalData
         Array in its own frame, clamped at its root; no child points.
     axis : ndarray, shape (3,)
-        Drive axis in the spacecraft's frame; **positive theta turns the array about +axis**.
+        Drive axis in the spacecraft's frame; **positive theta rotates the array about +axis**.
     dcm : ndarray, shape (3, 3)
         From the spacecraft's frame to the array's at theta = 0.
     gearbox_stiffness, gearbox_damping : float
@@ -75,9 +75,9 @@ def solar_array(
         Mode index to uncertain frequency [rad/s].
     """
     array = flexible_body(data.modes, frequencies=frequencies)
-    placed = mounted(array, data.modes.parent, point, dcm=data.dcm)
+    attached = mounted(array, data.modes.parent, point, dcm=data.dcm)
     driven = on_revolute_joint(
-        placed,
+        attached,
         point,
         data.axis,
         stiffness=data.gearbox_stiffness,

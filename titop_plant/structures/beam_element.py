@@ -64,7 +64,7 @@ def beam_axes(start: FloatArray, end: FloatArray, up: FloatArray | None, what: s
     along = end - start
     length = float(np.sqrt(along @ along))
     if length < 1e-9:
-        raise ValueError(f"{what}: expected two different points, got a length of {length:.3g} m")
+        raise ValueError(f"{what}: end points must be different, got a length of {length:.3g} m")
     x = along / length
     if up is None:
         up = np.array([0.0, 1.0, 0.0]) if abs(x[2]) > 0.99 else np.array([0.0, 0.0, 1.0])

@@ -126,11 +126,13 @@ class BeamFrame:
         for beam in self.beams:
             for node in (beam.start, beam.end):
                 if node not in nodes:
-                    raise ValueError(f"{self.name}: beam {beam.start}-{beam.end} at unknown node {node!r}")
+                    raise ValueError(
+                        f"{self.name}: ends of beam {beam.start}-{beam.end} must be nodes, got unknown node {node!r}"
+                    )
             beam_axes(nodes[beam.start], nodes[beam.end], beam.up, f"{self.name}: beam {beam.start}-{beam.end}")
         for mass in self.masses:
             if mass.node not in nodes:
-                raise ValueError(f"{self.name}: lumped mass {mass.name!r} at unknown node {mass.node!r}")
+                raise ValueError(f"{self.name}: lumped mass {mass.name!r} must be at a node, got {mass.node!r}")
 
     def divided(self) -> BeamFrame:
         """The same frame with every beam divided into its elements, the inner nodes named ``start-end:k``."""
@@ -157,18 +159,18 @@ def assemble(frame: BeamFrame) -> tuple[tuple[str, ...], FloatArray, FloatArray]
     """
     fine = frame.divided()
     names = tuple(fine.nodes)
-    place = {name: 6 * i for i, name in enumerate(names)}
+    first = {name: 6 * i for i, name in enumerate(names)}
     M, K = np.zeros((6 * len(names),) * 2), np.zeros((6 * len(names),) * 2)
     for beam in fine.beams:
         start, end = fine.nodes[beam.start], fine.nodes[beam.end]
         axes = beam_axes(start, end, beam.up, f"{frame.name}: beam {beam.start}-{beam.end}")
         stiffness, mass = element_matrices(beam.section, float(np.sqrt((end - start) @ (end - start))))
         turn = block_diag(axes, axes, axes, axes)
-        index = np.r_[place[beam.start] : place[beam.start] + 6, place[beam.end] : place[beam.end] + 6]
+        index = np.r_[first[beam.start] : first[beam.start] + 6, first[beam.end] : first[beam.end] + 6]
         K[np.ix_(index, index)] += turn.T @ stiffness @ turn
         M[np.ix_(index, index)] += turn.T @ mass @ turn
     for lump in fine.masses:
-        index = np.arange(place[lump.node], place[lump.node] + 6)
+        index = np.arange(first[lump.node], first[lump.node] + 6)
         M[np.ix_(index, index)] += lump.matrix()
     return names, 0.5 * (M + M.T), 0.5 * (K + K.T)
 
@@ -199,31 +201,31 @@ def to_modal_data(
     ports : sequence of str
         Nodes that become child ports.
     n_modes : int, optional
-        How many of the lowest modes to keep. Default: all.
+        Number of lowest modes to keep. Default: all.
     damping : float or array_like, shape (n_modes,)
         Damping ratios.
 
     Returns
     -------
     ModalData
-        Modes in the order of frequency; each with its largest participation (scaled by the rigid mass)
-        positive, so that the same frame always gives the same signs.
+        Modes in ascending order of frequency. The sign of each mode is chosen so that its largest
+        participation (scaled by the rigid mass) is positive: the same frame always gives the same signs.
 
     Raises
     ------
     ValueError
-        Unknown node, more modes than degrees of freedom, a mechanism (a motion without stiffness) or a node
+        Unknown node, more modes than degrees of freedom, a mechanism (motion without stiffness) or a node
         without mass.
     """
     for node in (parent, *ports):
         if node not in frame.nodes:
-            raise ValueError(f"{frame.name}: no node {node!r}, there are {list(frame.nodes)}")
+            raise ValueError(f"{frame.name}: parent and ports must be of {list(frame.nodes)}, got {node!r}")
     names, M, K = assemble(frame)
     clamped = 6 * names.index(parent)
     free = np.delete(np.arange(M.shape[0]), np.arange(clamped, clamped + 6))
     keep = free.size if n_modes is None else n_modes
     if not 0 <= keep <= free.size:
-        raise ValueError(f"{frame.name}: expected 0 to {free.size} modes, got {keep}")
+        raise ValueError(f"{frame.name}: modes must be 0 to {free.size}, got {keep}")
     squares, shapes = _clamped_modes(frame.name, M[np.ix_(free, free)], K[np.ix_(free, free)], keep)
     rigid = rigid_body_modes(frame, names, frame.nodes[parent])
     mass_matrix = rigid.T @ M @ rigid
@@ -254,9 +256,9 @@ def _clamped_modes(name: str, M: FloatArray, K: FloatArray, keep: int) -> tuple[
     try:
         squares, shapes = eigh(K, M, subset_by_index=(0, keep - 1))
     except LinAlgError as error:
-        raise ValueError(f"{name}: every node needs mass in all six directions ({error})") from None
+        raise ValueError(f"{name}: every node must have mass in all six directions, got {error}") from None
     if squares[0] <= 1e-12 * float(np.abs(np.diag(K)).max()) / float(np.diag(M).max()):
-        raise ValueError(f"{name}: a mechanism, expected a stiff structure, got a mode with w^2 = {squares[0]:.3g}")
+        raise ValueError(f"{name}: structure must have no mechanism, got a mode with w^2 = {squares[0]:.3g} rad2/s2")
     return squares, shapes
 
 
@@ -280,7 +282,7 @@ def static_displacement(frame: BeamFrame, parent: str, loads: Mapping[str, Array
     force = np.zeros(K.shape[0])
     for node, wrench in loads.items():
         if node not in names:
-            raise ValueError(f"{frame.name}: no node {node!r} to load, there are {list(frame.nodes)}")
+            raise ValueError(f"{frame.name}: loaded node must be one of {list(frame.nodes)}, got {node!r}")
         force[6 * names.index(node) : 6 * names.index(node) + 6] += read_only(wrench, (6,), f"load at {node!r}")
     clamped = 6 * names.index(parent)
     free = np.delete(np.arange(K.shape[0]), np.arange(clamped, clamped + 6))

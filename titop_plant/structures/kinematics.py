@@ -10,8 +10,6 @@ from scipy.linalg import block_diag
 
 FloatArray = NDArray[np.float64]
 
-AXES = ("x translation", "y translation", "z translation", "x rotation", "y rotation", "z rotation")
-
 
 def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> FloatArray:
     """Read-only float copy of an array after a check of its shape and finiteness.
@@ -19,7 +17,7 @@ def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> Float
     Parameters
     ----------
     array : array_like
-        What the user gave.
+        Given data.
     shape : sequence of int or None
         Expected shape; ``None`` matches any length.
     what : str
@@ -33,11 +31,13 @@ def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> Float
     try:
         copy: FloatArray = np.array(array, dtype=float, order="C")
     except (TypeError, ValueError):
-        raise ValueError(f"{what}: expected numbers in an array of shape {_shape_text(shape)}") from None
+        raise ValueError(
+            f"{what} must be numbers in an array of shape {_shape_text(shape)}, got {type(array).__name__}"
+        ) from None
     if copy.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, copy.shape)):
-        raise ValueError(f"{what}: expected shape {_shape_text(shape)}, got {copy.shape}")
+        raise ValueError(f"{what} must have shape {_shape_text(shape)}, got {copy.shape}")
     if not np.all(np.isfinite(copy)):
-        raise ValueError(f"{what}: expected finite numbers, got {copy.size - np.isfinite(copy).sum()} that are not")
+        raise ValueError(f"{what} must be finite, got {copy.size - np.isfinite(copy).sum()} entries that are not")
     copy.setflags(write=False)
     return copy
 
@@ -90,7 +90,7 @@ def tau(point: ArrayLike, base: ArrayLike) -> FloatArray:
 
 
 def check_rotation(dcm: ArrayLike, what: str) -> FloatArray:
-    """Direction cosine matrix after a check that it is one.
+    """Direction cosine matrix after a check of orthonormality and orientation.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ def check_rotation(dcm: ArrayLike, what: str) -> FloatArray:
     matrix = read_only(dcm, (3, 3), what)
     defect = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if defect > 1e-9:
-        raise ValueError(f"{what}: expected an orthonormal matrix, got P P' - I = {defect:.3g}")
+        raise ValueError(f"{what} must be orthonormal, got P P' - I = {defect:.3g}")
     if np.dot(np.cross(matrix[0], matrix[1]), matrix[2]) < 0:
-        raise ValueError(f"{what}: expected a right-handed rotation (determinant +1), got determinant -1")
+        raise ValueError(f"{what} must be a right-handed rotation (determinant +1), got determinant -1")
     return matrix
 
 

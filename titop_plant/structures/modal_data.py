@@ -1,4 +1,4 @@
-"""Modal data of a flexible body: what a TITOP block needs to know about a structure.
+"""Modal data of a flexible body: the data of a structure that a two-input two-output port (TITOP) block uses.
 
 With mass-normalised modal coordinates ``eta`` of the modes clamped at the parent point P
 (Alazard, Perez, Cumer & Loquen, "Two-Input Two-Output Port model for
@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigvalsh
 
+from titop_plant.ports import AXES
 from titop_plant.structures.kinematics import (
-    AXES,
     FloatArray,
     check_rotation,
     read_only,
@@ -53,7 +53,7 @@ class ChildPort:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise ValueError("a child port needs a name, got an empty string")
+            raise ValueError("name of a child port must not be empty, got ''")
         object.__setattr__(self, "position", read_only(self.position, (3,), f"child {self.name!r}, position"))
         object.__setattr__(self, "shapes", read_only(self.shapes, (6, None), f"child {self.name!r}, shapes"))
 
@@ -78,7 +78,7 @@ class ModalData:
         Damping ratios zeta, 0 <= zeta < 1.
     participation : array_like, shape (n, 6)
         Modal participation ``L`` at P: columns of translation in sqrt(kg), of rotation in
-        sqrt(kg) m. **eta'' = -L accel_P**: a mode lags behind an accelerated base.
+        sqrt(kg) m. **eta'' = -L accel_P** for an accelerated base.
     children : tuple of ChildPort
         Points for other bodies; ``shapes`` with one column per mode.
 
@@ -87,12 +87,12 @@ class ModalData:
     ValueError
         A shape does not fit, a mass is not positive, ``M_rr`` is not symmetric or not positive
         semidefinite, a frequency or damping is out of range, two points share a name. The message
-        names the body and the quantity. The residual mass is *not* judged here (data are often a
-        little inconsistent): see :func:`titop_plant.structures.check_residual_mass`.
+        names the body and the quantity. The residual mass is *not* checked here (printed data are often
+        slightly inconsistent): see :func:`titop_plant.structures.check_residual_mass`.
 
     Examples
     --------
-    A 2 kg body that slides on a spring of 8 N/m inside a 3 kg casing (a mode takes 2 of the 5 kg):
+    A 2 kg body on a spring of 8 N/m inside a 3 kg casing (the mode has 2 of the 5 kg as effective mass):
 
     >>> import numpy as np
     >>> body = ModalData("slider", "P", np.zeros(3), from_inertia(5.0, np.eye(3), np.zeros(3)),
@@ -112,7 +112,7 @@ class ModalData:
 
     def __post_init__(self) -> None:
         if not self.name or not self.parent:
-            raise ValueError(f"body {self.name!r}: the body and its parent point need names, got {self.parent!r}")
+            raise ValueError(f"body {self.name!r}: body and parent point must have names, got {self.parent!r}")
         w = read_only(self.frequencies, (None,), f"{self.name}: frequencies")
         n = w.size
         shapes = {"parent_position": (3,), "mass_matrix": (6, 6), "damping": (n,), "participation": (n, 6)}
@@ -199,19 +199,19 @@ class ModalData:
         Raises
         ------
         ValueError
-            No such port; the message lists those there are.
+            Unknown port; the message lists the existing ones.
         """
         for child in self.children:
             if child.name == name:
                 return child
-        raise ValueError(f"{self.name}: no child port {name!r}, there are {[c.name for c in self.children]}")
+        raise ValueError(f"{self.name}: child port must be one of {[c.name for c in self.children]}, got {name!r}")
 
     def child_tau(self, name: str) -> FloatArray:
         """Kinematic matrix ``tau_CP`` (6 x 6) from the parent to a child: accel_C = tau_CP accel_P."""
         return tau(self.child(name).position, self.parent_position)
 
     def residual_mass(self) -> FloatArray:
-        """Residual mass ``M_rr - L' L`` at P, shape (6, 6): what fast motion of the parent still moves."""
+        """Residual mass ``M_rr - L' L`` at P, shape (6, 6): the mass felt at P well above all modes."""
         residual = self.mass_matrix - self.participation.T @ self.participation
         return np.asarray(0.5 * (residual + residual.T))
 
@@ -221,10 +221,10 @@ class ModalData:
         Raises
         ------
         ValueError
-            More modes asked for than there are, or a negative number.
+            Number outside 0 to the number of modes.
         """
         if not 0 <= n_modes <= self.n_modes:
-            raise ValueError(f"{self.name}: expected 0 to {self.n_modes} modes, got {n_modes}")
+            raise ValueError(f"{self.name}: n_modes must be 0 to {self.n_modes}, got {n_modes}")
         return dataclasses.replace(
             self,
             frequencies=self.frequencies[:n_modes],

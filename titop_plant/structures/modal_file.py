@@ -1,4 +1,4 @@
-"""Modal data in a readable file: a body of your own for the telescope.
+"""Modal data in a text file: user-defined bodies of the telescope.
 
 The format is TOML, SI units, one table per mode::
 
@@ -26,8 +26,8 @@ The format is TOML, SI units, one table per mode::
     [mode.shapes]                        # displacement of each child for eta = 1
     M1 = [0.01, 0.0, 0.2, 0.0, 0.1, 0.0]              # 1/sqrt(kg), 1/(sqrt(kg) m)
 
-**Sign convention: eta'' + 2 zeta w eta' + w^2 eta = -L accel_P**, so a row of ``L`` and the shapes of the
-same mode go together: changing the sign of one alone is an error that no check can find.
+**Sign convention: eta'' + 2 zeta w eta' + w^2 eta = -L accel_P.** A row of ``L`` and the shapes of the
+same mode have a common sign: changing the sign of one alone is an error that no check can detect.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     path : path
         A file of the format above.
     check_residual : bool
-        Refuse data whose residual mass is not positive semidefinite. Switch off to read such data
-        for :func:`~titop_plant.structures.repair_residual_mass`.
+        Reject data whose residual mass is not positive semidefinite. False: accept such data, for
+        :func:`~titop_plant.structures.repair_residual_mass`.
 
     Returns
     -------
@@ -75,8 +75,7 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     Raises
     ------
     ValueError
-        Anything wrong with the file; the message names the file, the line where it can be told, the
-        body and the key.
+        Invalid file; the message names the file, the line (where it is known), the body and the key.
     FileNotFoundError
         No such file.
     """
@@ -84,7 +83,7 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not a TOML file: {error}") from None
+        raise ValueError(f"{path}: file must be TOML, got {error}") from None
     reader = _Reader(str(path), text, table)
     data = reader.read()
     if check_residual:
@@ -147,7 +146,7 @@ def _quoted(name: str) -> str:
 
 
 class _Reader:
-    """Reads one file and knows where its keys stand, for the error messages."""
+    """Reader of one file; error messages name the line of a key."""
 
     def __init__(self, path: str, text: str, table: Mapping[str, Any]) -> None:
         self.path, self.lines, self.table = path, text.splitlines(), table
@@ -156,7 +155,7 @@ class _Reader:
     def read(self) -> ModalData:
         if self.table.get("format") != FORMAT or self.table.get("version") != VERSION:
             raise self.error(
-                f'expected format = "{FORMAT}" and version = {VERSION}, '
+                f'format and version must be "{FORMAT}" and version = {VERSION}, '
                 f"got {self.table.get('format')!r} and {self.table.get('version')!r}",
                 "format",
             )
@@ -184,7 +183,7 @@ class _Reader:
         if "mass_matrix" in self.table:
             extra = sorted(_MASS & set(self.table) - {"mass_matrix"})
             if extra:
-                raise self.error(f"expected mass_matrix or {extra[0]}, not both", extra[0])
+                raise self.error(f"mass must be given by mass_matrix or {extra[0]}, got both", extra[0])
             return self.numbers("mass_matrix", (6, 6))
         mass = float(self.numbers("mass", ()))
         inertia, cg = self.numbers("inertia_at_cg", (3, 3)), self.numbers("cg", (3,))
@@ -217,7 +216,7 @@ class _Reader:
     def value(self, key: str, table: str = "", k: int = 0) -> Any:
         holder = self.table[table][k] if table else self.table
         if key not in holder:
-            raise self.error(f"{key} is missing", "", table, k)
+            raise self.error(f"{key} must be given, got nothing", "", table, k)
         return holder[key]
 
     def text(self, key: str, table: str = "", k: int = 0) -> str:
@@ -240,7 +239,7 @@ class _Reader:
     def refuse_unknown(self, table: Mapping[str, Any], known: set[str], name: str = "", k: int = 0) -> None:
         unknown = sorted(set(table) - known)
         if unknown:
-            raise self.error(f"unknown key {unknown[0]!r}, expected {sorted(known)}", unknown[0], name, k)
+            raise self.error(f"key must be one of {sorted(known)}, got {unknown[0]!r}", unknown[0], name, k)
 
     def error(self, message: str, key: str, table: str = "", k: int = 0) -> ValueError:
         line = self.line_of(key, table, k)

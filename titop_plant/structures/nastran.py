@@ -1,6 +1,6 @@
 """Modal data from a NASTRAN normal-modes run, through pyNastran (extra ``nastran``).
 
-What the run must contain:
+Requirements on the run:
 
 * the bulk data (BDF) in SI units, basic displacement coordinates at the parent and the ports, no WTMASS;
 * ``SOL 103`` clamped at **one grid point**, the parent, by ``SPC1,...,123456``, and nowhere else;
@@ -8,7 +8,7 @@ What the run must contain:
 * forces of single-point constraint of the parent (``SPCFORCES(PLOT)=ALL``): they give the participation;
 * ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM2 exactly,
   bars as slender rods, other elements as points at their centroids;
-* ``PARAM,POST,-1`` so that all this is in the OP2 file.
+* ``PARAM,POST,-1`` so that these results are in the OP2 file.
 
 **Participation: L_k = -q_k / w_k^2**, with ``q_k`` the constraint force at the clamped point in mode k: the
 sum of all inertia forces of the mode, whatever mass formulation the elements have.
@@ -28,7 +28,7 @@ from titop_plant.structures.kinematics import FloatArray, read_only, tau
 from titop_plant.structures.modal_data import ChildPort, ModalData
 from titop_plant.structures.residual_mass import check_residual_mass
 
-#: The OP2 file holds single precision: a residual negative by less than this fraction is rounding.
+#: The OP2 file is in single precision: a residual negative by less than this fraction is a rounding error.
 SINGLE_PRECISION = 1e-5
 
 
@@ -49,7 +49,7 @@ def read_nastran(
     Parameters
     ----------
     bdf, op2 : path
-        Bulk data and results; the module page lists what they must contain.
+        Bulk data and results; the module docstring lists the required content.
     name : str
         Name of the body.
     parent : (str, int)
@@ -59,11 +59,11 @@ def read_nastran(
     damping : float or array_like, shape (n,)
         Damping ratios.
     n_modes : int, optional
-        How many modes to keep. Default: all in the file.
+        Number of modes to keep. Default: all in the file.
     subcase : int, optional
         Needed if the OP2 holds eigenvectors of several subcases.
     mass_matrix : array_like, shape (6, 6), optional
-        Rigid mass matrix at P, if it is known better than the files know it.
+        Rigid mass matrix at P that replaces the one computed from the files.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def read_nastran(
     FileNotFoundError
         No such file.
     ValueError
-        Something is missing from a file or not as required; the message names the file.
+        Missing or invalid content of a file; the message names the file.
     """
     model = _read_bdf(Path(bdf))
     grids = {parent[0]: parent[1], **ports}
@@ -89,7 +89,7 @@ def read_nastran(
     squares = np.asarray(table.eigns, dtype=float)
     scale = _mass_normalisation(results, squares.size)[:, None]
     if np.any(squares <= 0):
-        raise ValueError(f"{op2}: expected positive eigenvalues of a clamped body, got {squares.min():.3g}")
+        raise ValueError(f"{op2}: eigenvalues of a clamped body must be positive, got {squares.min():.3g}")
     participation = -scale * _rows(forces, parent[1], str(op2), parent[0]) / squares[:, None]
     shapes = {port: scale * _rows(table, grid, str(op2), port) for port, grid in ports.items()}
     if mass_matrix is None:
@@ -117,35 +117,35 @@ def _pynastran() -> tuple[Any, Any]:
         from pyNastran.op2.op2 import read_op2
     except ImportError as error:
         raise ImportError(
-            f"reading NASTRAN files needs pyNastran: pip install 'los-testbed[nastran]' ({error})"
+            f"pyNastran must be installed to read NASTRAN files (pip install 'los-testbed[nastran]'), got {error}"
         ) from None
     return read_bdf, read_op2
 
 
 def _read_bdf(path: Path) -> Any:
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such BDF file")
+        raise FileNotFoundError(f"{path}: BDF file must exist, got no such file")
     try:
         model = _pynastran()[0](str(path), debug=None, punch=None)
     except ImportError:
         raise
-    except Exception as error:  # pyNastran raises many kinds
-        raise ValueError(f"{path}: pyNastran cannot read this BDF: {_one_line(error)}") from None
+    except Exception as error:  # pyNastran raises many types
+        raise ValueError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
     wtmass = model.params.get("WTMASS")
     if wtmass is not None and float(wtmass.values[0]) != 1.0:
-        raise ValueError(f"{path}: expected mass units without PARAM,WTMASS, got {wtmass.values[0]}")
+        raise ValueError(f"{path}: PARAM,WTMASS must be absent or 1, got {wtmass.values[0]}")
     return model
 
 
 def _read_op2(path: Path) -> Any:
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such OP2 file")
+        raise FileNotFoundError(f"{path}: OP2 file must exist, got no such file")
     try:
         return _pynastran()[1](str(path), debug=None)
     except ImportError:
         raise
     except Exception as error:
-        raise ValueError(f"{path}: pyNastran cannot read this OP2: {_one_line(error)}") from None
+        raise ValueError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
 
 
 def _one_line(error: Exception) -> str:
@@ -158,7 +158,9 @@ def _positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str, Flo
     for name, grid in grids.items():
         node = model.nodes.get(grid)
         if node is None:
-            raise ValueError(f"{path}: no GRID {grid} for {name!r}, there are {len(model.nodes)} grid points")
+            raise ValueError(
+                f"{path}: grid point of {name!r} must be one of the {len(model.nodes)} in the file, got GRID {grid}"
+            )
         if node.Cd() != 0:
             raise ValueError(
                 f"{path}: GRID {grid} ({name!r}) must have basic displacement coordinates (CD = 0), got {node.Cd()}"
@@ -168,22 +170,22 @@ def _positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str, Flo
 
 
 def _check_clamped(model: Any, parent: int, path: str) -> None:
-    """One grid point clamped in all six directions, and no other held: statically determinate."""
-    held: dict[int, set[str]] = {}
+    """Check that one grid point is clamped in all six directions and no other is constrained."""
+    constrained: dict[int, set[str]] = {}
     for card in (card for cards in model.spcs.values() for card in cards):
         components = card.components
         each = [components] * len(card.nodes) if isinstance(components, str) else components
         for node, component in zip(_integers(card.nodes), each):
-            held.setdefault(node, set()).update(str(component))
+            constrained.setdefault(node, set()).update(str(component))
     for grid, node in model.nodes.items():
         if node.ps:
-            held.setdefault(grid, set()).update(str(node.ps))
-    if held.get(parent, set()) < set("123456"):
-        got = "".join(sorted(held.get(parent, set()))) or "nothing"
+            constrained.setdefault(grid, set()).update(str(node.ps))
+    if constrained.get(parent, set()) < set("123456"):
+        got = "".join(sorted(constrained.get(parent, set()))) or "nothing"
         raise ValueError(f"{path}: the parent GRID {parent} must be clamped (SPC1 123456), got {got}")
-    others = sorted(set(held) - {parent})
+    others = sorted(set(constrained) - {parent})
     if others:
-        raise ValueError(f"{path}: only the parent GRID {parent} may be held, got SPC at {others[:5]} too")
+        raise ValueError(f"{path}: SPC must be at the parent GRID {parent} alone, got SPC at {others[:5]} too")
 
 
 def _integers(nodes: Iterable[Any]) -> list[int]:
@@ -194,13 +196,13 @@ def _of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | 
     """The table of a subcase; keys are a number, or tuples that begin with it."""
     found = {int(key[0] if isinstance(key, tuple) else key): table for key, table in tables.items()}
     if not found:
-        raise ValueError(f"{path}: no {what} in this file (SOL 103 with output to OP2 is needed)")
+        raise ValueError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none")
     if subcase is None:
         if len(found) > 1:
-            raise ValueError(f"{path}: {what} of subcases {sorted(found)}, say which one")
+            raise ValueError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
         return next(iter(found.values()))
     if subcase not in found:
-        raise ValueError(f"{path}: no {what} of subcase {subcase}, there are {sorted(found)}")
+        raise ValueError(f"{path}: subcase of {what} must be one of {sorted(found)}, got {subcase}")
     return found[subcase]
 
 
@@ -208,7 +210,7 @@ def _rows(table: Any, grid: int, path: str, name: str) -> FloatArray:
     """Six components at a grid point in every mode, shape (n, 6)."""
     index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
     if index.size != 1:
-        raise ValueError(f"{path}: expected one result row of GRID {grid} ({name!r}) in each mode, got {index.size}")
+        raise ValueError(f"{path}: each mode must have one result row of GRID {grid} ({name!r}), got {index.size}")
     return np.asarray(table.data[:, index[0], :], dtype=float)
 
 
@@ -238,8 +240,8 @@ def _mass_of_elements(model: Any, point: FloatArray, path: str) -> FloatArray:
     for lump in model.masses.values():
         if lump.type != "CONM2" or lump.Cid() != 0:
             raise ValueError(
-                f"{path}: {lump.type} {lump.eid} has mass properties that only the run itself can sum: "
-                "add PARAM,GRDPNT,0"
+                f"{path}: mass elements must be CONM2 in basic coordinates (or add PARAM,GRDPNT,0 to the run), "
+                f"got {lump.type} {lump.eid}"
             )
         center, mass, inertia = lump.centroid_mass_inertia()  # a tensor, minus the products of the card
         total += _shifted(float(mass), np.asarray(inertia), np.asarray(center) - point)

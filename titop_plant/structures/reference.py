@@ -1,8 +1,8 @@
 """The reference telescope's two structures: central body and payload, as beam frames.
 
-They stand in for the confidential finite-element data of the published mission: structures of plausible
+They replace the confidential finite-element data of the published mission: structures of plausible
 mass, size and stiffness, not measured ones. Every number comes from the parameter file of the telescope
-(tables ``materials``, ``body``, ``payload``, ``optics``); this module only knows the topology:
+(tables ``materials``, ``body``, ``payload``, ``optics``); this module contains the topology only:
 
 * central body: a thrust tube, three decks of radial webs, edge beams and braces, four longerons, braced
   side walls, brackets for the array drives (A1 on the +y side, A2 on the -y side), for the wheel assembly
@@ -51,7 +51,7 @@ def build_body(parameters: Parameters) -> ModalData:
     ----------
     parameters : mapping
         Tables ``materials`` and ``body`` of the parameter file. If ``body.modal_data`` names a modal data
-        file, that body is taken, with all its modes and damping, in the place of the frame.
+        file, that body is used, with all its modes and damping, instead of the frame.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def build_payload(parameters: Parameters) -> ModalData:
     parameters : mapping
         Tables ``materials``, ``payload`` and ``optics`` (``primary_focal_length``, ``mirror_distance``,
         ``back_focal_distance``, m) of the parameter file. If ``payload.modal_data`` names a modal data file,
-        that payload is taken in the place of the frame.
+        that payload is used instead of the frame.
 
     Returns
     -------
@@ -95,24 +95,24 @@ def _from_frame(parameters: Parameters, name: str, frame: BeamFrame) -> ModalDat
 
 
 def _from_file(parameters: Parameters, name: str) -> ModalData | None:
-    """A user's own body, if the parameters name a file."""
+    """The user's body, if the parameters name a file."""
     path = parameters[name].get("modal_data", "")
     if not path:
         return None
     try:
         data = read_modal_data(path)
     except OSError as error:
-        raise ValueError(f"cannot read {name}.modal_data {path}: {error.strerror}") from None
+        raise ValueError(f"{name}.modal_data must be a readable file, got {path}: {error.strerror}") from None
     if data.parent != PARENTS[name]:
-        raise ValueError(f"{path}: {data.name}: expected parent {PARENTS[name]!r}, got {data.parent!r}")
+        raise ValueError(f"{path}: {data.name}: parent must be {PARENTS[name]!r}, got {data.parent!r}")
     missing = sorted(set(PORTS[name]) - {child.name for child in data.children})
     if missing:
-        raise ValueError(f"{path}: {data.name}: child port {missing[0]!r} is missing, expected {list(PORTS[name])}")
+        raise ValueError(f"{path}: {data.name}: child ports must be {list(PORTS[name])}, got no {missing[0]!r}")
     return data
 
 
 def body_frame(parameters: Parameters) -> BeamFrame:
-    """Beam frame of the central body (see the module page); nodes in the body frame, m."""
+    """Beam frame of the central body (see the module docstring); nodes in the body frame, m."""
     table, materials = parameters["body"], parameters["materials"]
     section = {name: _section(materials, spec) for name, spec in table["sections"].items()}
     nodes, beams = _decks(table, section)
@@ -157,7 +157,7 @@ def _decks(table: Parameters, section: Mapping[str, Section]) -> tuple[dict[str,
                 longeron, brace = _scaled(section["longeron"], factor), section["wall_brace"]
                 beams += [
                     Beam(below, f"corner{level}{k}", longeron, elements=2),
-                    Beam(below, above, brace),  # stands for a shear panel: no bending of its own
+                    Beam(below, above, brace),  # represents a shear panel
                 ]
     return nodes, beams
 
@@ -178,7 +178,7 @@ def _brackets(
 
 
 def payload_frame(parameters: Parameters) -> BeamFrame:
-    """Beam frame of the telescope payload (see the module page); nodes in the payload frame, m."""
+    """Beam frame of the telescope payload (see the module docstring); nodes in the payload frame, m."""
     table, materials, optics = parameters["payload"], parameters["materials"], parameters["optics"]
     section = {name: _section(materials, spec) for name, spec in table["sections"].items()}
     m1 = np.array([0.0, 0.0, table["m1_height"]])
@@ -260,7 +260,7 @@ def _scaled(section: Section, factor: float) -> Section:
 
 
 def _equipment(item: Parameters, nodes: Mapping[str, FloatArray]) -> LumpedMass:
-    """A unit with the inertia of a homogeneous block, held by the named node or else the nearest."""
+    """A unit with the inertia of a homogeneous block, fixed to the named node (default: the nearest)."""
     position = np.array(item["position"], dtype=float) if "position" in item else nodes[item["node"]]
     node = item.get("node") or _nearest(position, nodes)
     a, b, c = item["size"]
@@ -281,16 +281,16 @@ def _center_of_mass(frame: BeamFrame) -> FloatArray:
 
 
 def port_visibility(data: ModalData, names: Sequence[str] | None = None) -> FloatArray:
-    """How well each mode is seen from the points of a body, as a fraction of the best seen one.
+    """Magnitude of each mode at the ports of a body, relative to the largest one.
 
     The norm of ``[L_k, Phi_Ck ...]`` over all ports, rotations scaled by the radius of gyration about the
-    parent; a mode that no port sees would vanish from a minimal realisation.
+    parent; a mode with value 0 is uncontrollable and is removed from a minimal realisation.
 
     Parameters
     ----------
     data : ModalData
     names : sequence of str, optional
-        Child ports to look from. Default: all.
+        Child ports taken into account. Default: all.
 
     Returns
     -------

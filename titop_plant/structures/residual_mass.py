@@ -1,9 +1,9 @@
-"""The residual mass of modal data: is it physical, and if not, by how much and what to do.
+"""Residual mass of modal data: check, repair and extension by further modes.
 
-The residual mass ``R = M_rr - L' L`` is what is left of the rigid body for motion faster than every
-mode kept. It is the direct feedthrough of a TITOP block, so a negative direction is a negative mass:
-the assembled model is then unstable or not well posed. Printed tables and truncated test data
-often have one, by rounding.
+The residual mass ``R = M_rr - L' L`` is the mass of the body felt at its parent point well above all
+modes kept. It is the direct feedthrough of a TITOP block; if it is not positive semidefinite the
+assembled model is unstable or not well posed. Printed tables and truncated test data often have this
+defect, by rounding.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
-from titop_plant.structures.kinematics import AXES, FloatArray, read_only
+from titop_plant.ports import AXES
+from titop_plant.structures.kinematics import FloatArray, read_only
 from titop_plant.structures.modal_data import ModalData
 
-#: Fraction of the rigid mass that a residual may be negative by and still pass as rounding.
+#: Negative residual, as a fraction of the rigid mass, that is accepted as a rounding error.
 TOLERANCE = 1e-9
 
 
 def smallest_residual_fraction(data: ModalData) -> float:
     """Smallest residual mass as a fraction of the rigid mass, over all directions of motion.
 
-    The smallest eigenvalue of ``R d = lambda M_rr d``: 1 for a rigid body, 0 if some direction of
-    motion is wholly taken by the modes, negative if the data are not physical. It has no unit and
-    does not depend on the choice of metres or millimetres.
+    The smallest eigenvalue of ``R d = lambda M_rr d``: 1 for a rigid body, 0 if the modes have the whole
+    mass in some direction of motion, negative if the data are not physical. Dimensionless and
+    independent of the units of length.
     """
     factor = _factor(data)
     if data.n_modes == 0:
@@ -37,13 +38,13 @@ def smallest_residual_fraction(data: ModalData) -> float:
 
 
 def check_residual_mass(data: ModalData, tolerance: float = TOLERANCE) -> None:
-    """Refuse modal data whose residual mass is not positive semidefinite.
+    """Raise an error if the residual mass is not positive semidefinite.
 
     Parameters
     ----------
     data : ModalData
     tolerance : float
-        Fraction of the rigid mass forgiven as rounding.
+        Negative residual, as a fraction of the rigid mass, that is accepted as a rounding error.
 
     Raises
     ------
@@ -69,14 +70,14 @@ def check_residual_mass(data: ModalData, tolerance: float = TOLERANCE) -> None:
 
 @dataclass(frozen=True)
 class ResidualRepair:
-    """What a repair of the residual mass did.
+    """Result of a repair of the residual mass.
 
     Parameters
     ----------
     data : ModalData
         The repaired data.
     scale : ndarray, shape (n,)
-        Factor on each row of ``L`` (1 where nothing was changed).
+        Factor on each row of ``L`` (1: unchanged).
     before, after : float
         Smallest residual fraction (:func:`smallest_residual_fraction`) before and after.
     """
@@ -95,17 +96,17 @@ class ResidualRepair:
 def repair_residual_mass(data: ModalData, *, mode: int | None = None, margin: float = 0.0) -> ResidualRepair:
     """Smallest scaling of the participation ``L`` that makes the residual mass positive semidefinite.
 
-    ``M_rr - s^2 L'L`` is positive semidefinite exactly if ``s^2`` is not above one over the largest
-    eigenvalue of ``L M_rr^-1 L'``; that ``s`` is taken, or 1 if the data are already good.
+    ``M_rr - s^2 L'L`` is positive semidefinite if and only if ``s^2`` is at most one over the largest
+    eigenvalue of ``L M_rr^-1 L'``; this ``s`` is used, or 1 if the data are already physical.
 
     Parameters
     ----------
     data : ModalData
     mode : int, optional
-        Scale this row of ``L`` only (counted from 0) and leave the others. Default: all rows alike.
+        Scale this row of ``L`` only (index from 0). Default: all rows by the same factor.
     margin : float
-        Fraction of the rigid mass to leave in every direction (0 <= margin < 1). With 0 the residual
-        is singular in one direction: the channel from acceleration to wrench cannot be inverted there.
+        Smallest residual fraction after the repair (0 <= margin < 1). With 0 the residual is singular
+        in one direction, and the channel from acceleration to wrench is not invertible there.
 
     Returns
     -------
@@ -115,7 +116,7 @@ def repair_residual_mass(data: ModalData, *, mode: int | None = None, margin: fl
     Raises
     ------
     ValueError
-        ``mode`` or ``margin`` out of range, or the other modes alone already take more than the mass.
+        ``mode`` or ``margin`` out of range, or the other modes alone exceed the rigid mass.
     """
     if not 0 <= margin < 1:
         raise ValueError(f"{data.name}: margin must be in [0, 1), got {margin}")
@@ -138,14 +139,14 @@ def _row_scale(data: ModalData, whitened: FloatArray, mode: int, margin: float) 
     others = np.delete(whitened, mode, axis=0)
     rest = (1.0 - margin) * np.eye(6) - others.T @ others
     if eigvalsh(rest)[0] <= 0:
-        raise ValueError(f"{data.name}: the modes other than {mode} already take more than the rigid mass")
+        raise ValueError(f"{data.name}: modes other than {mode} must leave residual mass, got none")
     row = solve_triangular(_lower(rest), whitened[mode], lower=True)
     return float(min(1.0, 1.0 / np.sqrt(row @ row)))
 
 
 @dataclass(frozen=True)
 class ResidualMode:
-    """A further mode that takes a share of the residual mass.
+    """A further mode whose effective mass is a share of the residual mass.
 
     Parameters
     ----------
@@ -154,9 +155,9 @@ class ResidualMode:
     damping : float
         Damping ratio.
     direction : array_like, shape (6,)
-        Motion ``d`` of the parent that excites it (translation, rotation).
+        Motion ``d`` of the parent that excites the mode (translation, rotation).
     share : float
-        Fraction of the residual ``d'R d`` it takes, 0 < share <= 1.
+        Effective mass along d as a fraction of the residual ``d'R d``, 0 < share <= 1.
     """
 
     frequency: float
@@ -170,42 +171,45 @@ class ResidualMode:
         if not 0 < self.share <= 1:
             raise ValueError(f"share of a residual mode must be in (0, 1], got {self.share}")
         if not np.any(direction):
-            raise ValueError("direction of a residual mode must not be zero")
+            raise ValueError("direction of a residual mode must be nonzero, got zeros")
 
 
 def add_residual_modes(data: ModalData, modes: Sequence[ResidualMode]) -> ModalData:
-    """Extend modal data with modes that take shares of the residual mass, one after the other.
+    """Extend modal data by modes whose effective masses are shares of the residual mass, in sequence.
 
-    With ``R`` the residual left so far, a mode of direction d gets
-    ``L_k = sqrt(share) d'R / sqrt(d'R d)``: it takes ``share`` of the residual mass along d, and by the
-    Cauchy-Schwarz inequality ``R - L_k'L_k`` stays positive semidefinite. This is how a table that prints
-    two modes of a solar array is continued without inventing mass.
+    With ``R`` the residual before the mode, a mode of direction d has
+    ``L_k = sqrt(share) d'R / sqrt(d'R d)``: its effective mass along d is ``share`` of the residual mass, and
+    by the Cauchy-Schwarz inequality ``R - L_k'L_k`` stays positive semidefinite. A table with two printed
+    modes of a solar array is extended in this way; the total mass does not change.
 
     Parameters
     ----------
     data : ModalData
-        Without child ports (mode shapes at children cannot be made up from the mass).
+        Without child ports (mode shapes at children do not follow from the mass).
     modes : sequence of ResidualMode
 
     Returns
     -------
     ModalData
-        The given modes follow the old ones, in their order.
+        The old modes followed by the new ones, in the given order.
 
     Raises
     ------
     ValueError
-        The data have child ports, their residual is not physical, or nothing is left along a direction.
+        The data have child ports, their residual is not physical, or it is zero along a direction.
     """
     if data.children:
-        raise ValueError(f"{data.name}: residual modes need a body without child ports, got {len(data.children)}")
+        raise ValueError(f"{data.name}: a body with residual modes must have no child ports, got {len(data.children)}")
     check_residual_mass(data)
     residual, rows = data.residual_mass(), []
     for k, mode in enumerate(modes):
         along = float(mode.direction @ residual @ mode.direction)
         rigid = float(mode.direction @ data.mass_matrix @ mode.direction)
         if along <= 1e-12 * rigid:
-            raise ValueError(f"{data.name}: no residual mass is left along the direction of residual mode {k + 1}")
+            raise ValueError(
+                f"{data.name}: residual mass along the direction of residual mode {k + 1} must be positive, "
+                f"got {along:.3g}"
+            )
         row = np.sqrt(mode.share / along) * (residual @ mode.direction)
         residual = residual - np.outer(row, row)
         rows.append(row)
@@ -223,12 +227,12 @@ def _lower(matrix: FloatArray) -> FloatArray:
 
 
 def _factor(data: ModalData) -> FloatArray:
-    """Cholesky factor of M_rr; a body without inertia about some axis cannot be judged."""
+    """Cholesky factor of M_rr; it does not exist for a body without inertia about some axis."""
     try:
         return _lower(data.mass_matrix)
     except LinAlgError:
         raise ValueError(
-            f"{data.name}: mass_matrix must be positive definite to judge the residual mass, "
+            f"{data.name}: mass_matrix must be positive definite for the check of the residual mass, "
             f"got a smallest eigenvalue of {eigvalsh(data.mass_matrix)[0]:.3g}"
         ) from None
 
@@ -239,7 +243,7 @@ def effective_masses(data: ModalData) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 6)
-        ``L**2``; with all modes of a structure a column sums to the diagonal of ``M_rr`` (less what is
-        fixed to the clamped point itself).
+        ``L**2``; with all modes of a structure a column sums to the diagonal of ``M_rr`` (minus the mass
+        at the clamped point itself).
     """
     return np.asarray(np.square(data.participation), dtype=float)

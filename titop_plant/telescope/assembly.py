@@ -13,7 +13,7 @@ input                  size  meaning
 ``wheel_imbalance``    20    per wheel: force x, y, z [N], torque x, y [Nm], wheel frame
 ``sadm_torque``        2     disturbance torque on each array about the drive axis [Nm]
 ``external_wrench``    6     on the body at G [N, Nm]
-``wheel_torque``       4     torque on the structure along each spin axis, beside the ACS [Nm]
+``wheel_torque``       4     torque on the structure along each spin axis, added to the attitude law's [Nm]
 ``fsm_command``        2     commanded mirror angles x, y [rad]
 ``pma_force``          6     motor forces [N]
 =====================  ====  =====================================================================
@@ -24,8 +24,8 @@ output                 size  meaning
 ``accel_Ip``           6     twist of the platform, payload frame [m/s2, rad/s2]
 ``accel_M1``           6     twist of M1; ``accel_M2`` of M2
 ``los``                2     line of sight of the payload, rotation about x, y [rad]
-``los_controlled``     2     with the mirror: los + 0.1 fsm_angle [rad]
-``fsm_angle``          2     mirror angles against the mount [rad]
+``los_controlled``     2     with the mirror: los + los_sensitivity fsm_angle [rad]
+``fsm_angle``          2     mirror angles relative to the mount [rad]
 ``pma_stroke``         6     [m]
 ``attitude``           3     rotation of G [rad]; ``attitude_rate`` its rate
 ``accel_G``            6     twist of G
@@ -33,7 +33,7 @@ output                 size  meaning
 ``wheel_accel``        4     [rad/s2]
 =====================  ====  =====================================================================
 
-Rotation and rate travel through the ports, the line of sight is read from states, and nothing is
+Rotation and rate are passed through the ports, the line of sight is a function of states, and nothing is
 integrated twice: the realisation is minimal by construction (204 states for the reference).
 """
 
@@ -54,8 +54,8 @@ from titop_plant.blocks.solar_array import solar_array
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
-from titop_plant.telescope import parameters as component
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope import components as component
+from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -64,13 +64,12 @@ SADM_TORQUE = Port("sadm_torque", 2, "Nm")
 EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
 WHEEL_TORQUE = Port("wheel_torque", 4, "Nm")
 LOS = Port("los", 2, "rad")
-CHILDREN_OF_BODY = ("A1", "A2", "I_w", "I_p")
 OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
 
 
 @dataclass(frozen=True)
 class Telescope:
-    """The assembled telescope and what was found on the way.
+    """The assembled telescope with its total inertia and its flexible bodies.
 
     Parameters
     ----------
@@ -97,9 +96,9 @@ def build_telescope(
     parameters : mapping, optional
         From :func:`~titop_plant.telescope.parameters.load_parameters`; default: the reference.
     isolated : bool
-        False: the platform stands on the body without the isolator's springs.
+        False: the platform is fixed to the body without the isolator's springs.
     attitude_controlled : bool
-        Close the attitude law; without it the attitude drifts freely.
+        Close the attitude loop; without it the attitude is free.
 
     Returns
     -------
@@ -107,11 +106,11 @@ def build_telescope(
     """
     given = load_parameters() if parameters is None else parameters
     body, payload = build_body(given), build_payload(given)
-    hung = _driven_at_G(given, body, payload, isolated)
-    free = invert(hung, {"accel_G": "wrench_G"})
+    driven = _driven_at_G(given, body, payload, isolated)
+    free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
     system = _free_flying(free, given, inertia, attitude_controlled)
-    order = list(component.uncertain_parameters(given))
+    order = list(uncertain_parameters(given))
     return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
 
 
@@ -125,8 +124,8 @@ def line_of_sight(parameters: Parameters) -> UncertainSystem:
 
 
 def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
-    """Everything that hangs on G, from the motion imposed there to the wrench it answers with."""
-    uncertain = component.uncertain_parameters(parameters)
+    """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
+    uncertain = uncertain_parameters(parameters)
     tau = uncertain["solar_array.tau"]
     omegas = {i: uncertain[f"solar_array.omega_{i + 1}"] for i in (0, 1)}
     plate = (
@@ -209,7 +208,7 @@ def _wires() -> list[Connection]:
 
 
 def _without_loads(body: UncertainSystem, points: tuple[str, ...]) -> UncertainSystem:
-    """Nothing is attached at these points: their wrenches are zero."""
+    """Remove the wrench inputs of points without an attached body."""
     loads = {f"wrench_{point}" for point in points}
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
 
@@ -225,7 +224,7 @@ def _torque_to_acceleration(free: UncertainSystem) -> UncertainSystem:
 def _free_flying(
     free: UncertainSystem, parameters: Parameters, inertia: FloatArray, controlled: bool
 ) -> UncertainSystem:
-    """Let G go: the wrench that all bodies exert there balances the external one; close the attitude law."""
+    """Free motion of G: the wrench of all bodies there balances the external one; close the attitude loop."""
     table = parameters["attitude_control"]
     law = attitude_control(
         np.diag(inertia),

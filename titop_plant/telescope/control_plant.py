@@ -29,14 +29,13 @@ import numpy as np
 from lti import Connection, Port, UncertainSystem, connect, state_space, static_gain
 from lti.delay import delayed_port
 from lti.filters import high_pass
+from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 
-ACCELEROMETERS = ("accel_Ip", "accel_M1", "accel_M2")
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
-COMMANDS = ("fsm_command", "pma_force")
-SAMPLING = 1e-3
-HOLD_DELAY = 0.5 * SAMPLING
-"""Mean delay of a command that is held for one tick [s]."""
+ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
+OPTICAL_NOISE = Port("optical_noise", MEASUREMENTS - ACCELERATIONS.stop)
+"""Noise of the measurements: of the accelerometers; of camera and strain gauges."""
 
 PADE_ORDER = 2
 """Of the delays in the plant: right to 2e-4 rad where they turn the phase by less than 0.7 rad."""
@@ -69,23 +68,23 @@ def camera_hold(period: float) -> UncertainSystem:
     """
     if not period >= 0.0:
         raise ValueError(f"camera period must not be negative, got {period} s")
-    return delayed_port(Port("camera_los", 2, "rad"), max(0.0, 0.5 * (period - SAMPLING)), PADE_ORDER)
+    return delayed_port(Port("camera_los", 2, "rad"), max(0.0, 0.5 * (period - DT)), PADE_ORDER)
 
 
 def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
-    """Put the mean delay `hold` [s] of commands that are held for a tick in front of the motion.
+    """Delay the motion by the mean delay `hold` [s] of commands that are held for a tick.
 
-    The motion lags by half a tick, but an accelerometer feels a command at the instant it is switched: its direct path
-    has no such lag. That matters, since below the structure's modes the direct path and the motion cancel. The direct
-    path is that at the nominal parameters.
+    The motion lags by half a tick. An accelerometer responds to a command at the instant it is switched: its direct
+    path has no such lag. The difference matters, since below the structure's modes the direct path and the motion
+    cancel. The direct path is that of the nominal parameters.
     """
     if hold == 0.0:
         return plant
     felt_by = [plant.output_port(name) for name in ACCELEROMETERS]
     systems = {"plant": plant}
-    wires: list[Connection] = [(p.name, f"plant.{p.name}") for p in plant.inputs if p.name not in COMMANDS]
+    wires: list[Connection] = [(p.name, f"plant.{p.name}") for p in plant.inputs if p.name not in COMMANDED]
     felt: dict[str, list[str]] = {port.name: [f"plant.{port.name}"] for port in felt_by}
-    for command in (plant.input_port(name) for name in COMMANDS):
+    for command in (plant.input_port(name) for name in COMMANDED):
         direct = plant[ACCELEROMETERS, (command.name,)].data_at({}).D
         late, now, past = (f"{what}_{command.name}" for what in ("late", "now", "past"))
         systems[late] = delayed_port(command, hold, PADE_ORDER)
@@ -122,11 +121,11 @@ def control_plant(
         Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
     seen = with_camera(telescope, parameters).select(
-        inputs=(*DISTURBANCES, *COMMANDS), outputs=("los_controlled", *ACCELEROMETERS, "camera_los", "fsm_angle")
+        inputs=(*DISTURBANCES, *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
-    sensors, root = parameters["sensors"], np.sqrt(SAMPLING)
-    noise, optical = Port("accelerometer_noise", 18), Port("optical_noise", 4)
+    sensors, root = parameters["sensors"], np.sqrt(DT)
+    noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
     ports = [seen.output_port(name) for name in ACCELEROMETERS]
     systems = {
         "plant": seen,
@@ -152,5 +151,5 @@ def control_plant(
     outputs["camera_los"] = "hold.camera_los"
     outputs["fsm_angle"] = ("plant.fsm_angle", "optical.fsm_angle")
     external = [seen.input_port(name) for name in DISTURBANCES] + [noise, optical]
-    external += [seen.input_port(name) for name in COMMANDS]
+    external += [seen.input_port(name) for name in COMMANDED]
     return connect(systems, wires, inputs=external, outputs=outputs)

@@ -1,7 +1,7 @@
-"""Frequency responses of the open telescope from micro-vibrations to the line of sight, ready to be drawn.
+"""Frequency responses from micro-vibrations to the line of sight without fine control, as data for figures.
 
-No resonance is lost: every response is computed on a grid that is refined at the poles of the very member, and
-where it is reduced to columns of a picture, a column holds the highest value inside it.
+Every response is computed on a grid that is refined at the poles of the model at the same parameter values. Where
+a curve is reduced to the columns of a figure, a column has the highest value inside it, so no resonance is lost.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 from scipy import linalg
 
 from lti import Port, StateSpace, UncertainSystem
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from titop_plant.disturbances import weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures.kinematics import FloatArray
@@ -45,17 +47,17 @@ class Curve:
 
         A column without a point of its own has the value of the curve at its middle.
         """
-        place = np.searchsorted(edges, self.omega, side="right") - 1
-        inside = (place >= 0) & (place < edges.size - 1)
+        column = np.searchsorted(edges, self.omega, side="right") - 1
+        inside = (column >= 0) & (column < edges.size - 1)
         middle = np.sqrt(edges[1:] * edges[:-1])
         highest = np.exp(np.interp(np.log(middle), np.log(self.omega), np.log(self.size)))
-        np.maximum.at(highest, place[inside], self.size[inside])
+        np.maximum.at(highest, column[inside], self.size[inside])
         return np.asarray(highest)
 
 
 @dataclass(frozen=True)
 class DisturbanceResponses:
-    """The telescope on its isolator and with the payload mounted hard, from the disturbances to the line of sight."""
+    """The telescope with isolator and with a hard-mounted payload, from the disturbances to the line of sight."""
 
     parameters: Parameters
     isolated: UncertainSystem
@@ -66,7 +68,7 @@ class DisturbanceResponses:
     ) -> Curve:
         """Largest singular value from normalised disturbances to the line of sight [arcsec].
 
-        Normalised: 1 stands for the amplitudes of the weights, 0.4 N, 0.35 N and 0.3 Nm of each wheel above
+        Normalised: 1 corresponds to the amplitudes of the weights, 0.4 N, 0.35 N and 0.3 Nm of each wheel above
         5 rad/s and 0.1 Nm of each array drive.
         """
         data = system["los_controlled", tuple(inputs)].data_at(values)
@@ -74,28 +76,28 @@ class DisturbanceResponses:
         amplitude = weight_amplitudes(self.parameters, omega)
         scale = np.hstack([amplitude[:, _COLUMNS[name]] for name in inputs])
         response = frequency_response(data, omega) * scale[:, None, :]
-        return Curve(omega, np.asarray(singular_values(response)[:, 0] / ARCSEC))
+        return Curve(omega, np.asarray(largest_gains(response) / ARCSEC))
 
     def first_channel(self, values: Mapping[str, float], low: float, high: float) -> Curve:
-        """Line of sight about x by the first harmonic channel of wheel 1, its radial force x [arcsec/N]."""
+        """Line of sight about x due to the first imbalance channel of wheel 1, its radial force x [arcsec/N]."""
         whole = self.isolated["los_controlled", "wheel_imbalance"].data_at(values)
         data = StateSpace(
             whole.A, whole.B[:, :1], whole.C[:1], whole.D[:1, :1], (Port("force", 1, "N"),), (Port("los", 1, "rad"),)
         )
-        omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, per_mode=11)
+        omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, offsets=(0.0, 0.6, 1.2, 1.8, 2.4, 3.0))
         return Curve(omega, np.abs(frequency_response(data, omega)[:, 0, 0]) / ARCSEC)
 
     def band(
         self, system: UncertainSystem, inputs: Sequence[str], edges: FloatArray, members: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest value of :meth:`weighted` over random members of the family, column by column."""
+        """Lowest and highest value of :meth:`weighted` over random parameter values, column by column."""
         draws = system.sample_values(np.random.default_rng(0), members)
         curves = [self.weighted(system, values, inputs, edges[0], edges[-1]).columns(edges) for values in draws]
         return np.min(curves, axis=0), np.max(curves, axis=0)
 
 
-def scene(parameters: str | None = None) -> DisturbanceResponses:
-    """Both telescopes of a parameter file (default: the reference)."""
+def disturbance_responses(parameters: str | None = None) -> DisturbanceResponses:
+    """Responses of the telescope of a parameter file (default: the reference) with and without isolator."""
 
     def part(isolated: bool) -> UncertainSystem:
         return telescope(parameters, isolated).system["los_controlled", ALL]

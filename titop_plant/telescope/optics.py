@@ -1,9 +1,8 @@
 """Line of sight of a two-mirror telescope as a linear function of small motions.
 
 Signs: z is the optical axis, light comes from +z; the line of sight is a rotation about x and y.
-In the plane of a rotation about y, displacements along +x go with it; in the plane of a rotation about
-x, displacements along -y do (a rotation about the origin moves a point at height z by
-``(z theta_y, -z theta_x)``).
+A rotation theta about the origin displaces a point at height z by ``(z theta_y, -z theta_x)``: a rotation
+about y is associated with displacements along +x, a rotation about x with displacements along -y.
 
 With f1 the primary's focal length, f the system's, m = f / f1, d the distance of the mirrors, b the
 distance from the primary's vertex back to the focus, ``d + b = m (f1 - d)``, per plane:
@@ -56,7 +55,7 @@ class TwoMirrorTelescope:
     def __post_init__(self) -> None:
         if not 0.0 < self.mirror_distance < self.primary_focal_length:
             raise ValueError(
-                f"the mirror distance must be between 0 and the primary focal length "
+                f"mirror distance must be between 0 and the primary focal length "
                 f"{self.primary_focal_length} m, got {self.mirror_distance} m"
             )
 
@@ -72,7 +71,7 @@ class TwoMirrorTelescope:
         return self.magnification * self.primary_focal_length
 
     def sensitivity(self, element: str) -> FloatArray:
-        """Line of sight [rad] (2) by motion of an element (translation [m], rotation [rad]): 2 x 6.
+        """Line of sight [rad] per motion of an element (translation [m], rotation [rad]), shape (2, 6).
 
         Parameters
         ----------
@@ -81,7 +80,7 @@ class TwoMirrorTelescope:
         Raises
         ------
         ValueError
-            Another element.
+            Unknown element.
         """
         f1, f, m = self.primary_focal_length, self.focal_length, self.magnification
         table = {
@@ -90,6 +89,6 @@ class TwoMirrorTelescope:
             "DET": (0.0, -1.0 / f),
         }
         if element not in table:
-            raise ValueError(f"unknown optical element {element!r}, expected one of: {', '.join(table)}")
+            raise ValueError(f"optical element must be one of {', '.join(table)}, got {element!r}")
         tilt, decenter = table[element]
         return np.array([[0.0, -decenter, 0.0, tilt, 0.0, 0.0], [decenter, 0.0, 0.0, 0.0, tilt, 0.0]])

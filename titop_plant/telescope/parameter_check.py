@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from titop_plant.structures.kinematics import AXES
+from titop_plant.ports import AXES
 
 POSITIVE = {
     "mass", "moving_mass", "casing_mass", "axial_inertia", "radial_inertia", "stiffness", "frequencies", "frequency",
@@ -58,7 +58,7 @@ class ParameterFile:
         return ValueError(f"{self.path}{f', line {line}' if line else ''}: {about}")
 
     def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-        """The reference's table with the user's values in the place of its own.
+        """The reference's table, its values replaced by the user's.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class ParameterFile:
         return result
 
     def check(self, name: str, key: str, base: Any, value: Any) -> None:
-        """Refuse a value that the reference's value in its place could not be."""
+        """Refuse a value of another kind, length or sign than the reference's."""
         if key in REQUIRED:
             self._check_tables(name, key, value)
         elif isinstance(base, str):

@@ -1,4 +1,4 @@
-"""What a telescope's model is, in figures: order, occurrences, poles, inertia, residual masses."""
+"""Summary of a telescope model: order, occurrences, poles, inertia, residual masses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from titop_plant.telescope.assembly import Telescope
 
 @dataclass(frozen=True)
 class BodySummary:
-    """A flexible body in figures.
+    """Mass, modes and residual mass of a flexible body.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ class BodySummary:
 
 @dataclass(frozen=True)
 class PlantSummary:
-    """A telescope's model in figures; poles are those of the nominal member.
+    """Summary of a telescope model; poles are those at the nominal parameter values.
 
     Parameters
     ----------
     order : int
         Number of states.
     occurrences : dict
-        How often each parameter is repeated in Delta.
+        Number of repetitions of each parameter in Delta.
     parameters : tuple of RealParameter
     hurwitz : bool
         Whether every pole has a negative real part.
@@ -72,7 +72,7 @@ class PlantSummary:
     bodies: tuple[BodySummary, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain types for JSON; ``total_inertia`` is the diagonal, what the attitude law is tuned on."""
+        """Plain types for JSON; ``total_inertia`` is the diagonal, which the attitude law uses."""
         return {
             "order": self.order,
             "occurrences": self.occurrences,

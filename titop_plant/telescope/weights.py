@@ -17,7 +17,7 @@ def disturbance_weight(parameters: Parameters) -> UncertainSystem:
 
     Examples
     --------
-    Fast disturbances have the full amplitude, slow ones almost none:
+    The amplitude is 0.4 N at high frequency and nearly zero at low frequency:
 
     >>> from titop_plant.telescope.parameters import load_parameters
     >>> W = disturbance_weight(load_parameters()).nominal()
@@ -34,7 +34,7 @@ def disturbance_weight(parameters: Parameters) -> UncertainSystem:
 
 
 def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
-    """``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis, t the window [s]; 2 states an axis.
+    """``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis, t the window [s]; 2 states per axis.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
     0.360016
     """
     if not window > 0.0:
-        raise ValueError(f"the window must be positive, got {window} s")
+        raise ValueError(f"window must be positive, got {window} s")
     a1, a0, b1 = 6.0 / window, 12.0 / window**2, np.sqrt(12.0) / window
     each = np.eye(size)
     return state_space(

@@ -9,6 +9,7 @@ import los_testbed.loop.simulate
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
+from los_testbed.cli.run import configure
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lti.ports import Port
@@ -87,7 +88,7 @@ def test_analyse_gives_the_figures_again(run):
 
 def test_options_beat_settings_which_beat_the_file(run):
     (run.files / "run.yaml").write_text("duration: 4.0\nseed: 5\nloop: fsm\n")
-    config = cli.configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
+    config = configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
     assert (config.duration, config.seed, config.loop, config.theta) == (4.0, 6, "isolator", 0.5)
 
 
@@ -130,8 +131,8 @@ def _bad_controllers(folder):
         (["--k-fsm={files}/other.json"], ["other.json", "not a controller file"]),
         (["--k-fsm={files}/nan.json"], ["nan.json", "finite", "nan"]),
         (["--k-fsm={files}/shape.json"], ["shape.json", "matrix B", "1 x 22", "2 x 22"]),
-        (["--k-fsm={files}/ports.json"], ["expected inputs accel_Ip[6]", "u[2]"]),
-        (["--k-pma={files}/k_fsm.json"], ["expected inputs accel_Ip[6]", "accel_M1[6]"]),
+        (["--k-fsm={files}/ports.json"], ["inputs must be accel_Ip[6]", "u[2]"]),
+        (["--k-pma={files}/k_fsm.json"], ["inputs must be accel_Ip[6]", "accel_M1[6]"]),
         (["--output={files}"], ["exists already", "never overwritten"]),
         (["--output={files}/k_fsm.json/bag"], ["not a folder"]),
     ],

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from los_testbed import factories
 from los_testbed.cli import app as cli
+from los_testbed.cli.run import configure
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
@@ -17,7 +18,7 @@ from los_design import plant_figures
 from titop_plant.disturbances import rpe_weight
 from titop_plant.simulation import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
-from titop_plant.telescope.disturbance_responses import ALL, Curve, scene
+from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
 
 
@@ -90,7 +91,7 @@ def test_figures_come_as_png_and_svg_and_are_the_same_each_time(run, monkeypatch
 
 def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
     """A resonance far narrower than a column is as high as in the response."""
-    curve = scene().first_channel({}, 0.3, 20.0)
+    curve = disturbance_responses().first_channel({}, 0.3, 20.0)
     edges = np.geomspace(0.3, 20.0, 11)
     columns = curve.columns(edges)
     assert columns.max() == curve.size.max()
@@ -135,7 +136,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
         (["--sample=-1"], ["sample", "not negative", "-1"]),
         (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
         (["--case=xyz"], ["no case 'xyz'", "expected one of nominal"]),
-        (["--cases=mine.yaml"], ["--cases mine.yaml needs --case NAME"]),
+        (["--cases=mine.yaml"], ["--case must be given with --cases mine.yaml"]),
         (["--case=a", "--cases=none.yaml"], ["none.yaml", "No such file"]),
         (["--parameters=none.toml"], ["none.toml", "No such file"]),
     ],
@@ -181,10 +182,10 @@ def test_a_random_member_is_the_one_that_the_uncertain_system_draws() -> None:
 def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the_file(run) -> None:
     file = run.files / "run.yaml"
     file.write_text("theta: 0.5\nseed: 9\nomega_1: 0.75\n")
-    chosen = cli.configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
+    chosen = configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
     assert (chosen.theta, chosen.tau, chosen.seed) == (0.0, 0.25, 9)
     assert (chosen.omega_1, chosen.omega_2) == (0.70585, 2.6)
-    drawn = cli.configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
+    drawn = configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
     assert (drawn.theta, drawn.tau) == (0.1, 0.0)
     assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
 
@@ -194,7 +195,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
     assert {"nominal", "arrays_quarter_turn", "wheels_fast", "worst"} <= set(cases)
     for name, settings in cases.items():
         assert settings["description"], name
-        config = cli.configure(None, [], {"output": "x"}, case=name)
+        config = configure(None, [], {"output": "x"}, case=name)
         assert (
             any(getattr(config, key) != getattr(RunConfig(), key) for key in PHYSICAL)
             or name == "nominal"
@@ -207,7 +208,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
 
 def test_the_worst_case_is_worse_than_the_other_ones() -> None:
     """Line of sight against the template of the relative error, isolator alone: named cases and random members."""
-    both, parameters = scene(), load_parameters()
+    both, parameters = disturbance_responses(), load_parameters()
 
     def peak(config: RunConfig) -> float:
         chosen = {"omega_1": config.omega_1 or None, "omega_2": config.omega_2 or None}
@@ -215,7 +216,7 @@ def test_the_worst_case_is_worse_than_the_other_ones() -> None:
         curve = both.weighted(both.isolated, parameter_values(plant, parameters), ALL, 1.0, 1e3)
         return float(np.max(curve.size * rpe_weight(curve.omega, parameters["weights"]["rpe_window"])))
 
-    peaks = {name: peak(cli.configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
+    peaks = {name: peak(configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
     drawn = [peak(RunConfig.from_mapping(random_member(seed))) for seed in range(8)]
     assert max(peaks, key=lambda name: peaks[name]) == "worst"
     assert peaks["worst"] > max(drawn)

@@ -9,12 +9,12 @@ from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
-from simple_telescope import DT, SimpleTelescope, write_controllers
+from simple_telescope import SimpleTelescope, write_controllers
 
-from los_estimator import runtime as fsm
 from lti.sampled_system import SampledSystem
 from pointing_analysis.read import Run
 from pointing_analysis.synthetic import write_bag
+from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def other_observer(path, pole=0.9):
     """Quicker than the one that flew."""
     D, B = np.zeros((2, 22)), np.zeros((2, 22))
     B[:, 18:20], B[:, 20:22] = 0.1 * np.eye(2), -0.01 * np.eye(2)
-    SampledSystem(pole * np.eye(2), B, np.eye(2), D, fsm.INPUTS, fsm.OUTPUTS, DT, "quick").to_file(path)
+    SampledSystem(pole * np.eye(2), B, np.eye(2), D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT, "quick").to_file(path)
     return path
 
 

@@ -195,8 +195,8 @@ def test_labels_are_unique(stages) -> None:
 
 
 def test_requirements_over_several_runs_are_judged_once(stages) -> None:
-    wanted = [requirements.parse("prob(|RPE(20 ms)| < 40 mas) >= 0.5 at 95 % confidence, mixed")]
-    page = render([Run.open(bag) for bag in stages], wanted=wanted)
+    mixed = [requirements.parse("prob(|RPE(20 ms)| < 40 mas) >= 0.5 at 95 % confidence, mixed")]
+    page = render([Run.open(bag) for bag in stages], requirements=mixed)
     assert page.count('data-label="Requirement"') == 1
     assert "all runs" in page
 

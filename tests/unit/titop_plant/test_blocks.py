@@ -51,8 +51,8 @@ def test_reciprocity() -> None:
         np.testing.assert_allclose(there, back.T, rtol=1e-9, atol=1e-9)
 
 
-def test_a_damped_body_takes_energy_at_every_frequency() -> None:
-    """Passivity: power that flows in through the driven base is not negative (impedance W / (a / s))."""
+def test_a_damped_body_is_passive() -> None:
+    """The power into the driven base is not negative at any frequency (impedance W / (a / s))."""
     body = flexible_body(beam(modes=12, damping=0.02))
     for w in np.geomspace(1.0, 5e4, 60):
         reaction = -response(body, 1j * w, ["wrench_P"], ["accel_P"]) * 1j * w
@@ -61,7 +61,7 @@ def test_a_damped_body_takes_energy_at_every_frequency() -> None:
 
 
 def _scalar_channels(body):
-    """The block with inputs u0..u11 (accel_P, wrench_C) and their collocated outputs y0..y11 (wrench_P, accel_C)."""
+    """The block with scalar inputs u0..u11 (accel_P, wrench_C) and collocated outputs y0..y11 (wrench_P, accel_C)."""
     both = body.select(outputs=["wrench_P", "accel_C"])
     ins, outs = (tuple(Port(f"{kind}{i}", 1) for i in range(12)) for kind in "uy")
     return replace(both, inputs=ins, outputs=outs)
@@ -95,7 +95,7 @@ def test_inverting_the_base_gives_the_free_free_beam() -> None:
 def test_inverting_the_tip_gives_the_clamped_clamped_beam() -> None:
     both = invert(flexible_body(beam(elements=16, modes=96)), {"wrench_C": "accel_C"})
     base = np.sqrt(STEEL.E / (STEEL.density * STEEL.A))
-    found = _frequencies(both, 9)  # an imposed acceleration leaves a drift: poles at zero, to rounding
+    found = _frequencies(both, 9)  # imposed acceleration: poles at zero, up to rounding
     found = found[found > 1.0][:2]
     np.testing.assert_allclose(
         found, np.sort([4.73004074**2 * base * np.sqrt(I) for I in (STEEL.Iy, STEEL.Iz)]), rtol=2e-3
@@ -141,7 +141,7 @@ def test_uncertain_frequency_and_damping_equal_the_rebuilt_body() -> None:
         np.testing.assert_allclose(body.at(values)(s), expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_uncertain_parameter_of_a_mode_that_does_not_exist() -> None:
+def test_uncertain_parameter_of_an_unknown_mode_is_an_error() -> None:
     with pytest.raises(ValueError, match=r"beam: mode index must be in 0\.\.2, got 3"):
         flexible_body(beam(modes=3), frequencies={3: RealParameter("w", 1.0, 0.9, 1.1)})
 
@@ -159,7 +159,7 @@ def test_rotation_by_tau_is_the_rotation_matrix(theta: float, nominal: float) ->
     np.testing.assert_allclose(R @ back, np.eye(3), atol=1e-12)
 
 
-def test_a_turned_body_equals_the_body_built_turned() -> None:
+def test_a_body_rotated_by_tau_equals_the_rotated_modal_data() -> None:
     data, axis, theta = beam(modes=6, damping=0.01), [0.0, 0.0, 1.0], 0.7
     block = turned(flexible_body(data).select(inputs=["accel_P"], outputs=["wrench_P"]), "P", axis,
                    RealParameter("tau", 0.0, -1.0, 1.0))  # fmt: skip
@@ -177,7 +177,7 @@ def test_a_joint_frees_one_axis_and_no_other() -> None:
     body = rigid_body("b", "P", from_inertia(5.0, inertia, [0.1, 0.2, -0.1]))
     joint = on_revolute_joint(body, "P", [0, 1, 0], stiffness=90.0, damping=0.0)
     fast = -response(joint, 1e5j, ["wrench_P"], ["accel_P"])
-    assert abs(fast[4, 4]) < 1e-6  # no inertia is felt about a free axis
+    assert abs(fast[4, 4]) < 1e-6  # no apparent inertia about the free axis
     slow = -response(joint, 1e-4j, ["wrench_P"], ["accel_P"])
     np.testing.assert_allclose(slow, from_inertia(5.0, inertia, [0.1, 0.2, -0.1]), atol=1e-6)
     about_axis = from_inertia(5.0, inertia, [0.1, 0.2, -0.1])[4, 4]
@@ -186,7 +186,7 @@ def test_a_joint_frees_one_axis_and_no_other() -> None:
 
 def test_a_joint_needs_inertia_and_stiffness() -> None:
     point = rigid_body("b", "P", np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="no inertia about the axis"):
+    with pytest.raises(ValueError, match="must have inertia about the axis"):
         on_revolute_joint(point, "P", [1, 0, 0], stiffness=1.0, damping=0.0)
     with pytest.raises(ValueError, match="stiffness must not be negative"):
         on_revolute_joint(point, "P", [1, 0, 0], stiffness=-1.0, damping=0.0)
@@ -206,8 +206,8 @@ def test_fast_steering_mirror_equals_its_closed_form() -> None:
 
 def test_proof_mass_actuator_slow_and_fast() -> None:
     pma = proof_mass_actuator(ProofMassActuator(2.5, 3.5, 1e-3 * np.eye(3), 70.0, 10.0))
-    felt = [-response(pma, s, ["wrench_P"], ["accel_P"])[2, 2].real for s in (1e-3j, 1e5j)]
-    assert felt == pytest.approx([6.0, 3.5], rel=1e-6)
+    apparent = [-response(pma, s, ["wrench_P"], ["accel_P"])[2, 2].real for s in (1e-3j, 1e5j)]
+    assert apparent == pytest.approx([6.0, 3.5], rel=1e-6)
     across = [-response(pma, s, ["wrench_P"], ["accel_P"])[0, 0].real for s in (1e-3j, 1e5j)]
     assert across == pytest.approx([6.0, 6.0], rel=1e-12)
     # Newton: force on the structure and the proof mass's acceleration are equal and opposite
@@ -217,30 +217,30 @@ def test_proof_mass_actuator_slow_and_fast() -> None:
     assert force == pytest.approx(-2.5 * s**2 * stroke, rel=1e-12)
 
 
-def test_isolator_transmits_slow_motion_and_carries_its_platform() -> None:
+def test_isolator_transmits_slow_motion_with_the_mass_of_its_platform() -> None:
     M = from_inertia(1.5, np.diag([0.4, 0.6, 1.0]), [0.01, 0.0, 0.02])
     block = isolator(Isolator(M, np.diag([5e6] * 3 + [1e6] * 3), 1e3 * np.eye(6)))
     np.testing.assert_allclose(response(block, 1e-2j, ["accel_C"], ["accel_P"]).real, np.eye(6), atol=1e-6)
     np.testing.assert_allclose(-response(block, 1e-2j, ["wrench_P"], ["accel_P"]).real, M, atol=1e-6)
     np.testing.assert_allclose(response(block, 1e-2j, ["wrench_P"], ["wrench_C"]).real, np.eye(6), atol=1e-6)
-    # twice the rotation of the platform is its angular acceleration, where the base is at rest
+    # s^2 times the rotation of the platform is its angular acceleration while the base is at rest
     s = 700j
     angle = response(block, s, ["angle_C"], ["wrench_C"])
     np.testing.assert_allclose(s**2 * angle, response(block, s, ["accel_C"], ["wrench_C"])[3:], rtol=1e-9, atol=1e-12)
 
 
-def test_actuators_on_a_platform_push_it_and_their_masses() -> None:
+def test_actuators_on_a_platform_add_their_mass_and_force() -> None:
     M = from_inertia(10.0, np.eye(3), [0.0, 0.0, 0.0])
     plate = rigid_body("plate", "P", M, {"C": np.zeros(3)}, motion=True)
     one = MountedActuator(ProofMassActuator(2.5, 3.5, 1e-6 * np.eye(3), 70.0, 10.0), np.array([0.5, 0, 0]), np.eye(3))
     block = actuated_platform(plate, [one], "C")
-    felt = -response(block, 1e-3j, ["wrench_P"], ["accel_P"]).real
-    np.testing.assert_allclose(felt, M + from_inertia(6.0, 1e-6 * np.eye(3), [0.5, 0, 0]), atol=1e-5)
-    push = response(block, 1e5j, ["wrench_P"], ["pma_force"])[:, 0].real
-    np.testing.assert_allclose(push, [0, 0, -1.0, 0, 0.5, 0], atol=1e-6)
+    apparent = -response(block, 1e-3j, ["wrench_P"], ["accel_P"]).real
+    np.testing.assert_allclose(apparent, M + from_inertia(6.0, 1e-6 * np.eye(3), [0.5, 0, 0]), atol=1e-5)
+    force = response(block, 1e5j, ["wrench_P"], ["pma_force"])[:, 0].real
+    np.testing.assert_allclose(force, [0, 0, -1.0, 0, 0.5, 0], atol=1e-6)
 
 
-def test_wheel_keeps_angular_momentum() -> None:
+def test_wheel_conserves_angular_momentum() -> None:
     wheel = reaction_wheel(ReactionWheel(1.0, 0.096, 0.047), RealParameter("speed", 100.0, -1000.0, 1000.0))
     assert wheel.occurrences() == {"speed": 2} and wheel.order == 0
     D = wheel.at({"speed": -400.0}).D
@@ -258,14 +258,14 @@ def test_spin_frame_is_a_rotation_with_z_along_the_axis(axis) -> None:
     np.testing.assert_allclose(R @ axis / np.sqrt(np.dot(axis, axis)), [0, 0, 1], atol=1e-12)
 
 
-def test_mounting_refuses_a_matrix_that_is_no_rotation() -> None:
+def test_mounting_with_a_matrix_that_is_not_a_rotation_is_an_error() -> None:
     body = rigid_body("b", "P", np.eye(6))
-    with pytest.raises(ValueError, match="mounting of P at Q: dcm: expected an orthonormal matrix"):
+    with pytest.raises(ValueError, match="mounting of P at Q: dcm must be orthonormal"):
         mounted(body, "P", "Q", dcm=2.0 * np.eye(3))
 
 
 def test_attitude_law_is_stable_on_a_rigid_body() -> None:
-    """Closed around J theta'' = u the law has the poles it was asked for."""
+    """Closed around J theta'' = u the law gives the specified poles."""
     J = np.array([9e3, 4e3, 8e3])
     axes = np.array([[0.58, -0.58, -0.58, 0.58], [0.58, 0.58, -0.58, -0.58], [0.57, 0.57, 0.57, 0.57]])
     law = attitude_control(J, axes, bandwidth=0.06, damping=0.7).nominal().D

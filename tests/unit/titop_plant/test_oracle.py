@@ -1,8 +1,8 @@
 """The LFT of the telescope against kinematic elimination, for every pair of ports.
 
-Agreement is 1e-9 relative (norm of the block of a pair of ports, at each frequency). Below 0.01 rad/s
-the double-precision matrices of the LFT hold fewer digits of paths that cancel: how many is measured there, by
-changing each entry by one unit in the last place, and ten times that is allowed on top, never more than 1e-8.
+Agreement is 1e-9 relative (norm of the block of a pair of ports, at each frequency). Below 0.01 rad/s paths of the
+LFT cancel and the double-precision matrices determine fewer digits. The test measures how many, by changing each
+entry by one unit in the last digit, and allows ten times this difference in addition, at most 1e-8.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
 
 Values = dict[str, float]
-TOLERANCE, FEW_DIGITS, NEVER_MORE = 1e-9, 1e-2, 1e-8
+TOLERANCE, CANCELLATION_BELOW, MAX_ALLOWANCE = 1e-9, 1e-2, 1e-8
 INTERNAL = ("sadm_torque", "fsm_command", "pma_force")
 
 
 @dataclass(frozen=True)
 class Case:
-    """The telescope and what the oracle needs to know of it."""
+    """The telescope and the inputs of the oracle."""
 
     parameters: Any
     telescope: Telescope
@@ -51,31 +51,31 @@ def case() -> Case:
 
 
 def spread(rng: np.random.Generator, count: int, low: float = 1e-3, high: float = 1e4) -> np.ndarray:
-    """Frequencies at random places, one in each of `count` equal parts of the logarithmic axis, and both ends."""
+    """Random frequencies, one in each of `count` - 2 equal parts of the logarithmic axis, and both ends."""
     edges = np.linspace(np.log(low), np.log(high), count - 1)
     return np.exp(np.concatenate([edges[:1], rng.uniform(edges[:-1], edges[1:]), edges[-1:]]))
 
 
 def disagreement(system: Any, model: oracle.SecondOrder, omega: np.ndarray, internal: bool = True) -> dict[Any, Any]:
-    """Relative difference of each pair of ports at each frequency, less what rounding explains."""
-    inputs, outputs = (oracle.places({p.name: p.size for p in side}) for side in (system.inputs, system.outputs))
+    """Relative difference of each pair of ports at each frequency, minus the allowance for rounding."""
+    inputs, outputs = (oracle.index_slices({p.name: p.size for p in side}) for side in (system.inputs, system.outputs))
     assert {p.name: p.size for p in system.inputs} == oracle.INPUTS
     assert {p.name: p.size for p in system.outputs} == oracle.OUTPUTS
     columns = np.concatenate([np.arange(40)[inputs[name]] for name in INTERNAL]) if internal else ()
     matrices = (system.A, system.B, system.C, system.D)
     found, truth = exact.accurate_response(*matrices, omega, columns), model.frequency_response(omega)
-    few = omega < FEW_DIGITS
+    low = omega < CANCELLATION_BELOW
     rng = np.random.default_rng(5)
-    nudged = [m * (1.0 + np.finfo(float).eps * rng.uniform(-1, 1, m.shape)) for m in matrices]
-    moved = exact.accurate_response(*nudged, omega[few], columns)
+    perturbed = [m * (1.0 + np.finfo(float).eps * rng.uniform(-1, 1, m.shape)) for m in matrices]
+    changed = exact.accurate_response(*perturbed, omega[low], columns)
     result = {}
     for (y, rows), (u, cols) in itertools.product(outputs.items(), inputs.items()):
-        expected = truth[:, oracle.places(oracle.OUTPUTS)[y], oracle.places(oracle.INPUTS)[u]]
+        expected = truth[:, oracle.index_slices(oracle.OUTPUTS)[y], oracle.index_slices(oracle.INPUTS)[u]]
         scale = np.sqrt(np.sum(np.abs(expected) ** 2, axis=(1, 2)))
         error = np.sqrt(np.sum(np.abs(found[:, rows, cols] - expected) ** 2, axis=(1, 2))) / scale
-        last_place = np.abs(moved[:, rows, cols] - found[few][:, rows, cols])
-        floor = np.sqrt(np.sum(last_place**2, axis=(1, 2))) / scale[few]
-        error[few] = np.maximum(error[few] - np.minimum(10.0 * floor, NEVER_MORE), 0.0)
+        difference = np.abs(changed[:, rows, cols] - found[low][:, rows, cols])
+        rounding = np.sqrt(np.sum(difference**2, axis=(1, 2))) / scale[low]
+        error[low] = np.maximum(error[low] - np.minimum(10.0 * rounding, MAX_ALLOWANCE), 0.0)
         result[y, u] = error
     return result
 
@@ -119,7 +119,7 @@ def corners(case: Case) -> list[Values]:
 
 
 def test_sixteen_corners(case: Case) -> None:
-    """An eighth of the 128, chosen so that any three parameters take all eight combinations."""
+    """One eighth of the 128, chosen so that any three parameters have all eight combinations."""
     rng = np.random.default_rng(2)
     chosen = [c for i, c in enumerate(corners(case)) if balanced(i)]
     assert len(chosen) == 16
@@ -157,7 +157,7 @@ def test_without_isolator(case: Case) -> None:
 
 
 def test_without_attitude_control(case: Case) -> None:
-    """Free attitude: internal forces from 100 rad/s on (they have no equilibrium to take out)."""
+    """Free attitude: inputs of internal forces above 100 rad/s only (there is no equilibrium to subtract)."""
     rng = np.random.default_rng(6)
     system = build_telescope(case.parameters, attitude_controlled=False).system
     values = system.sample_values(rng)[0]
@@ -189,7 +189,7 @@ def test_total_inertia_and_mass(case: Case) -> None:
 
 
 def test_energy_of_the_oracle(case: Case) -> None:
-    """Without attitude law: kinetic energy positive, springs and dampers passive, gyroscopic terms workless."""
+    """Without attitude law: positive kinetic energy, passive springs and dampers, gyroscopic terms without work."""
     values = {**case.nominal, "wheel_1.speed": 900.0, "wheel_3.speed": -500.0, "solar_array.tau": 0.3}
     model = case.second_order(values, controlled=False)
     scale = 1.0 / np.sqrt(np.diag(model.M))

@@ -1,4 +1,4 @@
-"""Beam frames: rigid motion, invariance under rotation, exact rigid mass, refusals."""
+"""Beam frames: rigid motion, invariance under rotation, exact rigid mass, errors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UPS = {"ac": np.array([0.0, 1.0, 0.3]), "cd": np.array([1.0, 0.0, 0.0]), "ad": n
 
 
 def crane(rotation: np.ndarray | None = None, shift: np.ndarray | None = None) -> BeamFrame:
-    """A crooked little frame with an eccentric block."""
+    """A small asymmetric frame with an eccentric block."""
     R = np.eye(3) if rotation is None else rotation
     t = np.zeros(3) if shift is None else shift
     nodes = {"a": [0.0, 0.0, 0.0], "c": [0.8, 0.1, 0.2], "d": [0.7, 0.9, 0.5], "e": [1.4, 0.9, 0.6]}
@@ -44,7 +44,7 @@ def crane(rotation: np.ndarray | None = None, shift: np.ndarray | None = None) -
     return BeamFrame("crane", {k: R @ np.array(v) + t for k, v in nodes.items()}, beams, (lump,))
 
 
-def test_rigid_motion_costs_no_energy() -> None:
+def test_rigid_motion_has_no_strain_energy() -> None:
     names, _, K = assemble(crane())
     rigid = rigid_body_modes(crane(), names, [0.3, -0.2, 1.0])
     assert np.abs(rigid.T @ K @ rigid).max() < 1e-9 * np.abs(K).max()
@@ -77,7 +77,7 @@ def test_rigid_mass_matrix_is_that_of_rods_and_blocks() -> None:
     np.testing.assert_allclose(data.mass_matrix[3:, 3:], inertia, rtol=1e-9, atol=1e-9)
 
 
-def test_turning_and_moving_the_frame_changes_only_the_axes() -> None:
+def test_rotation_and_translation_of_the_frame_change_only_the_axes() -> None:
     R = Rotation.from_euler("zyx", [0.7, -0.4, 1.9]).as_matrix()
     here, there = (to_modal_data(f, "a", ["e"]) for f in (crane(), crane(R, np.array([3.0, -1.0, 2.0]))))
     turned = here.rotated(R)
@@ -105,7 +105,7 @@ def test_static_reciprocity() -> None:
 
 
 @pytest.mark.parametrize("n_modes", [0, 1, 5, 12, None])
-def test_residual_mass_is_positive_whatever_is_kept(n_modes: int | None) -> None:
+def test_residual_mass_is_positive_for_any_number_of_modes(n_modes: int | None) -> None:
     data = to_modal_data(crane(), "a", ["c", "e"], n_modes)
     assert smallest_residual_fraction(data) > -1e-12
     check_residual_mass(data)
@@ -118,7 +118,7 @@ def test_fewer_modes_are_the_first_of_more() -> None:
     np.testing.assert_array_equal(some.damping, 0.02)
 
 
-def test_a_child_at_the_clamped_point_is_refused_by_name() -> None:
+def test_a_child_at_the_clamped_point_is_an_error() -> None:
     with pytest.raises(ValueError, match="crane: points must have different names, got 'a' twice"):
         to_modal_data(crane(), "a", ["a"])
 
@@ -130,12 +130,15 @@ def massless_link() -> BeamFrame:
 @pytest.mark.parametrize(
     ("make", "word"),
     [
-        (lambda: to_modal_data(crane(), "x", ["e"]), "crane: no node 'x'"),
-        (lambda: to_modal_data(crane(), "a", ["e"], 999), "expected 0 to 30 modes, got 999"),
-        (lambda: static_displacement(crane(), "a", {"x": np.zeros(6)}), "no node 'x' to load"),
-        (lambda: dataclasses.replace(crane(), beams=(Beam("a", "x", SECTION),)), "beam a-x at unknown node 'x'"),
-        (lambda: dataclasses.replace(crane(), masses=(LumpedMass("x", 1.0),)), "unknown node 'x'"),
-        (lambda: dataclasses.replace(crane(), beams=(Beam("a", "a", SECTION),)), "two different points"),
+        (lambda: to_modal_data(crane(), "x", ["e"]), "crane: parent and ports must be of .*, got 'x'"),
+        (lambda: to_modal_data(crane(), "a", ["e"], 999), "modes must be 0 to 30, got 999"),
+        (lambda: static_displacement(crane(), "a", {"x": np.zeros(6)}), "loaded node must be one of .*, got 'x'"),
+        (
+            lambda: dataclasses.replace(crane(), beams=(Beam("a", "x", SECTION),)),
+            "ends of beam a-x must be nodes, got unknown node 'x'",
+        ),
+        (lambda: dataclasses.replace(crane(), masses=(LumpedMass("x", 1.0),)), "must be at a node, got 'x'"),
+        (lambda: dataclasses.replace(crane(), beams=(Beam("a", "a", SECTION),)), "end points must be different"),
         (lambda: dataclasses.replace(crane(), beams=(Beam("a", "c", SECTION, [0.8, 0.1, 0.2]),)), "parallel"),
         (lambda: Beam("a", "c", SECTION, elements=0), "elements must be at least 1"),
         (lambda: LumpedMass("a", -1.0, name="tank"), "'?tank'?: mass must not be negative, got -1"),
@@ -147,18 +150,18 @@ def massless_link() -> BeamFrame:
         (lambda: to_modal_data(massless_link(), "a", []), "mass in all six directions"),
     ],
 )
-def test_mistakes_are_named(make: object, word: str) -> None:
+def test_errors_name_the_quantity(make: object, word: str) -> None:
     with pytest.raises(ValueError, match=word):
         make()  # type: ignore[operator]
 
 
 def test_a_mechanism_is_found() -> None:
-    """A second piece that hangs on nothing has a mass but no stiffness."""
+    """A disconnected second part has a mass but no stiffness."""
     nodes = {**crane().nodes, "f": np.array([5.0, 0.0, 0.0])}
     free = dataclasses.replace(
         crane(), nodes=nodes, masses=(*crane().masses, LumpedMass("f", 1.0, np.eye(3), name="lost"))
     )
-    with pytest.raises(ValueError, match="crane: a mechanism"):
+    with pytest.raises(ValueError, match="crane: structure must have no mechanism"):
         to_modal_data(free, "a", ["e"])
 
 

@@ -1,4 +1,4 @@
-"""NASTRAN import on files that pyNastran itself writes from one of our frames."""
+"""NASTRAN import of files that pyNastran writes from a beam frame of this project."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECTION = Section(E=7e10, G=2.7e10, density=2800.0, A=4e-4, Iy=3e-8, Iz=6e-8, J=
 
 
 def frame(density: float = 2800.0) -> BeamFrame:
-    """A crooked frame with two eccentric blocks; without density all its mass is in CONM2 cards."""
+    """An asymmetric frame with eccentric blocks; with zero density all its mass is in CONM2 cards."""
     section = Section(SECTION.E, SECTION.G, density, SECTION.A, SECTION.Iy, SECTION.Iz, SECTION.J)
     nodes = {"a": [0.3, -0.2, 0.1], "c": [0.8, 0.1, 0.2], "d": [0.7, 0.9, 0.5], "e": [1.4, 0.9, 0.6]}
     up = np.array([0.1, 0.2, 1.0])
@@ -62,7 +62,7 @@ def write_bdf(source: BeamFrame, path: Path, clamp: str = "123456", also: int | 
 def write_op2(
     source: BeamFrame, path: Path, *, modes: bool = True, forces: bool = True, weight: int | None = 0
 ) -> None:
-    """Modes, constraint forces and grid point weight of our own mass and stiffness matrices."""
+    """Modes, constraint forces and grid point weight of the frame's mass and stiffness matrices."""
     from pyNastran.op2.op2 import OP2
     from pyNastran.op2.result_objects.grid_point_weight import GridPointWeight
     from pyNastran.op2.tables.oqg_constraintForces.oqg_spc_forces import RealSPCForcesArray
@@ -136,7 +136,7 @@ def test_import_agrees_with_the_frame_to_single_precision(tmp_path: Path, weight
     same_body(imported(tmp_path, weight=weight), to_modal_data(frame(), PARENT, ["e", "d"], KEEP), 2e-6)
 
 
-def test_mass_comes_from_the_bulk_data_if_the_run_did_not_weigh(tmp_path: Path) -> None:
+def test_mass_comes_from_the_bulk_data_without_grid_point_weight(tmp_path: Path) -> None:
     """Lumped masses exactly (products of inertia with their sign), bars as slender rods."""
     light = frame(density=1e-6)
     found = imported(tmp_path, light, weight=None)
@@ -155,7 +155,7 @@ def test_fewer_modes_and_damping(tmp_path: Path) -> None:
     np.testing.assert_array_equal(body.damping, 0.02)
 
 
-def test_a_mass_matrix_of_the_users_own(tmp_path: Path) -> None:
+def test_a_given_mass_matrix_replaces_that_of_the_files(tmp_path: Path) -> None:
     known = imported(tmp_path).mass_matrix
     np.testing.assert_array_equal(load(tmp_path, mass_matrix=1.5 * known).mass_matrix, 1.5 * known)
     with pytest.raises(ValueError, match="crane: residual mass"):
@@ -165,11 +165,13 @@ def test_a_mass_matrix_of_the_users_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("missing", "words"),
     [
-        ({"modes": False}, ["crane.op2", "no real eigenvectors"]),
-        ({"forces": False}, ["crane.op2", "no forces of single-point constraint"]),
+        ({"modes": False}, ["crane.op2", "must contain real eigenvectors"]),
+        ({"forces": False}, ["crane.op2", "must contain forces of single-point constraint"]),
     ],
 )
-def test_an_op2_without_what_is_needed_is_named(tmp_path: Path, missing: dict[str, bool], words: list[str]) -> None:
+def test_an_op2_without_required_results_is_an_error(
+    tmp_path: Path, missing: dict[str, bool], words: list[str]
+) -> None:
     with pytest.raises(ValueError) as caught:
         imported(tmp_path, **missing)
     for word in words:
@@ -181,11 +183,11 @@ def test_an_op2_without_what_is_needed_is_named(tmp_path: Path, missing: dict[st
     [
         ({"clamp": ""}, "crane.bdf: the parent GRID 1 must be clamped .*got nothing"),
         ({"clamp": "123"}, "crane.bdf: the parent GRID 1 must be clamped .*got 123"),
-        ({"also": 3}, r"crane.bdf: only the parent GRID 1 may be held, got SPC at \[3\]"),
+        ({"also": 3}, r"crane.bdf: SPC must be at the parent GRID 1 alone, got SPC at \[3\]"),
         ({"cd": 7}, "crane.bdf: GRID 1 .*CD = 0.*got 7"),
     ],
 )
-def test_a_bdf_that_does_not_fit_is_named(tmp_path: Path, options: dict[str, Any], word: str) -> None:
+def test_a_bdf_with_other_constraints_is_an_error(tmp_path: Path, options: dict[str, Any], word: str) -> None:
     write_bdf(frame(), tmp_path / "crane.bdf", **options)
     write_op2(frame(), tmp_path / "crane.op2")
     with pytest.raises(ValueError, match=word):
@@ -199,8 +201,8 @@ def spoil(name: str) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("damage", "error", "word"),
     [
-        (spoil("crane.bdf"), ValueError, "crane.bdf: pyNastran cannot read this BDF"),
-        (spoil("crane.op2"), ValueError, "crane.op2: pyNastran cannot read this OP2"),
+        (spoil("crane.bdf"), ValueError, "crane.bdf: BDF must be readable by pyNastran"),
+        (spoil("crane.op2"), ValueError, "crane.op2: OP2 must be readable by pyNastran"),
         (lambda folder: (folder / "crane.op2").unlink(), FileNotFoundError, "crane.op2"),
         (lambda folder: (folder / "crane.bdf").unlink(), FileNotFoundError, "crane.bdf"),
     ],
@@ -217,13 +219,17 @@ def test_broken_files_are_named_in_one_line(
 
 def test_unknown_grid_and_subcase(tmp_path: Path) -> None:
     imported(tmp_path)
-    with pytest.raises(ValueError, match=r"crane.bdf: no GRID 99 for 'M1'"):
+    with pytest.raises(
+        ValueError, match=r"crane.bdf: grid point of 'M1' must be one of the \d+ in the file, got GRID 99"
+    ):
         load(tmp_path, ports={"M1": 99})
-    with pytest.raises(ValueError, match=r"no real eigenvectors of subcase 5, there are \[1\]"):
+    with pytest.raises(ValueError, match=r"subcase of real eigenvectors must be one of \[1\], got 5"):
         load(tmp_path, subcase=5)
 
 
-def test_without_pynastran_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pynastran_the_error_names_the_package_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     imported(tmp_path)
     real = builtins.__import__
 

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lti.frequency_response import frequency_grid, frequency_response, singular_values
+from lti.batched_linalg import largest_gains
+from lti.frequency_grid import frequency_grid
+from lti.frequency_response import frequency_response
 from lti.minimal import minimal_realisation
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.components import array_modes, optics_component
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import (
     REFERENCE,
-    array_modes,
     load_parameters,
-    optics_component,
     parameters_hash,
     uncertain_parameters,
 )
@@ -49,7 +50,7 @@ def parameters():
 
 
 def corners(parameters) -> list[dict[str, float]]:
-    """All speeds high or low together or crossed, arrays and frequencies at their ends."""
+    """Wheels 1, 3 and wheels 2, 4 at either limit of their speed, angle and frequencies at either limit."""
     table = uncertain_parameters(parameters)
     result = []
     for a, b, w1, w2, tau in itertools.product(*[(0, 1)] * 5):
@@ -67,8 +68,8 @@ def test_order_and_occurrences(system) -> None:
     assert system.occurrences() == OCCURRENCES
 
 
-def test_nothing_is_too_much(system) -> None:
-    """No state is uncontrollable or unobservable, no occurrence is spare."""
+def test_the_realisation_is_minimal(system) -> None:
+    """No state is uncontrollable or unobservable, no occurrence is redundant."""
     result = minimal_realisation(system)
     assert result.removed_states == 0
     assert result.removed_occurrences == dict.fromkeys(OCCURRENCES, 0)
@@ -83,12 +84,12 @@ def test_stable_and_no_slow_pole_at_any_parameter_value(system, parameters) -> N
 
 
 def test_lft_sampled_equals_the_telescope_rebuilt(system, parameters) -> None:
-    """Changing the nominal values in the file gives the same model as closing Delta."""
+    """New nominal values in the parameter file give the same model as Delta at these values."""
     array = dict(parameters["solar_array"])
     w1, w2 = 0.743 * 1.03, 2.65 * 0.96
     array.update(frequencies=[w1, w2])
     rebuilt = build_telescope({**parameters, "solar_array": array}).system
-    # the attitude law was tuned on the nominal telescope: its inertia does not depend on the frequencies
+    # the attitude law uses the inertia of the nominal telescope, which does not depend on the frequencies
     values = {"wheel_2.speed": 700.0, "solar_array.tau": 0.6}
     omega = np.geomspace(1e-2, 3e3, 25)
     both = {**values, "solar_array.omega_1": w1, "solar_array.omega_2": w2}
@@ -118,10 +119,10 @@ def test_line_of_sight_identities(parameters) -> None:
         np.testing.assert_allclose(los, turn[:2], atol=1e-12)
 
 
-def test_optics_refuse_an_impossible_telescope() -> None:
+def test_optics_with_impossible_data_are_an_error() -> None:
     with pytest.raises(ValueError, match="mirror distance must be between 0 and"):
         TwoMirrorTelescope(1.0, 1.2, 0.3)
-    with pytest.raises(ValueError, match="unknown optical element 'M3'"):
+    with pytest.raises(ValueError, match=r"optical element must be one of .*, got 'M3'"):
         TwoMirrorTelescope(1.8, 1.5, 0.3).sensitivity("M3")
 
 
@@ -135,7 +136,7 @@ def test_no_body_has_a_negative_residual_mass(parameters) -> None:
         assert smallest_residual_fraction(body) > -1e-9, body.name
 
 
-def test_the_printed_array_is_repaired_by_rounding_only(parameters) -> None:
+def test_the_repair_of_the_printed_array_is_within_rounding(parameters) -> None:
     printed = np.array(parameters["solar_array"]["participation"])
     used = array_modes(parameters).participation[:2]
     np.testing.assert_allclose(used, printed, rtol=2e-4, atol=1e-6)
@@ -147,14 +148,14 @@ def weighted(system, parameters, values, omega, inputs=("wheel_imbalance", "sadm
     columns = {"wheel_imbalance": slice(0, 20), "sadm_torque": slice(20, 22)}
     size = np.hstack([amplitudes[:, columns[name]] for name in inputs])
     response = frequency_response(system[("los_controlled",), tuple(inputs)].data_at(values), omega)
-    return singular_values(response * size[:, None, :])[:, 0] / ARCSEC
+    return largest_gains(response * size[:, None, :]) / ARCSEC
 
 
 def grid(system, values, low: float, high: float) -> np.ndarray:
     return frequency_grid(linalg.eigvals(system.data_at(values).A), low, high)
 
 
-def test_calibration_1_isolator_alone_nearly_takes_the_mirrors_authority(system, parameters) -> None:
+def test_calibration_1_isolator_alone_nearly_uses_the_mirrors_authority(system, parameters) -> None:
     """Worst case over the parameters: 0.90 to 0.99 of 5.3 mrad x 0.1, near the attitude bandwidth."""
     worst, where = 0.0, 0.0
     for values in [{}, *corners(parameters), *system.sample_values(np.random.default_rng(1), 10)]:
@@ -190,7 +191,7 @@ def test_calibration_3_wheels_against_array_drives(system, parameters) -> None:
     low, high = omega < 100.0, omega >= 100.0
     ratio = wheels / drives
     assert ratio[low].max() > 10**2.5
-    assert np.median(ratio[high]) < 0.1 * ratio[low].max()  # far closer to each other than below
+    assert np.median(ratio[high]) < 0.1 * ratio[low].max()  # closer to each other than below 100 rad/s
     peaks = [sv[(omega > 100.0) & (omega < 300.0)].max() for sv in (wheels, drives)]
     assert 0.1 < peaks[0] / peaks[1] < 10.0
 
@@ -217,19 +218,19 @@ def test_template_weight_values() -> None:
     np.testing.assert_allclose(rpe_weight(2 * np.pi * hz, 0.02), expected, atol=1e-6)
 
 
-def test_every_number_of_the_file_says_where_it_comes_from() -> None:
-    """A line with numbers has a comment, or stands in a table whose head comment speaks for it."""
-    spoken = False
+def test_every_number_of_the_file_has_a_source() -> None:
+    """A line with numbers has a comment, or is in a table whose comment covers all its numbers."""
+    covered = False
     for number, line in enumerate(REFERENCE.read_text(encoding="utf-8").splitlines(), start=1):
         if line.startswith("[[") or re.match(r"\[(body|payload)\.(equipment|sections|ports)", line):
-            spoken = True
+            covered = True
         elif line.startswith("["):
-            spoken = line.startswith(("[body", "[payload", "[materials", "[optics"))
+            covered = line.startswith(("[body", "[payload", "[materials", "[optics"))
         has_number = re.search(r"=\s*[\[{]?.*\d", line) and not line.lstrip().startswith(("#", "name"))
-        assert not has_number or "#" in line or spoken, f"line {number}: {line}"
+        assert not has_number or "#" in line or covered, f"line {number}: {line}"
 
 
-def test_a_users_file_holds_only_what_differs(tmp_path: Path) -> None:
+def test_a_users_file_contains_only_the_changed_values(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("[pma]\nstiffness = 90.0\n")
     mine, reference = load_parameters(path), load_parameters()

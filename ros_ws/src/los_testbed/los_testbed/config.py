@@ -1,4 +1,4 @@
-"""The configuration of a run: every figure, checked once at the door.
+"""The configuration of a run: every setting, checked once, when it is made.
 
 The same table of fields makes the command line's ``--set``, the YAML file, the ROS parameters with their
 descriptions and ranges, and the metadata of the bag.
@@ -17,17 +17,15 @@ from typing import Any
 
 import yaml
 
+from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, STAGES, frame_ticks
+
 MODES = ("realtime", "lockstep", "inprocess")
-LOOPS = ("none", "isolator", "fsm", "fsm+pma")
-SCENARIOS = ("design", "imbalance")
-RATE = 1000
-"""Ticks per second."""
 
 
 def _parameter(
     default: Any, description: str, unit: str = "", low: float | None = None, high: float | None = None
 ) -> Any:
-    """Field with what a user wants to know about it; `low` and `high` are inclusive bounds."""
+    """Field with its description for the user; `low` and `high` are inclusive bounds."""
     return field(default=default, metadata={"description": description, "unit": unit, "low": low, "high": high})
 
 
@@ -37,12 +35,12 @@ def _choice(default: str, description: str, choices: tuple[str, ...]) -> Any:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """All figures of a run.
+    """All settings of a run.
 
     Raises
     ------
     ValueError
-        A value of another type, out of range or not finite, or a camera rate that does not divide 1 kHz.
+        A value of another type, out of range or not finite, or a camera rate that does not divide the tick rate.
 
     Examples
     --------
@@ -57,16 +55,16 @@ class RunConfig:
     """
 
     duration: float = _parameter(10.0, "length of the run", "s", 1e-3, 86400.0)
-    mode: str = _choice("realtime", "how the cores run", MODES)
-    loop: str = _choice("fsm+pma", "which loops are closed", LOOPS)
-    scenario: str = _choice("design", "disturbance scenario", SCENARIOS)
+    mode: str = _choice("realtime", "how plant, estimator and controller run", MODES)
+    loop: str = _choice(STAGES[-1], "stage: which loops are closed", STAGES)
+    scenario: str = _choice(SCENARIOS[0], "disturbance scenario", SCENARIOS)
     seed: int = _parameter(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
     noise: bool = _parameter(True, "sensor noise on")
     disturbance: bool = _parameter(True, "wheel and drive disturbances on")
-    camera_rate: float = _parameter(50.0, "frames per second; it divides 1000", "Hz", 1.0, 1000.0)
+    camera_rate: float = _parameter(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
     camera_dropout: float = _parameter(0.0, "probability that a frame is dropped", "1", 0.0, 1.0)
     theta: float = _parameter(0.0, "angle of both solar arrays", "rad", -6.28, 6.28)
-    tau: float = _parameter(0.0, "tan(theta/4) in the place of theta; 0 for what theta says", "", -1e3, 1e3)
+    tau: float = _parameter(0.0, "tan(theta/4) instead of theta; 0 for the value of theta", "", -1e3, 1e3)
     wheel_speed: tuple[float, ...] = _parameter(
         (), "speeds of the four wheels; empty for the plant's own", "rad/s", -1e5, 1e5
     )
@@ -80,10 +78,10 @@ class RunConfig:
     )
     ramp_duration: float = _parameter(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
     parameters: str = _parameter("", "parameter file of the telescope; empty for the reference")
-    fsm_authority: float = _parameter(5.3e-3, "largest mirror angle per axis", "rad", 1e-9, 1.0)
-    pma_authority: float = _parameter(31.6, "largest force of one actuator", "N", 1e-9, 1e6)
-    k_fsm: str = _parameter("", "observer file; empty for the design that ships")
-    k_pma: str = _parameter("", "proof-mass controller file; empty for the design that ships")
+    fsm_authority: float = _parameter(0.0, "largest mirror angle per axis; 0 for the telescope's own", "rad", 0.0, 1.0)
+    pma_authority: float = _parameter(0.0, "largest force of one actuator; 0 for the telescope's own", "N", 0.0, 1e6)
+    k_fsm: str = _parameter("", "observer file; empty for the stored design")
+    k_pma: str = _parameter("", "proof-mass controller file; empty for the stored design")
     hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
@@ -96,16 +94,13 @@ class RunConfig:
     def __post_init__(self) -> None:
         for entry in fields(self):
             object.__setattr__(self, entry.name, _checked(entry, getattr(self, entry.name)))
-        frame = RATE / self.camera_rate
-        if abs(frame - round(frame)) > 1e-9 * frame:
-            raise ValueError(
-                f"camera_rate must divide {RATE} Hz, the loop's rate (50, 40, 25, ...), got {self.camera_rate:g} Hz"
-            )
+        frame_ticks(self.camera_rate)
         for name in ("wheel_speed", "wheel_acceleration"):
             if len(getattr(self, name)) not in (0, 4):
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
         if self.tau and self.theta:
-            raise ValueError(f"expected theta or tau = tan(theta/4), got both: {self.theta:g} rad and {self.tau:g}")
+            both = f"{self.theta:g} rad and {self.tau:g}"
+            raise ValueError(f"one of theta or tau = tan(theta/4) must be 0, got both: {both}")
         if abs(self.ticks - self.duration * RATE) > 1e-6:
             raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
 
@@ -122,7 +117,7 @@ class RunConfig:
     @property
     def frame_ticks(self) -> int:
         """Ticks from one camera frame to the next."""
-        return round(RATE / self.camera_rate)
+        return frame_ticks(self.camera_rate)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> RunConfig:
@@ -203,7 +198,7 @@ def parse_value(name: str, text: str) -> Any:
 
 
 def physical_hash(config: RunConfig) -> str:
-    """SHA-256 of the figures that the plant is built from."""
+    """SHA-256 of the settings that the plant is built from."""
     values = {name: config.to_mapping()[name] for name in PHYSICAL}
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -1,8 +1,9 @@
-"""From a configuration to the numeric cores; imports of heavy packages happen here and only when asked for."""
+"""From a configuration to plant, observer and controller; heavy packages are imported here when they are needed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,6 +16,7 @@ from los_testbed.config import PHYSICAL, RunConfig
 from los_testbed.variants import check_ranges
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
     from los_design.tone_model import LoopModel
@@ -24,27 +26,100 @@ FloatArray = NDArray[np.float64]
 
 
 class Plant(Protocol):
-    """What the loop needs of a plant: commands in, measurements and truth out, once per tick."""
+    """What the loop needs of a plant: commands in, measurements and truth out, one step per tick.
+
+    **Contract.** The vectors are those of :mod:`titop_plant.interface`. `step` number k applies the command that was
+    computed from the measurement of step k - 1 and holds it until step k + 1; it limits the command to what its
+    actuators can do. It overwrites all of `measurement` and `truth`, leaves `command` alone, and raises nothing: a
+    plant that diverges returns values that are not finite. It takes well under a tick. After `reset` the same commands
+    give the same bits.
+
+    Two further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
+    and ``parameters_hash``, a text that names its values.
+    """
 
     frame_ticks: int
+    """Ticks from one camera frame to the next: step k has a frame where k is a multiple of it."""
 
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """One tick: apply `command` (8,), write `measurement` (22,) and `truth` (2,)."""
+        """Apply `command` (8,) [rad, N]; write `measurement` (22,) [m/s2, rad/s2, rad] and `truth` (2,) [rad].
+
+        The camera's columns are NaN where there is no frame or the frame is lost.
+        """
 
     def reset(self) -> None:
-        """Back to the initial state."""
+        """Back to the state before the first step, noise included."""
 
 
 def controller_files(config: RunConfig) -> dict[str, Path]:
-    """Files of K_FSM and K_PMA: the named ones, else the designs that ship."""
+    """Files of K_FSM and K_PMA: the named ones, else the stored designs."""
     import fsm_pma_controller
     import los_estimator
 
-    shipped = {
+    stored = {
         "k_fsm": Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json",
         "k_pma": Path(str(fsm_pma_controller.__file__)).parent / "designs" / "k_pma.json",
     }
-    return {name: Path(getattr(config, name) or path) for name, path in shipped.items()}
+    return {name: Path(getattr(config, name) or path) for name, path in stored.items()}
+
+
+def telescope_basis(config: RunConfig) -> DesignBasis:
+    """What the controllers of a run must have been made for: the telescope's values, with the limits of the run.
+
+    Raises
+    ------
+    ValueError
+        The parameter file cannot be read.
+    """
+    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+
+    own = design_basis(load_parameters(config.parameters or REFERENCE))
+    limits = {name: value for name in ("fsm_authority", "pma_authority") if (value := getattr(config, name))}
+    return replace(own, **limits)
+
+
+def load_controllers(config: RunConfig) -> dict[str, SampledSystem]:
+    """``k_fsm`` and ``k_pma`` of a configuration.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or holds no controller.
+    """
+    return {name: SampledSystem.from_file(path) for name, path in controller_files(config).items()}
+
+
+def compare_with_telescope(
+    controllers: Mapping[str, SampledSystem], telescope: DesignBasis, loop: str
+) -> tuple[str, ...]:
+    """Compare controllers with the telescope of a run; one line for each made for other parameters or limits.
+
+    K_FSM counts in every stage, since its estimates are recorded; K_PMA only where its loop is closed.
+
+    Raises
+    ------
+    ValueError
+        A loop is closed with a controller that was made for another sensitivity of the mirror.
+    """
+    lines = design_warnings([controllers["k_fsm"]], telescope, closed=loop in MIRROR_STAGES)
+    if loop in FORCE_STAGES:
+        lines += design_warnings([controllers["k_pma"]], telescope, closed=True)
+    return lines
+
+
+def check_controllers(config: RunConfig) -> tuple[str, ...]:
+    """Refuse controllers that cannot be used; one line for each made for other parameters or limits than the run's.
+
+    Raises
+    ------
+    ValueError
+        A file that is no controller, or one with other ports or another period; one that would close a loop and was
+        made for another sensitivity of the mirror.
+    """
+    found, telescope = load_controllers(config), telescope_basis(config)
+    LosEstimator(found["k_fsm"])
+    assemble_controller(found, telescope, config.loop)
+    return compare_with_telescope(found, telescope, config.loop)
 
 
 def build_estimator(config: RunConfig) -> LosEstimator:
@@ -53,25 +128,58 @@ def build_estimator(config: RunConfig) -> LosEstimator:
     Raises
     ------
     ValueError
-        The file is no controller, or one with other ports.
+        As :func:`check_controllers`, for K_FSM.
     """
-    return LosEstimator(SampledSystem.from_file(controller_files(config)["k_fsm"]))
+    k_fsm = SampledSystem.from_file(controller_files(config)["k_fsm"])
+    design_warnings([k_fsm], telescope_basis(config), closed=config.loop in MIRROR_STAGES)
+    return LosEstimator(k_fsm)
 
 
 def build_controller(config: RunConfig) -> FsmPmaController:
-    """Mirror and proof-mass laws of the configuration.
+    """Mirror and proof-mass laws of the configuration; the mirror's gain is that of the file of K_FSM.
 
     Raises
     ------
     ValueError
-        The file is no controller, or one with other ports.
+        As :func:`check_controllers`.
     """
-    k_pma = SampledSystem.from_file(controller_files(config)["k_pma"])
-    return FsmPmaController(k_pma, config.loop, config.fsm_authority, config.pma_authority)
+    found, telescope = load_controllers(config), telescope_basis(config)
+    compare_with_telescope(found, telescope, config.loop)
+    return assemble_controller(found, telescope, config.loop)
+
+
+def assemble_controller(
+    controllers: Mapping[str, SampledSystem], telescope: DesignBasis, loop: str
+) -> FsmPmaController:
+    """Mirror and proof-mass laws.
+
+    Parameters
+    ----------
+    controllers : mapping
+        ``k_fsm``, which says the sensitivity of the mirror that it was made for, and ``k_pma``.
+    telescope : DesignBasis
+        With the limits of the run; its sensitivity counts where the file of K_FSM says none.
+    loop : str
+        Stage.
+
+    Raises
+    ------
+    ValueError
+        Other ports, another period, an unknown stage, a value that neither the file nor the telescope says.
+    """
+    k_fsm = controllers["k_fsm"]
+    mirror, force = telescope.authority
+    return FsmPmaController(
+        controllers["k_pma"],
+        loop,
+        los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
+        fsm_authority=mirror,
+        pma_authority=force,
+    )
 
 
 def build_plant(config: RunConfig) -> Plant:
-    """Telescope of the configuration, sampled at 1 kHz.
+    """Telescope of the configuration, sampled at the tick rate.
 
     Raises
     ------
@@ -98,7 +206,7 @@ def plant_config(config: RunConfig) -> PlantConfig:
     check_ranges(config)
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL}
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
-    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # the plant's own
+    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # empty: its default
         if not values[name]:
             del values[name]
     return PlantConfig(**values)
@@ -121,14 +229,15 @@ def tone_model(config: RunConfig, controllers: Mapping[str, SampledSystem] | Non
     from los_design.tone_model import LoopModel
 
     if controllers is None:
-        controllers = {name: SampledSystem.from_file(path) for name, path in controller_files(config).items()}
-    authority = config.fsm_authority, config.pma_authority
+        controllers = load_controllers(config)
     with one_thread():
-        return LoopModel.of(plant_config(config), controllers, loop=config.loop, authority=authority)
+        return LoopModel.of(
+            plant_config(config), controllers, loop=config.loop, authority=telescope_basis(config).authority
+        )
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:
-    """What a plant says about itself for the metadata of a bag."""
+    """Tones and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)
     if tones is not None:

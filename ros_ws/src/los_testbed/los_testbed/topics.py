@@ -1,4 +1,4 @@
-"""The one table of topics: name, type, rate, frame, place in the loop's vectors.
+"""The one table of topics: name, type, rate, frame, columns in the loop's vectors.
 
 Everything that publishes, records, checks or documents a topic reads this table.
 """
@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-NAMESPACE = "/telescope"
+from titop_plant.interface import COLUMNS
 
-TICK_NS = 1_000_000
-"""Period of the loop [ns]; every stamp is a multiple of it."""
+NAMESPACE = "/telescope"
 
 ACCEL = "geometry_msgs/msg/AccelStamped"
 VECTOR3 = "geometry_msgs/msg/Vector3Stamped"
@@ -36,7 +35,7 @@ class Topic:
     vector : str
         Vector of the loop it carries: measurement, truth, los_estimate or command.
     columns : slice
-        Place of its values in that vector.
+        Columns of its values in that vector.
     rate : str
         ``tick`` (1 kHz) or ``camera`` (every frame).
     unit : str
@@ -68,16 +67,16 @@ class Topic:
 
 
 ISOLATOR_ACCEL = Topic(
-    "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", slice(0, 6), unit="m/s2,rad/s2"
+    "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", COLUMNS["accel_Ip"], unit="m/s2,rad/s2"
 )
-M1_ACCEL = Topic("m1/accel", ACCEL, "m1", "plant", "measurement", slice(6, 12), unit="m/s2,rad/s2")
-M2_ACCEL = Topic("m2/accel", ACCEL, "m2", "plant", "measurement", slice(12, 18), unit="m/s2,rad/s2")
-CAMERA_LOS = Topic("camera/los", VECTOR3, "line_of_sight", "plant", "measurement", slice(18, 20), rate="camera")
-FSM_ANGLE = Topic("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", slice(20, 22))
-TRUTH_LOS = Topic("truth/los", VECTOR3, "line_of_sight", "plant", "truth", slice(0, 2))
-LOS_ESTIMATE = Topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", slice(0, 2))
-FSM_COMMAND = Topic("fsm/command", VECTOR3, "fsm", "controller", "command", slice(0, 2))
-PMA_COMMAND = Topic("pma/command", JOINT_STATE, "pma", "controller", "command", slice(2, 8), unit="N")
+M1_ACCEL = Topic("m1/accel", ACCEL, "m1", "plant", "measurement", COLUMNS["accel_M1"], unit="m/s2,rad/s2")
+M2_ACCEL = Topic("m2/accel", ACCEL, "m2", "plant", "measurement", COLUMNS["accel_M2"], unit="m/s2,rad/s2")
+CAMERA_LOS = Topic("camera/los", VECTOR3, "line_of_sight", "plant", "measurement", COLUMNS["camera_los"], rate="camera")
+FSM_ANGLE = Topic("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", COLUMNS["fsm_angle"])
+TRUTH_LOS = Topic("truth/los", VECTOR3, "line_of_sight", "plant", "truth", COLUMNS["los_controlled"])
+LOS_ESTIMATE = Topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", COLUMNS["los_estimate"])
+FSM_COMMAND = Topic("fsm/command", VECTOR3, "fsm", "controller", "command", COLUMNS["fsm_command"])
+PMA_COMMAND = Topic("pma/command", JOINT_STATE, "pma", "controller", "command", COLUMNS["pma_force"], unit="N")
 
 SENSORS = (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, CAMERA_LOS, FSM_ANGLE)
 """Sent by the plant in this order; the strain gauge comes last and wakes the estimator."""
@@ -89,7 +88,7 @@ TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 """Every topic that a bag holds, in the order of its channels."""
 
 DEPTH = 100
-"""Messages that a writer keeps for readers that want every one: 0.1 s at the tick rate. A lost packet is asked for
+"""Messages that a writer keeps for reliable readers: 0.1 s at the tick rate. A lost packet is asked for
 again after the next heartbeat, 20 ms later; with the usual depth of 10 it would be gone by then. With 1000, a recorder
 that was stopped for half a second made the plant send so much again that it missed 200 ticks."""
 

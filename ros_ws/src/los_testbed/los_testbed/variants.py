@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lti import RealParameter
 
 CASES = Path(__file__).with_name("plant_cases.yaml")
-"""Named cases that ship."""
+"""Named cases of the reference telescope."""
 
 
 def family(parameters: str = "") -> dict[str, RealParameter]:
@@ -194,7 +194,7 @@ def chosen_member(
         No such case, a file of cases without a case, a seed that is no whole number.
     """
     if cases is not None and case is None:
-        raise ValueError(f"--cases {cases} needs --case NAME")
+        raise ValueError(f"--case must be given with --cases {cases}, got none")
     named = {} if case is None else case_settings(case, cases or CASES)
     if sample is None:
         return named, {}

@@ -1,4 +1,4 @@
-"""What a bag says about its run: configuration, origin, controllers, results."""
+"""Metadata of a bag: configuration of the run, its origin, its controllers and results."""
 
 from __future__ import annotations
 
@@ -11,16 +11,27 @@ import yaml
 
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
-from los_testbed.factories import controller_files
+from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from titop_plant.interface import RATE
 
 METADATA_NAME = "los_testbed"
 """Name of the metadata record; it is written at the start and, with the results, at the end."""
 
 
 def run_metadata(config: RunConfig) -> dict[str, str]:
-    """Configuration, seed, hash of the plant's figures, software version and commit."""
+    """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
+
+    ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
+    telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
+    other parameters or limits, and is missing where none was.
+    """
+    telescope = telescope_basis(config)
+    warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
     return {
         **config.to_strings(),
+        **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
+        "rate_hz": str(RATE),
+        **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
@@ -40,7 +51,7 @@ def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]
 
 
 def attachments(config: RunConfig) -> dict[str, tuple[str, bytes]]:
-    """Controller files as implemented and the configuration as YAML."""
+    """Files of the controllers and the configuration as YAML."""
     content = {
         f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
     }

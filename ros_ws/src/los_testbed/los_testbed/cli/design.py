@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
+from lti.progress import Progress
+from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
     from los_design.options import DesignOptions
@@ -32,6 +37,9 @@ MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
 NOMINAL_POINTS = 60
 """Parameter points at which `verify` looks at the nominal design."""
 
+VERIFIED = ("implemented", "implemented_nominal", "paper")
+"""Variants of the stored designs that `verify` evaluates."""
+
 design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
 
 Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
@@ -40,12 +48,11 @@ Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
 Seed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
 Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
-Json = Annotated[bool, typer.Option("--json", help="The output is one JSON object.")]
 
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
 def k_fsm(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
@@ -54,7 +61,7 @@ def k_fsm(
 
 @design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
 def k_pma(
-    nominal: Nominal = False, loop_delay: Delay = 1.5e-3, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
     starts: Starts = 0, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
@@ -102,8 +109,8 @@ def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -
 def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
     provenance = system.provenance
     if json_:
-        wanted = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
-        sys.stdout.write(json.dumps({"file": str(path), **wanted}) + "\n")
+        shown = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
+        print_json({"file": str(path), **shown})
         return
     table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
     for column in ("requirement", "tuned", "worst found", "at [rad/s]"):
@@ -139,7 +146,7 @@ def table(json_: Json = False) -> None:
         rows.append({"design": kind, "variant": "published, robust", "gammas": PAPER_ROBUST[short]})
         rows.append({"design": kind, "variant": "published, nominal", "gammas": PAPER_NOMINAL[short]})
     if json_:
-        sys.stdout.write(json.dumps(rows) + "\n")
+        print_json(rows)
         return
     shown = Table(title="Gammas (1 is the limit)")
     for column in ("design", "problem", "gammas", "status"):
@@ -168,7 +175,7 @@ def verify(
     with one_thread():
         result = _verified(samples)
     if json_:
-        sys.stdout.write(json.dumps(result) + "\n")
+        print_json(result)
         return
     for name, content in result.items():
         Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
@@ -177,24 +184,24 @@ def verify(
 def _verified(samples: int) -> dict[str, Any]:
     from los_design.store import load_designs
     from los_design.verification import check_implemented, check_paper, verification_points
+    from titop_plant.interface import design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
-    from titop_plant.telescope.parameters import load_parameters, parameter_corners
+    from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
     parameters, assembled = load_parameters(), telescope()
+    for variant in VERIFIED:
+        for warning in design_warnings(load_designs(variant), design_basis(parameters), closed=True):
+            sys.stderr.write(f"warning: {warning}\n")
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
-    with bar:
+    with Progress("loops as implemented") as bar:
         some = at[:: max(1, len(at) // NOMINAL_POINTS)]
-        task = bar.add_task("as implemented", total=len(at) + len(some) + 1)
+        step = _counted(bar, len(at) + len(some) + 1)
 
-        def tick() -> None:
-            bar.advance(task)
-
-        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, tick)
+        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step)
         nominal = load_designs("implemented_nominal")
-        alone = check_implemented(system, parameters, *nominal, [{}], tick)
-        spread = check_implemented(system, parameters, *nominal, some, tick)
+        alone = check_implemented(system, parameters, *nominal, [{}], step)
+        spread = check_implemented(system, parameters, *nominal, some, step)
     paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
     robust = load_designs("paper")
     for design in robust:
@@ -205,6 +212,12 @@ def _verified(samples: int) -> dict[str, Any]:
         "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
         "worst_parameters": {name: dict(values) for name, values in implemented.worst.items()},
     }
+
+
+def _counted(bar: Progress, total: int) -> Callable[[], None]:
+    """Function that counts its calls on a progress bar."""
+    calls = count(1)
+    return lambda: bar.report(next(calls), total)
 
 
 def _rng() -> Any:
@@ -246,14 +259,12 @@ def trade_off(
     except ValueError:
         raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
     check_levels(levels)
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
-    with bar, one_thread():
-        task = bar.add_task("trade-off", total=2 * len(levels))
-        points = curve(levels, lambda: bar.advance(task))
+    with Progress("trade-off") as bar, one_thread():
+        points = curve(levels, _counted(bar, 2 * len(levels)))
     output.mkdir(parents=True, exist_ok=True)
     paths = draw_trade_off(points, output)
     if json_:
-        sys.stdout.write(json.dumps([vars(point) for point in points]) + "\n")
+        print_json([vars(point) for point in points])
         return
     shown = Table(title="Relative error, 20 ms [mas]")
     for column in ("bound", "disturbance", "noise rms", "status"):

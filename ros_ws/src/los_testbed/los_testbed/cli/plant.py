@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from los_testbed.cli.output import Json, print_json
 from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def plant(
     parameters: Annotated[
         str, typer.Option(metavar="FILE", help="Parameter file; default: the reference telescope.")
     ] = "",
-    json_: Annotated[bool, typer.Option("--json", help="The output is one JSON object.")] = False,
+    json_: Json = False,
 ) -> None:
     """See PLANT_EXAMPLES."""
     if context.invoked_subcommand is not None:
@@ -65,7 +64,7 @@ def plant(
     with one_thread():
         found = summarise(telescope(parameters or None))
     if json_:
-        sys.stdout.write(json.dumps(found.to_mapping()) + "\n")
+        print_json(found.to_mapping())
     else:
         show(Console(), found)
 

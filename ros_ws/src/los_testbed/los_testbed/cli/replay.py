@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
+from lti.progress import Progress
 
 if TYPE_CHECKING:
     from pointing_analysis.read import Run
@@ -52,11 +53,11 @@ def replay(
     k_pma: Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the recorded one.")] = None,
     loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
-    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out of the figures.")] = None,
+    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out of the metrics.")] = None,
     to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
     domain: Annotated[int, typer.Option(help="ROS domain for --to-ros; -1 for ROS_DOMAIN_ID or 0.")] = -1,
     timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
-    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+    json_: Json = False,
 ) -> None:
     """See REPLAY_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
@@ -72,7 +73,7 @@ def replay(
     else:
         content = _through(console, run, (k_fsm, k_pma, loop), output, transient)
     if json_:
-        sys.stdout.write(json.dumps(content) + "\n")
+        print_json(content)
     if content["as_recorded"] and not content["identical"]:
         raise typer.Exit(DIFFERENT)
 
@@ -88,11 +89,12 @@ def _through(
     from pointing_analysis.replay import compare
 
     chosen = replay_run.controllers(run, *others)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("replay", total=1)
-        replayed = replay_run.drive(run, chosen, lambda done, total: bar.update(task, completed=done, total=total))
+    for warning in chosen.warnings:
+        sys.stderr.write(f"warning: {warning}\n")
+    with Progress("replay [ticks]") as bar:
+        replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
-    found = replay_run.figures(run, replayed, transient)
+    found = replay_run.metrics(run, replayed, transient)
     _show(console, comparison, found, chosen.as_recorded)
     content = replay_run.as_dict(run, chosen, comparison, found)
     if output is not None:
@@ -111,9 +113,8 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeou
     check_ros()
     from los_testbed.nodes.sensor_player import play
 
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("sensors to ROS", total=1)
-        played = play(run, domain, timeout, lambda done, total: bar.update(task, completed=done, total=total))
+    with Progress("sensors to ROS [ticks]") as bar:
+        played = play(run, domain, timeout, bar.report)
     for warning in played.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
     console.print(f"{played.ticks} ticks sent, {played.late} of them a millisecond or more late", highlight=False)
@@ -139,8 +140,8 @@ def _show(
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
     table = Table(title="Recorded and replayed", title_justify="left")
-    for head in ("figure", "recorded", "replayed"):
-        table.add_column(head, justify="left" if head == "figure" else "right")
+    for head in ("metric", "recorded", "replayed"):
+        table.add_column(head, justify="left" if head == "metric" else "right")
     for text, key, unit in ROWS:
         values = [f"{found[side][key]:.4g} {unit}" if key in found[side] else "-" for side in ("recorded", "replayed")]
         if set(values) != {"-"}:

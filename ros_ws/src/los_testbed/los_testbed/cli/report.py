@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
 
 if TYPE_CHECKING:
     from pointing_analysis.summary import Summary
@@ -45,27 +45,26 @@ def report(
     start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
     namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+    json_: Json = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
     from los_testbed.run.predictions import predictions
-    from pointing_analysis import requirements as texts
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
+    from pointing_analysis.requirements import load
     from pointing_analysis.summary import summarise
 
-    wanted = None if requirements is None else texts.load(requirements)
+    given = None if requirements is None else load(requirements)
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     runs = [Run.open(bag, namespace=namespace, start=start, stop=stop) for bag in bags]
-    found = [summarise(run, transient=transient, wanted=wanted) for run in runs]
+    found = [summarise(run, transient=transient, requirements=given) for run in runs]
     expected = predictions(runs, transient, start, stop)
-    write_report(runs, target, transient=transient, wanted=wanted, predictions=expected)
+    write_report(runs, target, transient=transient, requirements=given, predictions=expected)
     console = Console(stderr=json_)
     show(console, labels(runs), found)
     console.print(f"report  {target}", soft_wrap=True, highlight=False)
     if json_:
-        content = {"report": str(target), "runs": [s.as_dict() for s in found]}
-        sys.stdout.write(json.dumps(content) + "\n")
+        print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
 
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:

@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from los_testbed.cli.output import Json, print_json
+from lti.progress import Progress
+from titop_plant.interface import CAMERA_RATE
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -41,19 +44,20 @@ def stages(
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
     k_fsm: Annotated[str, typer.Option(help="Observer file instead of the one that ships.")] = "",
     k_pma: Annotated[str, typer.Option(help="Proof-mass controller file.")] = "",
-    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = 50.0,
+    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
     output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")] = False,
+    json_: Json = False,
 ) -> None:
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
-    from los_testbed.config import SCENARIOS, RunConfig
-    from los_testbed.factories import build_controller, build_estimator
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import check_controllers
     from los_testbed.run.runner import check_ros
     from los_testbed.run.stages import PARTS, Plan, perform
+    from titop_plant.interface import SCENARIOS
 
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
@@ -63,30 +67,24 @@ def stages(
     )  # fmt: skip
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
-    build_estimator(base)
-    build_controller(base)
+    for warning in check_controllers(base):
+        sys.stderr.write(f"warning: {warning}\n")
     if mode != "inprocess":
         check_ros()
     chosen = SCENARIOS if scenario == "both" else (scenario,)
     plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep)
     console = Console(stderr=json_)
-    with _bar(console) as bar:
+    with Progress("stages") as bar:
         runs = plan.runs()
-        task = bar.add_task("stages", total=len(runs) * base.ticks)
-        place = {run.name: i for i, run in enumerate(runs)}
+        number = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:
-            bar.update(task, description=run.name, completed=place[run.name] * base.ticks + ticks)
+            bar.report(number[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
 
         results = perform(plan, progress)
     content = _write(console, results, plan)
     if json_:
-        sys.stdout.write(json.dumps(content) + "\n")
-
-
-def _bar(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        print_json(content)
 
 
 def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:
@@ -109,15 +107,15 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the four stages side by side, the model beside the measured lines."""
-    from los_testbed.config import LOOPS
     from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import select
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
+    from titop_plant.interface import STAGES
 
     paths = []
     for scenario in plan.scenarios:
-        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in LOOPS]
+        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in STAGES]
         runs = [Run.open(bag) for bag in kept if bag is not None]
         model = {}
         for run, label in zip(runs, labels(runs)):

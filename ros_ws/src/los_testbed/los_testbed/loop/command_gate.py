@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError
-from los_testbed.topics import TICK_NS
+from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
 

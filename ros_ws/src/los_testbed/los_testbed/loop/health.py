@@ -7,10 +7,11 @@ Mean rate off by 5 Hz is a warning, by 10 Hz an error; a mean execution time of 
 from __future__ import annotations
 
 from los_testbed.loop.latency_histogram import LatencyHistogram
+from titop_plant.interface import RATE
 
 OK, WARN, ERROR, STALE = range(4)
 
-NOMINAL_HZ = 1000.0
+NOMINAL_HZ = float(RATE)
 RATE_WARN_HZ, RATE_ERROR_HZ = 5.0, 10.0
 EXECUTION_WARN_US, EXECUTION_ERROR_US = 1000.0, 2000.0
 

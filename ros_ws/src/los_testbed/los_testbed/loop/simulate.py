@@ -1,4 +1,4 @@
-"""Plant, estimator and controller in one process, without ROS: the same cores, the same bag.
+"""Plant, estimator and controller in one process, without ROS: the same step functions and the same bag.
 
 Tick k: the plant applies the command that was computed from tick k - 1, then measures; estimator and
 controller compute the next command from that measurement.
@@ -9,19 +9,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsm_pma_controller.runtime import FsmPmaController
-from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes
-from los_testbed.topics import TICK_NS, TOPICS
+from los_testbed.topics import TOPICS
 from lti.threads import one_thread
+from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
+
+if TYPE_CHECKING:
+    from pointing_analysis.replay import Controller, Estimator
 
 BLOCK = 1000
 """Ticks that are simulated before they are written: one chunk of the bag."""
@@ -59,14 +62,15 @@ class Block:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
-        for name, width in (("measurement", 22), ("truth", 2), ("los_estimate", 2), ("command", 8)):
+        sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES, "command": COMMANDS}
+        for name, width in sizes.items():
             object.__setattr__(self, name, np.zeros((self.size, width)))
 
 
 def simulate(
     plant: Plant,
-    estimator: LosEstimator,
-    controller: FsmPmaController,
+    estimator: Estimator,
+    controller: Controller,
     ticks: int,
     sink: Callable[[Block, int], None],
 ) -> None:
@@ -77,7 +81,7 @@ def simulate(
     LoopDivergedError
         A signal is no longer finite.
     """
-    block, command = Block(BLOCK), np.zeros(8)
+    block, command = Block(BLOCK), np.zeros(COMMANDS)
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     for first in range(0, ticks, BLOCK):
@@ -88,7 +92,7 @@ def simulate(
         ):
             plant_step(command, y, truth)
             estimate(y, los)
-            control(los, y[:6], u)
+            control(los, y[PLATFORM], u)
             command[:] = u
         sink(block, rows)
         if not (np.isfinite(block.truth[:rows]).all() and np.isfinite(block.command[:rows]).all()):
@@ -127,7 +131,7 @@ def run_in_process(
     Parameters
     ----------
     config : RunConfig
-        The run; its mode is not looked at.
+        The run; its mode is ignored.
     bag_path : Path
         Folder to make.
     plant : Plant, optional

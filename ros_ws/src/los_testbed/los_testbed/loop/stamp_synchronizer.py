@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
-from los_testbed.topics import TICK_NS
+from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
 
@@ -55,11 +55,11 @@ class StampSynchronizer:
     Examples
     --------
     >>> codec = Codec("geometry_msgs/msg/Vector3Stamped", 2, "fsm")
-    >>> join = StampSynchronizer([Part(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
+    >>> synchronizer = StampSynchronizer([Part(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
     >>> message = bytes(codec.encode(5_000_000, np.array([1.0, 2.0])))
-    >>> join.put(1, message) is None
+    >>> synchronizer.put(1, message) is None
     True
-    >>> join.put(0, message).tolist()
+    >>> synchronizer.put(0, message).tolist()
     [1.0, 2.0, 1.0, 2.0]
     """
 

@@ -4,42 +4,42 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller
+from los_testbed.factories import build_controller, check_controllers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
+from titop_plant.interface import COMMANDS as COMMAND_SIZE
 
+if TYPE_CHECKING:
+    from pointing_analysis.replay import Controller
 
-class Controller(Protocol):
-    """Core of this node."""
-
-    def step(self, los_estimate: NDArray[np.float64], accel_Ip: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-        """One tick: estimate (2,) and acceleration (6,) to the command `out` (8,)."""
-
-    def reset(self) -> None:
-        """Back to the zero state."""
+ESTIMATE = slice(0, LOS_ESTIMATE.size)
+ACCEL = slice(ESTIMATE.stop, ESTIMATE.stop + ISOLATOR_ACCEL.size)
+"""Columns of what this node takes in at a tick."""
 
 
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
+        if build is build_controller:
+            context.warn_alone(check_controllers(context.config))
         parts = [
-            Part(codec_for(ISOLATOR_ACCEL), slice(2, 8)),
-            Part(codec_for(LOS_ESTIMATE), slice(0, 2)),
+            Part(codec_for(ISOLATOR_ACCEL), ACCEL),
+            Part(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
-        outputs = [(RawPublisher(shell.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
-        command, held, nothing = np.zeros(8), np.zeros(8), np.zeros(8)
+        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
+        command, nothing, held = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE), np.zeros(ACCEL.stop)
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
@@ -49,13 +49,13 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
                     publisher.publish(codec.encode(stamp, zero))
                 return
             for _ in range(gap):  # time went on without samples: the state must too
-                core.step(held[:2], held[2:], command)
-            core.step(sample[:2], sample[2:], command)
+                core.step(held[ESTIMATE], held[ACCEL], command)
+            core.step(sample[ESTIMATE], sample[ACCEL], command)
             for publisher, codec, values, _ in slots:
                 publisher.publish(codec.encode(stamp, values))
             held[:] = sample
 
-        follower = Follower(shell, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, 8), tick)
+        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

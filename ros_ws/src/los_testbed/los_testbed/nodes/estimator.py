@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,29 +17,23 @@ from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
+from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
 
-
-class Estimator(Protocol):
-    """Core of this node."""
-
-    def step(self, measurement: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-        """One tick: `measurement` (22,) to the estimate `out` (2,)."""
-
-    def reset(self) -> None:
-        """Back to the zero state."""
+if TYPE_CHECKING:
+    from pointing_analysis.replay import Estimator
 
 
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        core = build(shell.config)
-        every = shell.config.frame_ticks
+    def body(context: NodeContext) -> int:
+        core = build(context.config)
+        every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
-        publisher = RawPublisher(shell.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
-        los, held, nothing = np.zeros(2), np.zeros(22), np.zeros(2)
-        held[18:20] = np.nan
+        publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
+        los, held, nothing = np.zeros(ESTIMATES), np.zeros(MEASUREMENTS), np.zeros(ESTIMATES)
+        held[CAMERA] = np.nan
 
         def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
@@ -50,10 +44,10 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
                 core.step(held, los)
             core.step(measurement, los)
             publisher.publish(codec.encode(stamp, los))
-            held[:18] = measurement[:18]
-            held[20:] = measurement[20:]
+            held[: CAMERA.start] = measurement[: CAMERA.start]
+            held[CAMERA.stop :] = measurement[CAMERA.stop :]
 
-        follower = Follower(shell, SENSORS, StampSynchronizer(parts, 22), tick)
+        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick)
         code = follower.run()
         settle([publisher])
         return code

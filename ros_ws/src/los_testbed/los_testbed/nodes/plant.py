@@ -17,14 +17,14 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.real_time import TickClock
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
+from los_testbed.loop.tick_clock import TickClock
 from los_testbed.nodes.support.handshake import refuse_second_plant, wait_for_followers
 from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
-from los_testbed.topics import TICK_NS
 from lti.threads import one_thread
+from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
 RING = 64
 
@@ -38,12 +38,12 @@ CLOCK_STEP_NS = 1_000_000_000
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
     """Run the node; returns the exit code."""
 
-    def body(shell: NodeContext) -> int:
-        refuse_second_plant(shell)
-        shell.event("alone")
-        core = build(shell.config)
+    def body(context: NodeContext) -> int:
+        refuse_second_plant(context)
+        context.event("alone")
+        core = build(context.config)
         with one_thread():
-            return PlantLoop(shell, core).run()
+            return PlantLoop(context, core).run()
 
     return run_node("plant", arguments, body)
 
@@ -53,16 +53,16 @@ class PlantLoop:
 
     Parameters
     ----------
-    shell : NodeContext
+    context : NodeContext
         The node.
     core : Plant
         What is simulated.
     """
 
-    def __init__(self, shell: NodeContext, core: Plant) -> None:
-        self.shell = shell
+    def __init__(self, context: NodeContext, core: Plant) -> None:
+        self.context = context
         self.core = core
-        self.io = PlantIo(shell)
+        self.io = PlantIo(context)
         self.ticks = 0
         self.held = 0
         self.clock = TickClock(TICK_NS)
@@ -70,21 +70,21 @@ class PlantLoop:
         self.latency = LatencyHistogram()
         self.execution = LatencyHistogram()
         self.period = LatencyHistogram()
-        self.health = LoopHealth(shell.config.mode == "realtime")
+        self.health = LoopHealth(context.config.mode == "realtime")
         self._woke = [0] * RING
-        self._command = np.zeros(8)
-        self._measurement = np.zeros(22)
-        self._truth = np.zeros(2)
+        self._command = np.zeros(COMMANDS)
+        self._measurement = np.zeros(MEASUREMENTS)
+        self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
         self._faded = False
 
     def run(self) -> int:
         """Handshake, the ticks of the run, the last report."""
-        shell, config = self.shell, self.shell.config
-        shell.become_real_time()
-        wait_for_followers(shell, self.io)
-        if shell.stop:
-            shell.event("done", statistics={})
+        context, config = self.context, self.context.config
+        context.become_real_time()
+        wait_for_followers(context, self.io)
+        if context.stop:
+            context.event("done", statistics={})
             return 0
         self.core.reset()
         if config.mode == "lockstep":
@@ -93,14 +93,14 @@ class PlantLoop:
             start = aligned_start(time.time_ns() + 20_000_000, config.frame_ticks)
             self.clock.begin(time.monotonic_ns() + start - time.time_ns())
         self.io.begin(start)
-        shell.event("running", start_ns=start)
+        context.event("running", start_ns=start)
         if config.mode == "lockstep":
             self._lockstep(start)
         else:
             self._real_time(start)
         self.io.settle()
         self._report(start + self.ticks * TICK_NS, last=True)
-        shell.event("done", statistics=self.statistics(), latency=self.latency.histogram())
+        context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if not np.isfinite(self._truth).all():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         return 0
@@ -111,21 +111,21 @@ class PlantLoop:
         return self.held + self.clock.skipped
 
     def _real_time(self, start: int) -> None:
-        shell, clock = self.shell, self.clock
-        total, last = shell.config.ticks, 0
+        context, clock = self.context, self.clock
+        total, last = context.config.ticks, 0
         for k in range(total + 1):
             self.lateness.add(clock.wait())
             now = start + k * TICK_NS
-            began = time.monotonic_ns()
+            start_time = time.monotonic_ns()
             if last:
-                self.period.add(began - last)
-            last = began
+                self.period.add(start_time - last)
+            last = start_time
             self._woke[k % RING] = time.time_ns()
             self._take_commands(now)
-            if k == total or shell.stop:  # one more wake-up, for the commands of the last tick
+            if k == total or context.stop:  # one more wake-up, for the commands of the last tick
                 break
             self._tick(now)
-            self.execution.add(time.monotonic_ns() - began)
+            self.execution.add(time.monotonic_ns() - start_time)
             self._slack(k, now)
 
     def _take_commands(self, now: int) -> None:
@@ -144,8 +144,8 @@ class PlantLoop:
 
     def _tick(self, now: int) -> None:
         io, command = self.io, self._command
-        io.fsm_gate.apply(now, command[:2])
-        io.pma_gate.apply(now, command[2:])
+        io.fsm_gate.apply(now, command[MIRROR])
+        io.pma_gate.apply(now, command[FORCES])
         self.core.step(command, self._measurement, self._truth)
         io.publish(now, self._measurement, self._truth)
         self.ticks += 1
@@ -154,38 +154,38 @@ class PlantLoop:
         """Work that can wait, one kind per tick, when the next deadline is far enough."""
         phase = k % 200
         if phase == 50 or phase == 150:
-            self.shell.event("progress", tick=self.ticks)
+            self.context.event("progress", tick=self.ticks)
         elif phase == 100:
-            self.shell.service()
+            self.context.service()
         elif phase % 50 == 25 and self.io.fading() != self._faded:
             self._report(now)  # said at once, not at the end of the second
         elif k == 0:
             self.health.assess(1, time.monotonic_ns(), self.execution)
-        elif k % 1000 == 0:
+        elif k % RATE == 0:
             self._report(now)
 
     def _lockstep(self, start: int) -> None:
-        shell, total = self.shell, self.shell.config.ticks
-        pacer = LockstepPacer(shell, self.io)
+        context, total = self.context, self.context.config.ticks
+        pacer = LockstepPacer(context, self.io)
         for k in range(total):
             now = start + k * TICK_NS
             if k % CLOCK_TICKS == 0:
                 pacer.clock(now)
-            began = time.monotonic_ns()
+            start_time = time.monotonic_ns()
             self._tick(now)
             if not pacer.wait(now):
                 break
-            self.latency.add(time.monotonic_ns() - began)
+            self.latency.add(time.monotonic_ns() - start_time)
             if k % 500 == 0:
-                shell.event("progress", tick=self.ticks)
-                shell.service()
+                context.event("progress", tick=self.ticks)
+                context.service()
         if self.ticks:
             pacer.wait_for_recorder(start + (self.ticks - 1) * TICK_NS)
-        shell.event("progress", tick=self.ticks)
+        context.event("progress", tick=self.ticks)
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""
-        lockstep = self.shell.config.mode == "lockstep"
+        lockstep = self.context.config.mode == "lockstep"
         return {
             "ticks": str(self.ticks),
             "missed_ticks": str(self.missed),
@@ -204,7 +204,7 @@ class PlantLoop:
         rejected = self.io.rejected_total()
         news = (self.missed - self._reported[0], rejected - self._reported[1])
         self._reported = (self.missed, rejected)
-        level, message, figures = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
+        level, message, values = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         self._faded = self.io.fading()
         if self._faded:
             level, message = ERROR, "no valid commands: actuators brought to zero"
@@ -216,8 +216,8 @@ class PlantLoop:
             level, message = max(level, WARN), f"{news[0]} ticks missed"
         elif last:
             level, message = OK, "finished"
-        self.shell.diagnose(level, message, {**figures, **self.statistics()}, now)
-        self.shell.plot(self._plotted(news))
+        self.context.diagnose(level, message, {**values, **self.statistics()}, now)
+        self.context.plot(self._plotted(news))
 
     def _plotted(self, news: tuple[int, int]) -> dict[str, float]:
         """Figures since the last report: `news` are missed ticks and rejected commands."""

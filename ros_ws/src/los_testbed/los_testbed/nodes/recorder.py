@@ -21,7 +21,8 @@ from los_testbed.loop.health import OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TICK_NS, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TOPICS
+from titop_plant.interface import TICK_NS
 
 DEPTH = 5000
 PERIOD_S = 0.01
@@ -31,7 +32,7 @@ CHUNK_S = 1.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node; returns the exit code."""
-    return run_node("recorder", arguments, lambda shell: Recorder(shell).run())
+    return run_node("recorder", arguments, lambda context: Recorder(context).run())
 
 
 def default_bag() -> Path:
@@ -108,9 +109,9 @@ class Track:
 class Recorder:
     """Loop of the recorder: every 10 ms take what came, once a second write a chunk."""
 
-    def __init__(self, shell: NodeContext) -> None:
-        config, node = shell.config, shell.node
-        self.shell = shell
+    def __init__(self, context: NodeContext) -> None:
+        config, node = context.config, context.node
+        self.context = context
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
@@ -136,9 +137,9 @@ class Recorder:
 
     def run(self) -> int:
         """Record until a signal comes and the topics are quiet."""
-        shell = self.shell
-        shell.become_real_time()
-        shell.event("ready")
+        context = self.context
+        context.become_real_time()
+        context.event("ready")
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
         while True:
             count = sum(track.drain() for track in self.tracks)
@@ -155,8 +156,8 @@ class Recorder:
                 self._report()
             if now >= next_service:
                 next_service = now + 0.2
-                shell.service()
-            if shell.stop and now - quiet_since > QUIET_S:
+                context.service()
+            if context.stop and now - quiet_since > QUIET_S:
                 break
             time.sleep(PERIOD_S if not self.simulated else PERIOD_S / 4)
         self._close()
@@ -187,7 +188,7 @@ class Recorder:
         self._write_chunk()
         self._finish_bag()
         self.finished += 1
-        self.shell.event("bag", path=str(self.path))
+        self.context.event("bag", path=str(self.path))
         self.path = _free_name(self._base)
         self.bag, self.statistics = None, {}
         for track in self.tracks:
@@ -197,7 +198,7 @@ class Recorder:
         if self.bag is None:
             if not any(track.data for track in self.tracks):
                 return
-            config = self.shell.config
+            config = self.context.config
             self.bag = BagWriter(
                 self.path,
                 {METADATA_NAME: run_metadata(config)},
@@ -249,24 +250,24 @@ class Recorder:
         values = self.own_statistics()
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}
-        self.shell.plot(dict(news))
+        self.context.plot(dict(news))
         if self.bag is None:
             level, message = STALE, "no samples yet"
         else:
             level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
-        self.shell.diagnose(level, message, values, self.tracks[0].last)
+        self.context.diagnose(level, message, values, self.tracks[0].last)
 
     def _finish_bag(self) -> None:
         """Results into the head of the bag, and its index."""
         if self.bag is not None:
             final = {**self.statistics, "recorder": self.own_statistics()}
-            self.bag.close({METADATA_NAME: final_metadata(self.shell.config, final)})
+            self.bag.close({METADATA_NAME: final_metadata(self.context.config, final)})
 
     def _close(self) -> None:
         self._write_chunk()
         self._finish_bag()
         path = str(self.path) if self.bag is not None else None
-        self.shell.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
+        self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
             raise ValueError("nothing came to be recorded: expected a plant on this domain")
 

@@ -16,21 +16,22 @@ from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.loop.tick_clock import wait_until
 from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, refuse_second_plant
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.runner import domain_lock
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TICK_NS, TRUTH_LOS, Topic
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.replay import Replayed
+from titop_plant.interface import TICK_NS
 
 ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 ANSWER_DEPTH = 1000
 DISCOVERY_S = 1.5
 """A node that runs is discovered within this time; a topic without a writer then has none to wait for."""
 LAST_ANSWERS_S = 0.5
-SPIN_NS = 60_000
 
 Signal = tuple[NDArray[np.int64], NDArray[np.float64]]
 
@@ -92,24 +93,24 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
         os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     with domain_lock(os.environ.get("ROS_DOMAIN_ID", "0")):
-        shell = NodeContext("replay", [])
+        context = NodeContext("replay", [])
         try:
-            refuse_second_plant(shell)
-            return _Player(shell, run).play(timeout, progress)
+            refuse_second_plant(context)
+            return _Player(context, run).play(timeout, progress)
         finally:
-            shell.close()
+            context.close()
 
 
 class _Player:
     """Publishers of the sensors, subscriptions of the answers."""
 
-    def __init__(self, shell: NodeContext, run: Run) -> None:
+    def __init__(self, context: NodeContext, run: Run) -> None:
         topics = [topic for topic in (*SENSORS, TRUTH_LOS) if topic.name in run]
-        self.shell = shell
+        self.context = context
         self.sent = tuple(topic.name for topic in topics)
         self.stamps: NDArray[np.int64] = np.unique(np.concatenate([run[t.name].stamp for t in topics]))
         self._outputs = [self._output(topic, run) for topic in topics]
-        node = shell.node
+        node = context.node
         self._inputs = {t.name: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
         self._taken: dict[str, list[bytes]] = {topic.name: [] for topic in ANSWERS}
 
@@ -118,19 +119,19 @@ class _Player:
         rows = np.full(len(self.stamps), -1)
         rows[np.searchsorted(self.stamps, run[topic.name].stamp)] = np.arange(len(run[topic.name]))
         values = np.ascontiguousarray(run[topic.name].values[:, : topic.size])
-        return RawPublisher(self.shell.node, topic.name, topic.type_name), codec_for(topic), rows, values
+        return RawPublisher(self.context.node, topic.name, topic.type_name), codec_for(topic), rows, values
 
     def play(self, timeout: float, progress: Callable[[int, int], None]) -> Played:
         warnings = self._handshake(timeout)
         late, total, first = 0, len(self.stamps), int(self.stamps[0])
-        began = time.monotonic_ns() + 20_000_000
+        start_time = time.monotonic_ns() + 20_000_000
         done = 0
         for k, stamp in enumerate(self.stamps.tolist()):
-            if self.shell.stop:
+            if self.context.stop:
                 raise KeyboardInterrupt
-            behind = _wait(began + stamp - first)
+            behind = wait_until(start_time + stamp - first)
             if behind >= TICK_NS:  # never caught up by hurrying: the nodes would see another sampling rate
-                began += behind
+                start_time += behind
                 late += 1
             for publisher, codec, rows, values in self._outputs:
                 if rows[k] >= 0:
@@ -148,9 +149,9 @@ class _Player:
 
     def _handshake(self, timeout: float) -> tuple[str, ...]:
         """Send hold ticks (stamp zero) until every answering node has answered; they reset the nodes."""
-        node, began = self.shell.node, time.monotonic()
+        node, start_time = self.context.node, time.monotonic()
         pending = {topic.name for topic in ANSWERS}
-        while not self.shell.stop:
+        while not self.context.stop:
             for publisher, codec, _, values in self._outputs:
                 publisher.publish(codec.encode(HOLD_STAMP, np.zeros(values.shape[1])))
             time.sleep(HOLD_PERIOD_S)
@@ -158,7 +159,7 @@ class _Player:
                 while (taken := subscription.take()) is not None:
                     if len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
                         pending.discard(name)
-            waited = time.monotonic() - began
+            waited = time.monotonic() - start_time
             expected = {name for name in pending if node.count_publishers(node.resolve_topic_name(name))}
             if not pending or (waited > DISCOVERY_S and len(pending) < len(ANSWERS) and not expected):
                 break
@@ -172,7 +173,7 @@ class _Player:
 
     def _gave_up(self, timeout: float) -> tuple[str, ...]:
         """Go on without an answer if somebody listens at all."""
-        node = self.shell.node
+        node = self.context.node
         if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
             raise BagError(f"expected a node that listens to {NAMESPACE}/... within {timeout:g} s; there is none")
         return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
@@ -199,13 +200,3 @@ class _Player:
                 stamps = np.array(sorted(rows), np.int64)
                 found[topic.name] = stamps, np.array([rows[s] for s in stamps.tolist()])
         return found
-
-
-def _wait(deadline: int) -> int:
-    """Return at the deadline (steady clock [ns]), with the lateness."""
-    rest = deadline - time.monotonic_ns() - SPIN_NS
-    if rest > 0:
-        time.sleep(rest * 1e-9)
-    while (now := time.monotonic_ns()) < deadline:
-        pass
-    return now - deadline

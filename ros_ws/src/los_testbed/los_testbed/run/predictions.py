@@ -16,9 +16,9 @@ from los_design.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
 from los_testbed.run.replay import controller_of
-from los_testbed.topics import TICK_NS
 from pointing_analysis.prediction import Prediction
 from pointing_analysis.read import Run
+from titop_plant.interface import TICK_NS
 from titop_plant.simulation import configuration_hash
 
 LONGEST = 60.0

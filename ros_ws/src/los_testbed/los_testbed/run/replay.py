@@ -6,20 +6,21 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsm_pma_controller.runtime import FSM_AUTHORITY, LOOPS, PMA_AUTHORITY, FsmPmaController
+from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.factories import assemble_controller, compare_with_telescope
 from los_testbed.loop.simulate import LoopDivergedError
-from los_testbed.topics import TICK_NS, TOPICS
+from los_testbed.topics import TOPICS
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
 from pointing_analysis import replay
@@ -27,9 +28,10 @@ from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, k
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.metrics import radial, rpe_rms
 from pointing_analysis.read import Run
+from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 
 WINDOW = 0.02
-CHUNK_NS = 1000 * TICK_NS
+CHUNK_NS = RATE * TICK_NS
 
 Signals = Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
 
@@ -45,9 +47,11 @@ class Controllers:
     loop : str
         Stage.
     as_recorded : bool
-        Whether all of this is what the bag says it flew.
-    estimator, controller
-        The cores.
+        Whether all of this is as the bag has recorded it.
+    estimator : LosEstimator
+    controller : FsmPmaController
+    warnings : tuple of str
+        One line for each controller that was made for other parameters or limits than those of the bag.
     """
 
     files: Mapping[str, bytes]
@@ -55,6 +59,7 @@ class Controllers:
     as_recorded: bool
     estimator: LosEstimator
     controller: FsmPmaController
+    warnings: tuple[str, ...] = ()
 
 
 def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[SampledSystem, bytes]:
@@ -88,24 +93,40 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     Raises
     ------
     ValueError
-        A file that is no controller, a bag without controllers or without its loop stage, an unknown stage.
+        A file that is no controller, a bag without controllers or without its loop stage, an unknown stage, a
+        controller made for another sensitivity of the mirror than that of the bag.
     """
     recorded = run.parameters.get("replay_loop", run.parameters.get("loop"))
     stage = recorded if loop is None else loop
-    if stage not in LOOPS:
+    if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(
-            f"{where}: expected one of {', '.join(LOOPS)}; got {stage!r}" + ("" if loop else ": give --loop")
+            f"{where}: expected one of {', '.join(STAGES)}; got {stage!r}" + ("" if loop else ": give --loop")
         )
     fsm, fsm_file = controller_of(run, "k_fsm", k_fsm)
     pma, pma_file = controller_of(run, "k_pma", k_pma)
-    limits = [
-        float(run.parameters.get(name, default))
-        for name, default in (("fsm_authority", FSM_AUTHORITY), ("pma_authority", PMA_AUTHORITY))
-    ]
+    chosen, telescope = {"k_fsm": fsm, "k_pma": pma}, telescope_of(run)
+    warnings = compare_with_telescope(chosen, telescope, stage)
+    controller = assemble_controller(chosen, _completed(telescope), stage)
     files = {"k_fsm.json": fsm_file, "k_pma.json": pma_file}
     as_recorded = stage == recorded and all(run.attachments.get(n) == data for n, data in files.items())
-    return Controllers(files, stage, as_recorded, LosEstimator(fsm), FsmPmaController(pma, stage, *limits))
+    return Controllers(files, stage, as_recorded, LosEstimator(fsm), controller, warnings)
+
+
+def telescope_of(run: Run) -> DesignBasis:
+    """What a bag says of its telescope and its limits; a bag from before these were recorded says less."""
+    names = ("los_sensitivity", "fsm_authority", "pma_authority")
+    found: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
+    if "parameters_hash" in run.parameters:
+        found["parameters_hash"] = str(run.parameters["parameters_hash"])
+    return DesignBasis.from_mapping(found, str(run.path))
+
+
+def _completed(telescope: DesignBasis) -> DesignBasis:
+    """The reference telescope's values where nothing is said: bags that do not say are of that telescope."""
+    from titop_plant.telescope.parameters import design_basis, load_parameters
+
+    return replace(design_basis(load_parameters()), **telescope.to_mapping())
 
 
 def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -> replay.Replayed:
@@ -145,7 +166,7 @@ def _commands(signals: Signals) -> dict[str, float]:
     return found
 
 
-def figures(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
+def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
     """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
     recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
     found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
@@ -174,13 +195,15 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
     }
     signals.update(replayed.topics())
     sources = {f"{name}_sha256": hashlib.sha256(data).hexdigest() for name, data in chosen.files.items()}
-    left_out = ("statistics", "mode", "output", "k_fsm", "k_pma")
+    left_out = ("statistics", "mode", "output", "k_fsm", "k_pma", "controller_warnings")
     recorded = {
         key: value if isinstance(value, str) else json.dumps(value)
         for key, value in run.parameters.items()
         if key not in left_out
     }
     metadata = {**recorded, **sources, "mode": "replay", "replay_loop": chosen.loop, "replay_of": run.path.name}
+    if chosen.warnings:
+        metadata["controller_warnings"] = "; ".join(chosen.warnings)
     others = {name: data for name, data in run.attachments.items() if name not in chosen.files}
     files = {name: ("application/octet-stream", data) for name, data in others.items()}
     files.update({name: ("application/json", data) for name, data in chosen.files.items()})

@@ -19,9 +19,10 @@ from typing import Any
 import yaml
 
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.config import RATE, RunConfig
-from los_testbed.factories import build_controller, build_estimator
+from los_testbed.config import RunConfig
+from los_testbed.factories import check_controllers
 from los_testbed.run.node_process import NodeProcess
+from titop_plant.interface import RATE
 
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
@@ -219,8 +220,7 @@ class Runner:
         """
         check_ros()
         check_new_bag(Path(self._config.output))
-        build_estimator(self._config)
-        build_controller(self._config)
+        self.results.warnings += check_controllers(self._config)
         with domain_lock(str(self.domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
             self._parameters = Path(folder) / "run.yaml"
             parameter_file(self._config, self._parameters)

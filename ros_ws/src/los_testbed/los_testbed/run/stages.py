@@ -1,6 +1,6 @@
 """The four loop stages side by side: same seed, same disturbance, several telescopes, both parts of the error.
 
-Every figure is read from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
+Every metric is computed from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
 noise) and the noise alone (no disturbance).
 """
 
@@ -20,20 +20,21 @@ from numpy.typing import NDArray
 
 from los_design.tone_model import ToneResponse, tone_responses
 from los_testbed.bags.metadata import run_metadata
-from los_testbed.config import LOOPS, SCENARIOS, RunConfig
+from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.variants import check_ranges, random_member
 from pointing_analysis.read import Run
 from pointing_analysis.summary import Summary, summarise
+from titop_plant.interface import SCENARIOS, STAGES
 
 FloatArray = NDArray[np.float64]
 
 PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, False)}
 """Parts of the error: whether there is noise and whether there is a disturbance."""
 
-FIGURES = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas")
+METRICS = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas")
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Plan:
             )
             for scenario in self.scenarios
             for member, config in self.members().items()
-            for loop in LOOPS
+            for loop in STAGES
             for part in self.parts
             if part != "noise" or scenario == first
         ]
@@ -110,13 +111,13 @@ class StageRun:
 
 @dataclass(frozen=True)
 class StageResult:
-    """Figures of one run.
+    """Metrics of one run.
 
     Parameters
     ----------
     run : StageRun
-    figures : mapping of str to float
-        By :data:`FIGURES`; NaN where the loop diverged.
+    metrics : mapping of str to float
+        By :data:`METRICS`; NaN where the loop diverged.
     transient : float
         Seconds of start-up left out.
     tones : tuple of ToneResponse
@@ -127,7 +128,7 @@ class StageResult:
     """
 
     run: StageRun
-    figures: Mapping[str, float]
+    metrics: Mapping[str, float]
     transient: float
     tones: tuple[ToneResponse, ...] = ()
     bag: Path | None = None
@@ -146,7 +147,7 @@ class StageResult:
             "telescope": r.member,
             "loop": r.loop,
             "part": r.part,
-            **{k: float(f"{v:.5g}") if math.isfinite(v) else None for k, v in self.figures.items()},
+            **{k: float(f"{v:.5g}") if math.isfinite(v) else None for k, v in self.metrics.items()},
             "transient_s": self.transient,
             "bag": None if self.bag is None else self.bag.name,
             **({"note": self.note} if self.note else {}),
@@ -175,9 +176,9 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
         bag = plan.folder / run.name
         try:
             note = record(replace(run.config, output=str(bag)), bag, partial(progress, run))
-            results.append(replace(judge(plan, run, bag), note=note))
+            results.append(replace(evaluate(plan, run, bag), note=note))
         except LoopDivergedError as error:
-            results.append(StageResult(run, dict.fromkeys(FIGURES, math.nan), 0.0, note=str(error)))
+            results.append(StageResult(run, dict.fromkeys(METRICS, math.nan), 0.0, note=str(error)))
         if not (plan.keep or (run.member == "nominal" and run.part == "all")):
             shutil.rmtree(bag, ignore_errors=True)
     return tuple(results)
@@ -194,10 +195,10 @@ def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str
     return "; ".join([*results.warnings, *results.failures])
 
 
-def judge(plan: Plan, run: StageRun, bag: Path) -> StageResult:
-    """Figures of a recorded run."""
+def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
+    """Metrics of a recorded run."""
     opened = Run.open(bag)
-    summary: Summary = summarise(opened, wanted=())
+    summary: Summary = summarise(opened, requirements=())
     values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_p997)
     tones = (
         tone_responses(opened, tone_model(run.config))
@@ -205,7 +206,7 @@ def judge(plan: Plan, run: StageRun, bag: Path) -> StageResult:
         else ()
     )
     kept = plan.keep or (run.member == "nominal" and run.part == "all")
-    return StageResult(run, dict(zip(FIGURES, values)), summary.transient, tones, bag if kept else None)
+    return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, bag if kept else None)
 
 
 def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) -> dict[str, StageResult]:
@@ -218,7 +219,7 @@ def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) 
 
 
 def provenance(plan: Plan) -> dict[str, Any]:
-    """Birth certificate of the figures."""
+    """Origin of the results: software, configuration, controllers."""
     keys = ("software_version", "commit", "python")
     metadata = run_metadata(plan.base)
     designs = {

@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.table import Table
 
-from los_testbed.config import LOOPS
 from los_testbed.run.stages import Plan, StageResult, provenance, select
 from pointing_analysis.errors import RAD_PER_MAS
+from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -21,7 +21,7 @@ HEADS = {
     "rpe_rms_mas": "RPE rms [mas]",
     "rpe_p997_mas": "RPE 99.7 % [mas]",
 }
-PART_FIGURES = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
+PART_METRICS = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
 """What is shown of each part of the error."""
 
 
@@ -34,9 +34,9 @@ def digits(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else f"{value:.1e}"
 
 
-def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, figure: str) -> str:
-    """Figure of the nominal telescope and, in brackets, the largest of all telescopes."""
-    found = {name: r.figures[figure] for name, r in select(results, scenario, loop, part).items()}
+def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, metric: str) -> str:
+    """Metric of the nominal telescope and, in brackets, the largest of all telescopes."""
+    found = {name: r.metrics[metric] for name, r in select(results, scenario, loop, part).items()}
     if not found:
         return "-"
     first = found["nominal"]
@@ -45,30 +45,30 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, fi
 
 
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
-    """Part, figure and heading of each column."""
+    """Part, metric and heading of each column."""
     parts = dict.fromkeys(r.run.part for r in results)
     return [
-        (part, figure, HEADS[figure] if part == "all" else f"{part} alone: {HEADS[figure]}")
+        (part, metric, HEADS[metric] if part == "all" else f"{part} alone: {HEADS[metric]}")
         for part in parts
-        for figure in PART_FIGURES[part]
+        for metric in PART_METRICS[part]
     ]
 
 
 def rows(results: Sequence[StageResult], scenario: str, chosen: Sequence[tuple[str, str, str]]) -> list[list[str]]:
     """Rows of the table of a scenario: the stages."""
-    return [[loop, *(cell(results, scenario, loop, part, figure) for part, figure, _ in chosen)] for loop in LOOPS]
+    return [[loop, *(cell(results, scenario, loop, part, metric) for part, metric, _ in chosen)] for loop in STAGES]
 
 
 def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[str]], int]:
     """Transmissibility of the nominal telescope at the strongest tones, stage by stage, and the number of all tones."""
     found = {
-        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in LOOPS
+        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in STAGES
     }
     omegas = sorted(set().union(*found.values()), key=lambda w: -max(f[w].model for f in found.values() if w in f))
     table = []
     for omega in sorted(omegas[:TONES_SHOWN]):
         row = [f"{omega / (2 * math.pi):.3f}"]
-        for loop in LOOPS:
+        for loop in STAGES:
             tone = found[loop].get(omega)
             if tone is None:
                 row.append("-")
@@ -109,7 +109,7 @@ def _of(found: Sequence[Any], total: int) -> str:
 
 def _tone_table(found: list[list[str]], title: str) -> Table:
     table = Table(title=title, title_justify="left")
-    for head in ("Hz", *LOOPS):
+    for head in ("Hz", *STAGES):
         table.add_column(head, justify="right")
     for row in found:
         table.add_row(*row)
@@ -117,7 +117,7 @@ def _tone_table(found: list[list[str]], title: str) -> Table:
 
 
 def caption(results: Sequence[StageResult], plan: Plan) -> str:
-    """How the figures came about."""
+    """How the metrics came about."""
     settled = max(r.transient for r in results)
     text = f"{plan.base.duration:g} s, first {settled:g} s left out, seed {plan.base.seed}, {plan.base.mode}"
     return text + (f"; in brackets the worst of {plan.samples} telescopes" if plan.samples > 1 else "")
@@ -140,7 +140,7 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
                 "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
                 f"when settled, where it differs), {_of(found, total)}:",
                 "",
-                *_markdown_table(["Hz", *LOOPS], found),
+                *_markdown_table(["Hz", *STAGES], found),
                 "",
             ]
     return "\n".join(lines)

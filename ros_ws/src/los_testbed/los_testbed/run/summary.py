@@ -1,4 +1,4 @@
-"""The figures of recorded runs: the table on the screen, the JSON object, the HTML report."""
+"""Metrics of recorded runs: the table on the screen, the JSON object, the HTML report."""
 
 from __future__ import annotations
 
@@ -18,16 +18,34 @@ from pointing_analysis.summary import Summary, summarise
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """Figures of some runs and where the report is."""
+class RunSummaries:
+    """Metrics of some runs.
+
+    Attributes
+    ----------
+    summaries : tuple of Summary
+    runs : tuple of dict
+        Each run as the JSON object of the command line.
+    report : Path or None
+        HTML report, if one was written.
+    """
 
     summaries: tuple[Summary, ...]
     runs: tuple[dict[str, Any], ...]
     report: Path | None
 
 
-def judge(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> Judgement:
-    """Read bags, compute the figures, write the report.
+def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> RunSummaries:
+    """Read bags, compute their metrics, write the report.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        Folders or .mcap files.
+    report : Path or None
+        HTML file to write.
+    transient : float, optional
+        Seconds of start-up to leave out.
 
     Raises
     ------
@@ -40,10 +58,10 @@ def judge(bags: Sequence[Path], report: Path | None, transient: float | None = N
         from los_testbed.run.predictions import predictions
 
         write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
-    return Judgement(summaries, tuple(_figures(r, s) for r, s in zip(opened, summaries)), report)
+    return RunSummaries(summaries, tuple(_metrics(r, s) for r, s in zip(opened, summaries)), report)
 
 
-def _figures(run: Run, summary: Summary) -> dict[str, Any]:
+def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
     statistics = run.parameters.get("statistics", {})
     plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
@@ -61,7 +79,7 @@ def _figures(run: Run, summary: Summary) -> dict[str, Any]:
 
 
 def _latency(run: Run, plant: Mapping[str, str]) -> dict[str, float | None]:
-    """Wake-up of the plant to arrival of the mirror command; from the bag's own times if nobody told."""
+    """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
         return {key: _number(float(plant[name])) for key, name in names.items()}
@@ -72,22 +90,22 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def show(console: Console, judgement: Judgement) -> None:
+def print_summary(console: Console, results: RunSummaries) -> None:
     """Print a table for each run, and the paths."""
-    for summary, figures in zip(judgement.summaries, judgement.runs):
-        console.print(_table(summary, figures))
+    for summary, metrics in zip(results.summaries, results.runs):
+        console.print(_table(summary, metrics))
         for problem in summary.problems:
             console.print(f"[yellow]note:[/yellow] {problem}")
         console.print(f"bag     {summary.path}", soft_wrap=True)
-    if judgement.report is not None:
-        console.print(f"report  {judgement.report}", soft_wrap=True)
+    if results.report is not None:
+        console.print(f"report  {results.report}", soft_wrap=True)
 
 
-def _table(summary: Summary, figures: Mapping[str, Any]) -> Table:
+def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
     title += f"first {summary.transient:g} s (start-up) left out"
     table = Table(title=title)
-    table.add_column("figure")
+    table.add_column("metric")
     table.add_column("value", justify="right")
     table.add_column("limit", justify="right")
     table.add_column("verdict")
@@ -97,21 +115,21 @@ def _table(summary: Summary, figures: Mapping[str, Any]) -> Table:
     _row(table, "APE 99.7 %", summary.ape_p997, "arcsec", ape)
     _row(table, "RPE rms, 20 ms windows", summary.rpe_rms, "mas", rpe, judged=False)
     _row(table, "RPE 99.7 %, 20 ms windows", summary.rpe_p997, "mas", rpe)
-    lost = figures["samples_lost"]
+    lost = metrics["samples_lost"]
     table.add_row("samples lost", str(lost), "0", "met" if not lost else "[red]not met[/red]")
-    missed, ticks = figures["missed_ticks"], figures["ticks"]
+    missed, ticks = metrics["missed_ticks"], metrics["ticks"]
     if summary.mode == "realtime" and missed is not None:
         share = 100.0 * missed / max(ticks, 1)
         ok = "met" if share <= 0.5 else "[red]not met[/red]"
         table.add_row("missed ticks", f"{missed} of {ticks} ({share:.2f} %)", "0.5 %", ok)
-        latency = figures["latency_us"]
+        latency = metrics["latency_us"]
         texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
         table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs", "", "")
     return table
 
 
 def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | None, judged: bool = True) -> None:
-    """One figure against its limit; only the quantile the requirement names carries its verdict."""
+    """One metric against its limit; only the quantile the requirement names carries its verdict."""
     limit, status = "", ""
     if verdict is not None:
         bound = verdict.requirement.limit / verdict.requirement.scale

@@ -1,4 +1,4 @@
-"""Loop of a node that follows the plant's clock: wait for the last sample of a tick, join, act."""
+"""Loop of a node that follows the plant's clock: wait for the last sample of a tick, synchronize by stamp, compute."""
 
 from __future__ import annotations
 
@@ -31,46 +31,48 @@ class Follower:
 
     Parameters
     ----------
-    shell : NodeContext
+    context : NodeContext
         The node.
     topics : sequence of Topic
-        Inputs, in the order of the join's parts; the last one is published last and wakes the loop.
-    join : StampSynchronizer
+        Inputs, in the order of the synchronizer's parts; the last one is published last and wakes the loop.
+    synchronizer : StampSynchronizer
         Joins them by stamp.
     tick : callable
         What to do with a tick; publishes its result.
     """
 
-    def __init__(self, shell: NodeContext, topics: Sequence[Topic], join: StampSynchronizer, tick: Tick) -> None:
-        self._shell = shell
-        self._join = join
+    def __init__(
+        self, context: NodeContext, topics: Sequence[Topic], synchronizer: StampSynchronizer, tick: Tick
+    ) -> None:
+        self._context = context
+        self._synchronizer = synchronizer
         self._tick = tick
-        every = shell.config.mode == "lockstep"
-        self._subscriptions = [RawSubscription(shell.node, t.name, t.type_name, READER_DEPTH, every) for t in topics]
-        self._on_trigger = Waiter(shell.node, self._subscriptions[-1:])
-        self._on_any = Waiter(shell.node, self._subscriptions)
+        every = context.config.mode == "lockstep"
+        self._subscriptions = [RawSubscription(context.node, t.name, t.type_name, READER_DEPTH, every) for t in topics]
+        self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
+        self._on_any = Waiter(context.node, self._subscriptions)
         self._execution = LatencyHistogram()
         self._period = LatencyHistogram()
-        self._health = LoopHealth(shell.config.mode == "realtime")
+        self._health = LoopHealth(context.config.mode == "realtime")
         self._troubles = (0, 0)
         self._ahead = 0
         self.ticks = 0
 
     def run(self) -> int:
         """Work until a signal comes."""
-        shell, join = self._shell, self._join
-        shell.become_real_time()
-        shell.event("ready")
-        paced = shell.config.mode == "realtime"  # in lockstep no time is too early
+        context, synchronizer = self._context, self._synchronizer
+        context.become_real_time()
+        context.event("ready")
+        paced = context.config.mode == "realtime"  # in lockstep no time is too early
         next_report, next_service, last = time.monotonic_ns(), 0, 0
-        while not shell.stop:
-            (self._on_any if join.waiting else self._on_trigger).wait(WAIT_NS)
+        while not context.stop:
+            (self._on_any if synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
             before = time.monotonic_ns()
-            if paced and join.last:
+            if paced and synchronizer.last:
                 # the plant's clock seen from here: the sample that was least delayed tells best. After a stall
                 # old samples come first, and must not make the newer ones look early.
-                self._ahead = max(self._ahead or -(1 << 62), join.last - before)
-                join.horizon = before + self._ahead + HORIZON_NS
+                self._ahead = max(self._ahead or -(1 << 62), synchronizer.last - before)
+                synchronizer.horizon = before + self._ahead + HORIZON_NS
             if self._drain():
                 self._execution.add(time.monotonic_ns() - before)
                 if last:
@@ -78,12 +80,12 @@ class Follower:
                 last = before
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
-                shell.service()
+                context.service()
             if before >= next_report:
                 next_report = before + 1_000_000_000
                 self._report()
         self._report()
-        shell.event("done", statistics=self.statistics())
+        context.event("done", statistics=self.statistics())
         return 0
 
     def _drain(self) -> bool:
@@ -92,14 +94,14 @@ class Follower:
         The trigger is taken first. It carries the newest stamp, and the other topics are taken up to
         that stamp: no take is spent on asking whether there is more.
         """
-        join, done = self._join, False
+        synchronizer, done = self._synchronizer, False
         trigger = len(self._subscriptions) - 1
         waiting, newest = [], -1
         while (taken := self._subscriptions[trigger].take()) is not None:
             waiting.append(taken[0])
             newest = stamp_of(taken[0]) if len(taken[0]) >= 12 else newest
         for index in range(trigger):
-            period = join.parts[index].period_ns
+            period = synchronizer.parts[index].period_ns
             due = newest - newest % period if newest > 0 else newest
             take, seen = self._subscriptions[index].take, -1
             while seen < due or newest <= 0:
@@ -113,11 +115,11 @@ class Follower:
         return done
 
     def _put(self, index: int, data: bytes) -> bool:
-        join = self._join
-        vector = join.put(index, data)
+        synchronizer = self._synchronizer
+        vector = synchronizer.put(index, data)
         if vector is None:
             return False
-        stamp, gap = join.stamp, join.gap
+        stamp, gap = synchronizer.stamp, synchronizer.gap
         if gap > GAP_LIMIT:
             gap = 0
         self._tick(stamp, vector, gap)
@@ -129,24 +131,24 @@ class Follower:
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""
-        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(self._join.rejected.items())}
+        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(self._synchronizer.rejected.items())}
         return {
             "ticks": str(self.ticks),
-            "gap_ticks": str(self._join.gaps),
+            "gap_ticks": str(self._synchronizer.gaps),
             **self._execution.summary("execution"),
             **rejected,
         }
 
     def _report(self) -> None:
-        level, message, figures = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
-        troubles = (self._join.gaps, self._join.rejected.total())
+        level, message, values = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
+        troubles = (self._synchronizer.gaps, self._synchronizer.rejected.total())
         if level == OK and troubles != self._troubles:
             level, message = WARN, "samples missing or rejected"
         news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
         period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}
-        self._shell.diagnose(level, message, {**figures, **period, **self.statistics()}, self._join.stamp)
-        self._shell.plot(
+        self._context.diagnose(level, message, {**values, **period, **self.statistics()}, self._synchronizer.stamp)
+        self._context.plot(
             {
                 **self._period.window("period"),
                 **self._execution.window("execution"),

@@ -17,6 +17,7 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.topics import ISOLATOR_ACCEL, NAMESPACE
+from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
@@ -24,7 +25,7 @@ LISTEN_S = 1.0
 HOLD_PERIOD_S = 0.02
 
 
-def refuse_second_plant(shell: NodeContext) -> None:
+def refuse_second_plant(context: NodeContext) -> None:
     """Listen before talking.
 
     Raises
@@ -33,23 +34,23 @@ def refuse_second_plant(shell: NodeContext) -> None:
         Another plant sends on this domain.
     """
     topic = ISOLATOR_ACCEL
-    listener = RawSubscription(shell.node, topic.name, topic.type_name)
-    name = shell.node.resolve_topic_name(topic.name)
-    began = time.monotonic()
+    listener = RawSubscription(context.node, topic.name, topic.type_name)
+    name = context.node.resolve_topic_name(topic.name)
+    start_time = time.monotonic()
     try:
-        while not shell.stop:
+        while not context.stop:
             if listener.take() is not None:
                 raise ValueError(f"another plant runs on this domain (it sends {name}): expected a free ROS_DOMAIN_ID")
             # a plant that was killed stays in the graph for 20 s: only what is sent counts
-            patience = 2 * LISTEN_S if shell.node.count_publishers(name) else LISTEN_S
-            if time.monotonic() - began > patience:
+            patience = 2 * LISTEN_S if context.node.count_publishers(name) else LISTEN_S
+            if time.monotonic() - start_time > patience:
                 return
             time.sleep(0.01)
     finally:
         listener.close()
 
 
-def wait_for_followers(shell: NodeContext, io: PlantIo) -> None:
+def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
     """Send hold ticks until estimator, controller and, if asked for, recorder answer.
 
     Raises
@@ -58,11 +59,11 @@ def wait_for_followers(shell: NodeContext, io: PlantIo) -> None:
         One of them did not answer in time.
     """
     waiting_for = {"fsm/command": io.fsm_input, "pma/command": io.pma_input}
-    if shell.config.wait_for_recorder:
+    if context.config.wait_for_recorder:
         waiting_for["recorder/progress"] = io.progress_input
-    began = time.monotonic()
-    while not shell.stop:
-        io.publish(HOLD_STAMP, np.zeros(22), np.zeros(2))
+    start_time = time.monotonic()
+    while not context.stop:
+        io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
         time.sleep(HOLD_PERIOD_S)
         for name, subscription in list(waiting_for.items()):
             while (taken := subscription.take()) is not None:
@@ -71,6 +72,6 @@ def wait_for_followers(shell: NodeContext, io: PlantIo) -> None:
         if not waiting_for:
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
             return
-        if time.monotonic() - began > shell.config.start_timeout:
+        if time.monotonic() - start_time > context.config.start_timeout:
             missing = ", ".join(f"{NAMESPACE}/{name}" for name in waiting_for)
-            raise ValueError(f"expected answers within {shell.config.start_timeout:g} s, none on {missing}")
+            raise ValueError(f"expected answers within {context.config.start_timeout:g} s, none on {missing}")

@@ -11,7 +11,7 @@ from los_testbed.bags.cdr import stamp_of
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import Waiter
-from los_testbed.topics import TICK_NS
+from titop_plant.interface import TICK_NS
 
 AHEAD_NS = 60 * TICK_NS
 """The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is
@@ -21,13 +21,13 @@ AHEAD_NS = 60 * TICK_NS
 class LockstepPacer:
     """Paces the plant by the commands, and by the recorder where one takes part."""
 
-    def __init__(self, shell: NodeContext, io: PlantIo) -> None:
-        self._shell = shell
+    def __init__(self, context: NodeContext, io: PlantIo) -> None:
+        self._context = context
         self._io = io
-        self._waiter = Waiter(shell.node, [io.fsm_input, io.pma_input])
-        self._recorder = Waiter(shell.node, [io.progress_input])
+        self._waiter = Waiter(context.node, [io.fsm_input, io.pma_input])
+        self._recorder = Waiter(context.node, [io.progress_input])
         self._recorded = 0
-        self._clock = shell.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
+        self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
         self._message = Clock()
 
     def clock(self, now: int) -> None:
@@ -46,7 +46,7 @@ class LockstepPacer:
                 io.fsm_gate.offer(taken[0], following)
             if io.fsm_gate.last_stamp == now and io.pma_gate.last_stamp == now:
                 return self.wait_for_recorder(now, AHEAD_NS)
-            if self._shell.stop:
+            if self._context.stop:
                 return False
             self._waiter.wait(50_000_000)
 
@@ -55,16 +55,16 @@ class LockstepPacer:
 
         A recorder that is silent for the whole start-up time is no longer waited for.
         """
-        if not self._shell.config.wait_for_recorder:
+        if not self._context.config.wait_for_recorder:
             return True
         self._recorded = self._recorded or now - TICK_NS
-        deadline = time.monotonic() + self._shell.config.start_timeout
+        deadline = time.monotonic() + self._context.config.start_timeout
         while now - self._recorded > ahead:
             while (taken := self._io.progress_input.take()) is not None:
                 self._recorded = max(self._recorded, stamp_of(taken[0]))
             if now - self._recorded <= ahead:
                 break
-            if self._shell.stop or time.monotonic() > deadline:
-                return not self._shell.stop
+            if self._context.stop or time.monotonic() > deadline:
+                return not self._context.stop
             self._recorder.wait(50_000_000)
         return True

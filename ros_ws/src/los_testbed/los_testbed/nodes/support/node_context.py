@@ -17,7 +17,14 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from los_testbed.loop.real_time import PLACES, PRIORITIES, become_real_time, end_with_parent, keep_awake, sharpen_timers
+from los_testbed.loop.scheduling import (
+    CPU_INDEX,
+    PRIORITIES,
+    become_real_time,
+    disable_idle_states,
+    end_with_parent,
+    sharpen_timers,
+)
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import declare_config
 from los_testbed.nodes.support.security import refuse_missing_security
@@ -65,13 +72,19 @@ class NodeContext:
         if not self.config.priority or self.config.mode != "realtime":
             return
         if self.name == "plant":
-            keep_awake()
-        place = PLACES[self.name] if self.config.pin else None
-        refused = become_real_time(PRIORITIES[self.name], place)
+            disable_idle_states()
+        cpu = CPU_INDEX[self.name] if self.config.pin else None
+        refused = become_real_time(PRIORITIES[self.name], cpu)
         if refused:
             self.event("warning", message=f"not permitted: {', '.join(refused)}; running without")
             if not self._events:
                 self.node.get_logger().warning(f"not permitted: {', '.join(refused)}; running without")
+
+    def warn_alone(self, lines: Sequence[str]) -> None:
+        """Log warnings that a runner, if one listens, has printed before it started this node."""
+        if not self._events:
+            for line in lines:
+                self.node.get_logger().warning(line)
 
     def service(self) -> None:
         """Answer parameter requests, if there are any; about 0.1 ms."""
@@ -119,18 +132,18 @@ class NodeContext:
 
 def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeContext], int]) -> int:
     """Run `body` inside a node; a mistake of the user is one line and exit code 2."""
-    shell = None
+    context = None
     try:
-        shell = NodeContext(name, sys.argv[1:] if arguments is None else arguments)
-        return body(shell)
+        context = NodeContext(name, sys.argv[1:] if arguments is None else arguments)
+        return body(context)
     except (InvalidHandle, ExternalShutdownException):
-        return 0 if shell is not None and shell.stop else 1
+        return 0 if context is not None and context.stop else 1
     except (ValueError, RuntimeError, OSError) as error:
         message = " ".join(str(error).split())
-        if shell is not None:
-            shell.event("error", message=message)
+        if context is not None:
+            context.event("error", message=message)
         sys.stderr.write(f"los_testbed {name}: {message}\n")
         return 2 if isinstance(error, ValueError) else 1
     finally:
-        if shell is not None:
-            shell.close()
+        if context is not None:
+            context.close()

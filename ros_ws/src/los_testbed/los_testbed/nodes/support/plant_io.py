@@ -6,19 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import codec_for
+from los_testbed.factories import telescope_basis
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
-from los_testbed.topics import (
-    FSM_COMMAND,
-    HEADER,
-    PMA_COMMAND,
-    PROGRESS_TOPIC,
-    SENSORS,
-    TICK_NS,
-    TRUTH_LOS,
-    Topic,
-)
+from los_testbed.topics import FSM_COMMAND, HEADER, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
+from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
 
@@ -26,8 +19,8 @@ FloatArray = NDArray[np.float64]
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
-    def __init__(self, shell: NodeContext) -> None:
-        config, node = shell.config, shell.node
+    def __init__(self, context: NodeContext) -> None:
+        config, node = context.config, context.node
 
         def output(topic: Topic) -> tuple[Topic, RawPublisher]:
             return topic, RawPublisher(node, topic.name, topic.type_name)
@@ -40,8 +33,9 @@ class PlantIo:
         self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH, every)
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
         hold = config.hold_ticks, config.fade_ticks
-        self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), config.fsm_authority, *hold)
-        self.pma_gate = CommandGate(codec_for(PMA_COMMAND), config.pma_authority, *hold)
+        mirror, force = telescope_basis(config).authority
+        self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)
+        self.pma_gate = CommandGate(codec_for(PMA_COMMAND), force, *hold)
         self.start = 0
 
     def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from lti.feedback import cascade, close_loop
 from lti.filters import transfer
-from lti.modal_response import direct_response
+from lti.frequency_response import direct_response
 from lti.ports import Port
 from lti.sampling import sampled
 from lti.state_space_model import StateSpace
@@ -82,7 +82,7 @@ def test_pid_response() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plant().channel(["x"], ["y"]), "p: unknown input port 'x', expected one of: w, u"),
+        (lambda: plant().channel(["x"], ["y"]), "p: input port must be one of w, u, got 'x'"),
         (lambda: StateSpace.static([[1.0, 2.0]], [("a", 1), ("a", 1)], [("b", 1)]), "port names must be unique"),
         (
             lambda: StateSpace.static([[1.0, 2.0]], [("a", 1)], [("b", 1)]),

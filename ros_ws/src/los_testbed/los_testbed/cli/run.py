@@ -1,0 +1,197 @@
+"""Command ``los-testbed run``: configure, run, record, evaluate."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from los_testbed.bags.writer import check_new_bag
+from los_testbed.cli.output import Json, print_json
+from los_testbed.config import RunConfig, parse_value, read_yaml
+from los_testbed.factories import check_controllers
+from los_testbed.run.runner import Results
+from los_testbed.variants import check_ranges, chosen_member, layered
+from lti.progress import Progress
+
+RESTARTED = 3
+"""Exit code of a run that was finished although a node died and had to be started again."""
+
+RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
+
+**Examples**
+
+    los-testbed run                                    # 10 s on ROS 2 in real time, all loops closed
+
+    los-testbed run --loop isolator --seed 3           # the same telescope without control
+
+    los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it computes
+
+    los-testbed run --only plant                       # this host runs the plant, others the rest
+
+    los-testbed run --theta 1.57 --wheel-speed 200 -210 220 -230    # arrays a quarter turn round
+
+    los-testbed run --case worst                       # a named telescope of the family; or --sample 7, a random one
+
+    los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
+"""
+
+
+def run(
+    duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
+    mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
+    loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="design or imbalance.")] = None,
+    seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
+    noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
+    disturbance: Annotated[
+        bool | None, typer.Option("--disturbance/--no-disturbance", help="Wheels and array drive.")
+    ] = None,
+    camera_rate: Annotated[
+        str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
+    ] = None,
+    k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the one that ships.")] = None,
+    k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file.")] = None,
+    output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
+    domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
+    theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
+    tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), in the place of theta.")] = None,
+    wheel_speed: Annotated[
+        tuple[float, float, float, float] | None, typer.Option(help="Speeds of the four wheels [rad/s].")
+    ] = None,
+    omega_1: Annotated[str | None, typer.Option(metavar="RAD/S", help="First frequency of the arrays.")] = None,
+    omega_2: Annotated[str | None, typer.Option(metavar="RAD/S", help="Second frequency of the arrays.")] = None,
+    theta_rate: Annotated[str | None, typer.Option(metavar="RAD/S", help="Rate of the arrays during the ramp.")] = None,
+    wheel_acceleration: Annotated[
+        tuple[float, float, float, float] | None, typer.Option(help="Of the four wheels during the ramp [rad/s2].")
+    ] = None,
+    ramp_duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="How long the ramp lasts [s].")] = None,
+    sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
+    case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
+    cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
+    parameters: Annotated[str | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder."
+        ),
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
+    json_: Json = False,
+) -> None:
+    """See RUN_EXAMPLES."""
+    given = {
+        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
+        "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
+        "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
+        "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
+        "ramp_duration": ramp_duration, "parameters": parameters,
+    }  # fmt: skip
+    from los_testbed.run.summary import print_summary, summarise_runs
+
+    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample)
+    if only is not None:
+        from los_testbed.run.runner import run_alone
+
+        raise typer.Exit(run_alone(only, chosen))
+    console = Console(stderr=json_)
+    bag, results = execute(chosen)
+    for warning in [*results.warnings, *results.failures]:
+        console.print(f"[yellow]warning:[/yellow] {warning}")
+    summaries = summarise_runs([bag], bag / "report.html" if report else None)
+    print_summary(console, summaries)
+    if json_:
+        print_json(summaries.runs[0])
+    if results.interrupted or results.failures:
+        raise typer.Exit(130 if results.interrupted else RESTARTED)
+
+
+def configure(
+    file: Path | None,
+    settings: list[str],
+    given: dict[str, Any],
+    *,
+    case: str | None = None,
+    cases: Path | None = None,
+    sample: str | None = None,
+) -> RunConfig:
+    """Configuration from file, named case, random member, ``--set`` and options; the later ones win.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, values that do not fit.
+    """
+    first: dict[str, Any] = read_yaml(file) if file is not None else {}
+    stated: dict[str, Any] = {}
+    for setting in settings:
+        name, sign, text = setting.partition("=")
+        if not sign:
+            raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
+        stated[name] = parse_value(name, text)
+    options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
+    named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
+    chosen = RunConfig.from_mapping(layered(first, named, drawn, stated, options))
+    if not chosen.output:
+        chosen = replace(chosen, output=str(new_bag(chosen)))
+    return chosen
+
+
+def new_bag(config: RunConfig) -> Path:
+    """Name for a bag that is not there yet, under bags/."""
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{config.mode}-{config.loop}"
+    folder = Path("bags")
+    names = (folder / (stem if i == 0 else f"{stem}-{i}") for i in range(1000))
+    return next(name for name in names if not name.exists())
+
+
+def check(config: RunConfig) -> tuple[str, ...]:
+    """Refuse what can be refused before anything is started or written; warnings about the controllers.
+
+    Raises
+    ------
+    ValueError
+        A bag that exists, a telescope outside the family, a file that is no controller, ROS missing.
+    """
+    check_new_bag(Path(config.output))
+    check_ranges(config)
+    warnings = check_controllers(config)
+    if config.mode != "inprocess":
+        from los_testbed.run.runner import check_ros
+
+        check_ros()
+    return warnings
+
+
+def execute(config: RunConfig) -> tuple[Path, Results]:
+    """Run, with a progress bar; the bag and what happened."""
+    warnings = check(config)
+    for warning in warnings:
+        sys.stderr.write(f"warning: {warning}\n")
+    with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
+
+        def progress(ticks: int) -> None:
+            bar.report(ticks, config.ticks)
+
+        if config.mode == "inprocess":
+            from los_testbed.loop.simulate import run_in_process
+
+            path = Path(config.output)
+            run_in_process(config, path, progress=progress)
+            return path, Results(bag=path)
+        from los_testbed.run.runner import Runner
+
+        results = Runner(replace(config, wait_for_recorder=True), progress).run()
+    if results.bag is None:
+        raise KeyboardInterrupt
+    results.warnings = [warning for warning in results.warnings if warning not in warnings]
+    return results.bag, results

@@ -1,0 +1,96 @@
+"""Scheduling of a node's process: priority, processor, locked memory, timers, power saving."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import resource
+import signal
+
+PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
+"""SCHED_FIFO priority of each node: the plant keeps the time, the recorder only has to keep up on average."""
+
+CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 0, "recorder": 1}
+"""Index of a node's processor among those that its process may use. Nodes that follow each other within a tick run on
+different processors, so that one wakes up while the other still publishes; a pinned thread keeps its cache."""
+
+_RESENDING = "dds.asyn"
+"""Beginning of the name of Fast DDS's thread that sends lost messages again.
+
+It polls for a lock. At the priority of the thread that holds the lock, on the same processor, it would never let that
+thread run: so its priority is one lower.
+"""
+
+MAX_BUSY_S = 1.0
+"""CPU time [s] that a real-time thread may use without blocking; then the kernel ends its process (SIGXCPU). No process
+of lower priority on the same processor could."""
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
+
+
+def sharpen_timers() -> None:
+    """Let sleeps of this process end within 1 ns instead of 50 us; to be called before threads start."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def end_with_parent() -> None:
+    """Let the kernel send SIGTERM to this process when the one that started it is gone."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def disable_idle_states() -> bool:
+    """Keep all processors out of idle states while this process lives; whether the kernel permitted it.
+
+    An idle processor of a virtual machine takes tens of microseconds to wake up.
+    """
+    try:
+        _latency_files.append(os.open("/dev/cpu_dma_latency", os.O_WRONLY))
+        os.write(_latency_files[-1], bytes(4))  # 0 us; the kernel forgets it when the file is closed
+    except OSError:
+        return False
+    return True
+
+
+_latency_files: list[int] = []
+
+
+def become_real_time(priority: int, cpu: int | None = None) -> list[str]:
+    """Give all threads SCHED_FIFO and a processor, lock the memory, switch the garbage collector off.
+
+    To be called when everything is built: the threads that exist, those of the middleware included, are set one by
+    one; later ones inherit.
+
+    Parameters
+    ----------
+    priority : int
+        SCHED_FIFO priority, 1 to 99.
+    cpu : int, optional
+        Index of the processor to run on among those this process may use, modulo their number; None: any of them.
+
+    Returns
+    -------
+    list of str
+        What was not permitted; empty if all of it was.
+    """
+    refused = []
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    limit = int(MAX_BUSY_S * 1e6)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (limit, 2 * limit))
+    try:
+        processors = sorted(os.sched_getaffinity(0))
+        for thread in os.listdir("/proc/self/task"):
+            with open(f"/proc/self/task/{thread}/comm") as name:
+                level = priority - name.read().startswith(_RESENDING)
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO if level else os.SCHED_OTHER, os.sched_param(level))
+            if cpu is not None:
+                os.sched_setaffinity(int(thread), {processors[cpu % len(processors)]})
+    except (OSError, AttributeError):
+        refused.append("real-time scheduling")
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        refused.append("locked memory")
+    return refused

@@ -1,0 +1,57 @@
+"""Clock of the loop: absolute deadlines, one per period."""
+
+from __future__ import annotations
+
+import time
+
+SPIN_NS = 60_000
+"""Last part of a wait [ns] that is spent polling the clock: a sleeping thread wakes up this late."""
+
+
+def wait_until(deadline_ns: int) -> int:
+    """Return at the deadline (steady clock [ns]), with the lateness [ns]."""
+    now = time.monotonic_ns()
+    rest = deadline_ns - now - SPIN_NS
+    if rest > 0:
+        time.sleep(rest * 1e-9)
+        now = time.monotonic_ns()
+    while now < deadline_ns:
+        now = time.monotonic_ns()
+    return now - deadline_ns
+
+
+class TickClock:
+    """Absolute deadlines on the steady clock, one per period.
+
+    After an overrun of a period or more the schedule moves on by the whole periods that were lost; they are counted,
+    and no later period is shortened.
+
+    Parameters
+    ----------
+    period_ns : int
+        Period [ns].
+
+    Examples
+    --------
+    >>> clock = TickClock(1_000_000)
+    >>> clock.begin(time.monotonic_ns())
+    >>> clock.wait() >= 0
+    True
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self.skipped = 0
+        self._deadline = 0
+
+    def begin(self, deadline_ns: int) -> None:
+        """Set the first deadline (steady clock [ns])."""
+        self._deadline = deadline_ns
+
+    def wait(self) -> int:
+        """Return at the next deadline, with the lateness [ns]."""
+        late = wait_until(self._deadline)
+        lost = late // self.period_ns
+        self.skipped += lost
+        self._deadline += (1 + lost) * self.period_ns
+        return late

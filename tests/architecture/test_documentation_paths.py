@@ -1,0 +1,153 @@
+"""Every path, link and command in README.md and the documentation exists; every page refers to the glossary."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from los_testbed.cli.app import app
+from typer.main import get_command
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "bags/README.md"]
+    + [ROOT / "ros_ws/README.md", *(ROOT / "docs").glob("*.md")]
+)
+BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
+"""A path in the documentation is relative to the root of the repository or to that of the ROS package."""
+FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
+MADE = {
+    "mine.json", "mine.toml", "my_body.toml", "my_law.json", "my_observer.json", "my_payload.toml", "my_telescope.toml",
+    "mission.toml", "panel.toml",
+}  # fmt: skip
+"""Example files of the user."""
+INSIDE_BAGS = {"k_fsm.json", "k_pma.json"}
+"""Attachments of a bag."""
+REPLACED = {
+    "k_fsm_flown_nominal.json", "k_pma_flown_nominal.json", "k_fsm_implemented_nominal.json",
+    "k_pma_implemented_nominal.json",
+}  # fmt: skip
+"""Names of files in CHANGELOG.md, without folder."""
+
+
+GENERATED = r"<!-- ([\w:]+?)(?::begin)? -->.*?<!-- (?:\1:)?end -->"
+"""Text between markers, written by commands and benchmarks."""
+
+
+def relative(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def without_blocks(text: str) -> str:
+    return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def code_spans(text: str) -> list[str]:
+    """Content of the inline code of a page; a line break inside counts as a space."""
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", without_blocks(text))]
+
+
+def named_files(text: str) -> set[str]:
+    """Files named in inline code: the whole span, or words of it that contain a slash."""
+    found = set()
+    for span in code_spans(text):
+        for word in span.split():
+            match = FILE.fullmatch(word.strip("(),;:"))
+            if match and ("/" in match[0] or word == span):
+                found.add(match[0])
+    return found
+
+
+def exists(path: str) -> bool:
+    return any(any(base.glob(path)) if "*" in path else (base / path).exists() for base in BASES)
+
+
+def is_generic(path: str) -> bool:
+    """A bare file name that is in the repository, for example `reference.toml` or `runtime.py`."""
+    folders = [folder for folder in ROOT.iterdir() if folder.is_dir() and not folder.name.startswith((".", "build"))]
+    return "/" not in path and any(any(folder.glob(f"**/{path}")) for folder in folders)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_named_files_exist(page: Path) -> None:
+    allowed = (
+        MADE | (INSIDE_BAGS if "bags" in page.parts else set()) | (REPLACED if page.stem == "CHANGELOG" else set())
+    )
+    missing = {path for path in named_files(page.read_text("utf-8")) - allowed if not exists(path)}
+    assert not {path for path in missing if not is_generic(path)}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_links_have_targets(page: Path) -> None:
+    text = without_blocks(page.read_text("utf-8"))
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text)
+    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    assert not missing
+
+
+def named_commands(text: str) -> list[str]:
+    """Command lines of `los-testbed` in inline code and in blocks, without comments."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+    lines = [line for block in blocks for line in block.splitlines()]
+    lines += re.findall(r"^ {4,}(.*)$", without_blocks(text), flags=re.MULTILINE) + code_spans(text)
+    return [match[1] for line in lines if (match := re.match(r"(?:\.venv/bin/)?los-testbed\s+([^#:]+)", line.strip()))]
+
+
+def check_command(line: str, commands: dict[str, Any]) -> str:
+    """Problem of a command line (``a|b`` and ``a, b`` stand for several commands), or an empty text."""
+    first, *rest = line.split()
+    if first.startswith(("-", "{")):
+        return ""
+    for name in first.split("|"):
+        if name not in commands:
+            return f"no command {name!r}"
+        inner = getattr(commands[name], "commands", None)
+        words = [word for word in rest if not word.startswith(("-", "["))]
+        if inner and words and "".join(words[0]).islower():
+            unknown = [one for one in words[0].split("|") if one not in inner]
+            if unknown:
+                return f"no command {name!r} {unknown[0]!r}"
+            options = {o for one in words[0].split("|") for p in inner[one].params for o in p.opts}
+        else:
+            options = {o for p in commands[name].params for o in p.opts}
+        given = {word.split("=")[0].strip("[],") for word in rest if word.strip("[").startswith("--")}
+        if given - options:
+            return f"{name} has no option {sorted(given - options)[0]}"
+    return ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_named_commands_exist(page: Path) -> None:
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    problems = {line: check_command(line, commands) for line in named_commands(page.read_text("utf-8"))}
+    assert not {line: problem for line, problem in problems.items() if problem}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_page_refers_to_the_glossary(page: Path) -> None:
+    assert page.name == "glossary.md" or "glossary.md" in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_prose_lines_are_short(page: Path) -> None:
+    """Lines of prose have fewer than 120 characters; tables, code, images, HTML and generated text may be longer."""
+    text = re.sub(GENERATED, "", without_blocks(page.read_text("utf-8")), flags=re.DOTALL)
+    prose = [line for line in text.splitlines() if not re.match(r" {4}|\s*[|<!]", line)]
+    assert not [line for line in prose if len(line) >= 120]
+
+
+def test_the_checks_find_mistakes() -> None:
+    """A wrong path, a wrong command and a wrong option are found; shorthand and wildcards are resolved."""
+    assert named_files("see `lti/no_such.py` and `run x/y.toml now`") == {"lti/no_such.py", "x/y.toml"}
+    assert not exists("lti/no_such.py")
+    assert exists("los_testbed/config.py")
+    assert exists("los_estimator/designs/*.json")
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    assert check_command("desing verify", commands) == "no command 'desing'"
+    assert check_command("design verfy", commands) == "no command 'design' 'verfy'"
+    assert check_command("run --k-fms x.json", commands) == "run has no option --k-fms"
+    assert check_command("design k-fsm|verify", commands) == ""
+    assert named_commands("see `los-testbed no-such`\n") == ["no-such"]
+    assert named_commands("```sh\nlos-testbed run --seed 1   # comment\n```\n") == ["run --seed 1   "]

@@ -1,0 +1,134 @@
+"""A telescope whose mirror moves the line of sight twice as much: run, prediction, analysis and replay all use 0.2.
+
+With twice the sensitivity half the mirror angle does the same to the line of sight. The observer of this test is the
+stored one with twice the gain from the strain gauges, so that it takes out the same share: the loop is the reference
+loop in other coordinates of the mirror, but for the mirror's reaction on the payload, which is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import build_controller, check_controllers, load_controllers
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.predictions import predictions
+from los_testbed.run.replay import controllers, drive
+
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import sampled_loop_metrics
+from los_design.store import load_designs
+from lti import SampledSystem
+from pointing_analysis.errors import knowledge_error
+from pointing_analysis.read import Run
+from pointing_analysis.replay import compare
+from pointing_analysis.telescope_values import telescope_value
+from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import design_basis, load_parameters
+
+SENSITIVITY = 0.2
+
+
+def for_sensitivity(k_fsm: SampledSystem, basis: dict[str, object]) -> SampledSystem:
+    """The observer with twice the gain from the mirror's strain gauges."""
+    B, D = k_fsm.B.copy(), k_fsm.D.copy()
+    B[:, FSM_ANGLE] *= 2.0
+    D[:, FSM_ANGLE] *= 2.0
+    return replace(k_fsm, B=B, D=D, design_basis=basis)
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
+    folder = tmp_path_factory.mktemp("mirror")
+    user = folder / "user.toml"
+    user.write_text(f"[fsm]\nlos_sensitivity = {SENSITIVITY}\n")
+    basis = design_basis(load_parameters(user)).to_mapping()
+    k_fsm, k_pma = load_designs("implemented")
+    for_sensitivity(k_fsm, basis).to_file(folder / "k_fsm.json")
+    replace(k_pma, design_basis=basis).to_file(folder / "k_pma.json")
+    return RunConfig(
+        duration=6.0,
+        mode="inprocess",
+        noise=False,
+        parameters=str(user),
+        k_fsm=str(folder / "k_fsm.json"),
+        k_pma=str(folder / "k_pma.json"),
+    )
+
+
+@pytest.fixture(scope="module")
+def bag(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    assert check_controllers(config) == ()
+    path = tmp_path_factory.mktemp("bag") / "bag"
+    run_in_process(config, path)
+    return path
+
+
+def test_the_runtime_divides_by_the_sensitivity(config: RunConfig) -> None:
+    assert build_controller(config).los_sensitivity == SENSITIVITY
+
+
+def test_the_simulation_does_what_the_sampled_loop_predicts(bag: Path) -> None:
+    (found,) = predictions([Run.open(bag)])
+    assert found is not None and not found.note
+    assert len(found.tones) >= 2
+    for tone in found.tones:
+        assert tone.ratio == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
+    """Pointing errors and stability within 3 %, half the mirror; a law that divides by 0.1 has other errors."""
+    metrics = []
+    chosen = load_controllers(config)
+    wrong = replace(chosen["k_fsm"], design_basis={"los_sensitivity": 0.1})
+    for path, pair in (
+        (None, load_designs("implemented")),
+        (config.parameters, (chosen["k_fsm"], chosen["k_pma"])),
+        (config.parameters, (wrong, chosen["k_pma"])),
+    ):
+        parameters = load_parameters(path) if path else load_parameters()
+        plant = control_loop_plant(telescope(path), parameters).data_at({})
+        metrics.append(
+            sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS, noise=False)
+        )
+    reference, same, other = metrics
+    for name in ("ape", "rpe", "radius"):
+        assert getattr(same, name) == pytest.approx(getattr(reference, name), rel=0.03)
+    assert same.mirror == pytest.approx(0.5 * reference.mirror, rel=0.03)
+    assert other.radius > 1.0 or other.ape > 1.5 * reference.ape
+
+
+def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -> None:
+    chosen = load_controllers(config)
+    parameters = load_parameters(config.parameters)
+    plant = control_loop_plant(telescope(config.parameters), parameters).data_at({})
+    silent = replace(chosen["k_fsm"], design_basis={})
+    said, given = (
+        sampled_loop(plant, k_fsm, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=SENSITIVITY)
+        for k_fsm in (chosen["k_fsm"], silent)
+    )
+    np.testing.assert_array_equal(said.hold, given.hold)
+    with pytest.raises(ValueError, match="los_sensitivity must be given"):
+        sampled_loop(plant, silent, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS)
+
+
+def test_the_analysis_takes_the_sensitivity_from_the_bag(bag: Path) -> None:
+    """Knowledge error: estimate plus 0.2 times the mirror's angle, less the truth."""
+    run = Run.open(bag)
+    assert telescope_value(run, "los_sensitivity") == SENSITIVITY
+    found = knowledge_error(run)
+    estimate, angle, truth = (run[name].values[:, :2] for name in ("los_estimate", "fsm/strain_gauge", "truth/los"))
+    expected = (estimate + SENSITIVITY * angle - truth)[-len(found.values) :]
+    assert len(found.values) > 1000
+    np.testing.assert_allclose(found.values, expected, rtol=0, atol=1e-15)
+
+
+def test_the_replay_gives_the_same_bits(bag: Path) -> None:
+    run = Run.open(bag)
+    chosen = controllers(run)
+    assert chosen.controller.los_sensitivity == SENSITIVITY and chosen.warnings == ()
+    assert compare(run, drive(run, chosen, lambda done, total: None)).identical

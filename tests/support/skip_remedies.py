@@ -1,0 +1,43 @@
+"""What a skipped test lacks, and how to get it: one line per reason at the end of a test run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+REMEDIES = {
+    "no chromium": "install a browser: apt-get install chromium",
+    "could not import 'pandas": "install the extra: pip install 'los-testbed[dataframes]'",
+    "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",
+    "could not import 'rclpy": "install the extra: pip install 'los-testbed[ros]'",
+    "could not import 'rosbags": "install the extra: pip install 'los-testbed[dev]'",
+    "could not import 'mcap_ros2": "install the extra: pip install 'los-testbed[dev]'",
+    "extra nastran": "install the extra: pip install 'los-testbed[nastran]'",
+    "network namespaces are not permitted": "run as root (CAP_SYS_ADMIN) with iproute2: apt-get install iproute2",
+    "real time is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
+    "real-time scheduling is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
+    "mounting a small file system is not permitted": "run as root (CAP_SYS_ADMIN)",
+    "no C compiler": "install a compiler: apt-get install gcc libc6-dev",
+    "has no share folder": "run beside a full ROS 2 Jazzy, whose packages bring their message definitions",
+    "this middleware has security": "nothing: the test is for a middleware that was built without security",
+}
+"""Beginning or part of a reason, and what to do about it."""
+
+
+def remedy(reason: str) -> str | None:
+    """What to do about a skip reason; None if that is not known."""
+    return next((advice for part, advice in REMEDIES.items() if part in reason), None)
+
+
+def summary(reasons: Iterable[str]) -> list[str]:
+    """One line per reason, most frequent first.
+
+    Examples
+    --------
+    >>> summary(["no chromium on this machine", "no chromium on this machine"])
+    ['2 x no chromium on this machine -> install a browser: apt-get install chromium']
+    """
+    return [
+        f"{count} x {reason} -> {remedy(reason) or 'no remedy is known'}"
+        for reason, count in Counter(reasons).most_common()
+    ]

@@ -1,0 +1,265 @@
+"""What a controller was made for, against the telescope of a run: refused, warned about, or taken over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.bags.metadata import run_metadata
+from los_testbed.cli import app as cli
+from los_testbed.config import RunConfig
+from los_testbed.factories import (
+    build_controller,
+    build_estimator,
+    check_controllers,
+    load_controllers,
+    telescope_basis,
+)
+from los_testbed.run.replay import controllers
+from simple_telescope import SimpleTelescope, write_controllers
+
+from los_design.store import VARIANTS, load_designs
+from lti import SampledSystem
+from pointing_analysis.read import Run
+from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
+from titop_plant.telescope.parameters import design_basis, load_parameters
+
+REFERENCE = load_parameters()
+
+
+def toml(value: Any) -> str:
+    """A value of a TOML file."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value)
+
+
+def numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Path of every number in a parameter file."""
+    if isinstance(value, (int, float)):
+        yield path
+    elif isinstance(value, (dict, list)):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, item in items:
+            yield from numbers(item, (*path, key))
+
+
+def changed(value: Any, path: tuple[Any, ...]) -> Any:
+    """The value with the number at `path` larger by 3 %, an integer by 1."""
+    if not path:
+        return value + 1 if isinstance(value, int) else 1.03 * value if value else 0.03
+    copy = dict(value) if isinstance(value, dict) else list(value)
+    copy[path[0]] = changed(value[path[0]], path[1:])
+    return copy
+
+
+def user_file(path: Path, number: tuple[Any, ...]) -> Path:
+    """A user's parameter file in which this number is another one."""
+    depth = next((i for i, key in enumerate(number) if isinstance(key, int)), len(number))
+    value: Any = REFERENCE
+    for key in number[:depth]:
+        value = value[key]
+    path.write_text(f"{'.'.join(number[:depth])} = {toml(changed(value, number[depth:]))}\n")
+    return path
+
+
+def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") -> Path:
+    path.write_text(f"[fsm]\n{table} = {value}\n")
+    return path
+
+
+def test_the_stored_designs_are_made_for_the_reference_telescope() -> None:
+    for variant in VARIANTS:
+        assert design_warnings(load_designs(variant), design_basis(REFERENCE), closed=True) == ()
+    assert check_controllers(RunConfig()) == ()
+
+
+def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
+    """A controller made for the reference is refused or warned about, whatever number the user's file changes."""
+    known, pair = design_basis(REFERENCE).parameters_hash, load_designs("implemented")
+    walked = list(numbers(dict(REFERENCE)))
+    tables = {number[0] for number in walked}
+    assert {"fsm", "pma", "sensors", "optics", "isolator", "payload", "body", "solar_array", "weights"} <= tables
+    hashes = set()
+    for number in walked:
+        basis = design_basis(load_parameters(user_file(tmp_path / "user.toml", number)))
+        assert basis.parameters_hash is not None
+        hashes.add(basis.parameters_hash)
+        if number == ("fsm", "los_sensitivity"):
+            with pytest.raises(ValueError, match=r"los_sensitivity of its design must be 0\.103, got 0\.1"):
+                design_warnings(pair, basis, closed=True)
+            continue
+        lines = design_warnings(pair, basis, closed=True)
+        assert len(lines) == 2, number
+        assert all(f"parameters_hash {known}" in line and basis.parameters_hash in line for line in lines), number
+    assert len(hashes) == len(walked) and known not in hashes
+
+
+@pytest.mark.parametrize("loop", STAGES)
+def test_another_sensitivity_is_refused_where_it_closes_a_loop(tmp_path: Path, loop: str) -> None:
+    config = RunConfig(parameters=str(sensitive(tmp_path / "user.toml")), loop=loop)
+    builders = (build_estimator, build_controller, check_controllers)
+    if loop in ("fsm", "fsm+pma"):
+        for build in builders:
+            with pytest.raises(ValueError, match=r"K_FSM, implemented: fsm\.los_sensitivity .* must be 0\.2, got 0\.1"):
+                build(config)
+    else:
+        assert all(build(config) for build in builders)
+        (line,) = check_controllers(config)
+        assert "los_sensitivity 0.1" in line and "los_sensitivity 0.2" in line
+
+
+def test_a_force_controller_for_another_sensitivity_is_refused_too(tmp_path: Path) -> None:
+    _, k_pma = load_designs("implemented")
+    basis = {**k_pma.design_basis, "los_sensitivity": 0.2}
+    replace(k_pma, design_basis=basis).to_file(tmp_path / "k_pma.json")
+    config = RunConfig(k_pma=str(tmp_path / "k_pma.json"))
+    with pytest.raises(ValueError, match=r"K_PMA, implemented: fsm\.los_sensitivity"):
+        build_controller(config)
+    assert check_controllers(replace(config, loop="fsm")) == (), "its loop is open"
+
+
+def test_the_mirror_law_takes_its_gain_from_the_observer(tmp_path: Path) -> None:
+    """From the file; where the file says nothing, from the telescope."""
+    files, user = write_controllers(tmp_path), str(sensitive(tmp_path / "user.toml"))
+    silent = RunConfig(loop="fsm", **files)
+    assert build_controller(silent).los_sensitivity == 0.1
+    assert build_controller(replace(silent, parameters=user)).los_sensitivity == 0.2
+    assert check_controllers(replace(silent, parameters=user)) == ()
+    own = replace(SampledSystem.from_file(files["k_fsm"]), design_basis={"los_sensitivity": 0.2})
+    own.to_file(tmp_path / "own.json")
+    said = replace(silent, k_fsm=str(tmp_path / "own.json"))
+    out = np.zeros(COMMANDS)
+    build_controller(replace(said, parameters=user)).step(np.array([1e-6, -2e-6]), np.zeros(6), out)
+    np.testing.assert_allclose(out[MIRROR], [-5e-6, 1e-5], rtol=1e-14)
+    with pytest.raises(ValueError, match=r"test observer: fsm\.los_sensitivity of its design must be 0\.1, got 0\.2"):
+        build_controller(said)
+
+
+def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path) -> None:
+    user = tmp_path / "user.toml"
+    user.write_text("[fsm]\nauthority = 2e-3\n[pma]\nauthority = 12.0\n")
+    config = RunConfig(parameters=str(user), **write_controllers(tmp_path))
+    assert telescope_basis(config).authority == (2e-3, 12.0)
+    out = np.zeros(COMMANDS)
+    build_controller(config).step(np.array([1.0, -1.0]), np.full(6, 1e6), out)
+    np.testing.assert_array_equal(np.abs(out[MIRROR]), 2e-3)
+    np.testing.assert_array_equal(out[FORCES], 12.0)
+    assert run_metadata(config)["fsm_authority"] == "0.002"
+    assert telescope_basis(replace(config, fsm_authority=1e-3)).authority == (1e-3, 12.0)
+    assert json.loads(run_metadata(replace(config, pma_authority=5.0))["pma_authority"]) == 5.0
+
+
+def test_another_limit_of_the_run_is_one_line_for_each_controller() -> None:
+    first, second = check_controllers(RunConfig(fsm_authority=4e-3))
+    assert first == "K_FSM, implemented was made for fsm_authority 0.0053, not for fsm_authority 0.004"
+    assert second.startswith("K_PMA, implemented was made for fsm_authority 0.0053")
+
+
+def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / "bag"
+    arguments = ["run", "--mode=inprocess", "--duration=1.5", "--no-report", f"--output={bag}", "--loop=fsm"]
+    assert cli.main([*arguments, "--set", "fsm_authority=0.004"]) == 0
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert err.startswith("warning: K_FSM, implemented was made for fsm_authority 0.0053")
+    parameters = Run.open(bag).parameters
+    assert parameters["controller_warnings"] == err.removeprefix("warning: ").strip()
+    assert parameters["fsm_authority"] == 0.004
+    assert parameters["los_sensitivity"] == 0.1
+    assert parameters["rate_hz"] == 1000
+    assert parameters["parameters_hash"] == design_basis(REFERENCE).parameters_hash
+
+
+@pytest.mark.parametrize("command", [["run", "--mode=inprocess"], ["stages", "--samples=1"]])
+def test_the_commands_refuse_in_one_line(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    user = sensitive(tmp_path / "user.toml")
+    with pytest.raises(SystemExit) as stop:
+        cli.main([*command, f"--parameters={user}", f"--output={tmp_path / 'new'}"])
+    captured = capsys.readouterr()
+    assert stop.value.code == 2
+    assert captured.err == ("los-testbed: K_FSM, implemented: fsm.los_sensitivity of its design must be 0.2, got 0.1\n")
+    assert not (tmp_path / "new").exists()
+
+
+def test_design_verify_compares_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from los_design import store
+
+    def others(variant: str) -> tuple[SampledSystem, ...]:
+        return tuple(replace(k, design_basis={"los_sensitivity": 0.2}) for k in load_designs(variant))
+
+    monkeypatch.setattr(store, "load_designs", others)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["design", "verify", "--samples=0"])
+    assert stop.value.code == 2
+    assert "los_sensitivity of its design must be 0.1, got 0.2" in capsys.readouterr().err
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    from los_testbed.loop.simulate import run_in_process
+
+    files = write_controllers(tmp_path)
+    run_in_process(RunConfig(duration=0.2, mode="inprocess", **files), tmp_path / "bag", SimpleTelescope())
+    return tmp_path / "bag"
+
+
+def test_a_replay_compares_with_the_telescope_of_the_bag(recorded: Path, tmp_path: Path) -> None:
+    own = SampledSystem.from_file(tmp_path / "k_fsm.json")
+    other = tmp_path / "other.json"
+    replace(own, design_basis={"los_sensitivity": 0.2}).to_file(other)
+    with pytest.raises(ValueError, match=r"must be 0\.1, got 0\.2"):
+        controllers(Run.open(recorded), k_fsm=other)
+    replace(own, design_basis={"parameters_hash": "0123456789ab"}).to_file(other)
+    (line,) = controllers(Run.open(recorded), k_fsm=other).warnings
+    assert "0123456789ab" in line
+    assert controllers(Run.open(recorded)).warnings == ()
+
+
+def test_a_bag_from_before_is_replayed_with_the_reference_telescopes_sensitivity(recorded: Path) -> None:
+    run = Run.open(recorded)
+    new = ("parameters_hash", "los_sensitivity", "rate_hz")
+    run.parameters = {key: value for key, value in run.parameters.items() if key not in new}
+    chosen = controllers(run)
+    assert chosen.as_recorded and chosen.controller.los_sensitivity == REFERENCE["fsm"]["los_sensitivity"]
+
+
+@pytest.mark.parametrize(
+    ("basis", "message"),
+    [
+        ({"los_sensitvity": 0.1}, "keys of design_basis must be of parameters_hash, .*, got 'los_sensitvity'"),
+        ({"los_sensitivity": 0.0}, "los_sensitivity must be positive and finite, got 0"),
+        ({"los_sensitivity": "0.1"}, "los_sensitivity must be a number, got '0.1'"),
+        ({"fsm_authority": True}, "fsm_authority must be a number, got True"),
+        ({"parameters_hash": 12}, "parameters_hash must be a text, got 12"),
+        ([0.1], "design_basis must be an object of names and values"),
+    ],
+)
+def test_a_file_that_says_it_wrongly(tmp_path: Path, basis: Any, message: str) -> None:
+    path = Path(write_controllers(tmp_path)["k_fsm"])
+    path.write_text(json.dumps({**json.loads(path.read_text()), "design_basis": basis}))
+    with pytest.raises(ValueError, match=message) as caught:
+        check_controllers(RunConfig(k_fsm=str(path)))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_neither_side_says_is_an_error() -> None:
+    with pytest.raises(ValueError, match="los_sensitivity must be given"):
+        DesignBasis().mirror_sensitivity(DesignBasis())
+    with pytest.raises(ValueError, match="fsm_authority and pma_authority must be given"):
+        _ = DesignBasis(fsm_authority=1e-3).authority
+
+
+def test_files_keep_what_they_were_made_for(tmp_path: Path) -> None:
+    k_fsm = load_controllers(RunConfig())["k_fsm"]
+    k_fsm.to_file(tmp_path / "copy.json")
+    assert (tmp_path / "copy.json").read_bytes() == Path("los_estimator/designs/k_fsm.json").read_bytes()

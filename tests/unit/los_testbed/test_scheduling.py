@@ -1,0 +1,53 @@
+"""Scheduling of a process: what is refused is named, the middleware's thread, a thread that never blocks."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+
+def test_what_is_not_permitted_is_named_and_not_an_error():
+    code = (
+        "import os, sys, ctypes\n"
+        "from los_testbed.loop import scheduling\n"
+        "def refuse(*a): raise PermissionError('no')\n"
+        "os.sched_setscheduler = refuse\n"
+        "class NoLock:\n"
+        "    def mlockall(self, flags): return -1\n"
+        "ctypes.CDLL = lambda *a, **k: NoLock()\n"
+        "print(scheduling.become_real_time(80, 0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "['real-time scheduling', 'locked memory']"
+
+
+def test_the_resending_thread_stands_behind_its_siblings():
+    """At the same priority and place a thread that polls would keep the others of its process from running."""
+    code = (
+        "import os, threading, time\n"
+        "from los_testbed.loop.scheduling import become_real_time\n"
+        "def work():\n"
+        "    open('/proc/thread-self/comm', 'w').write('dds.asyn.0.0')\n"
+        "    time.sleep(30)\n"
+        "thread = threading.Thread(target=work, daemon=True); thread.start(); time.sleep(0.2)\n"
+        "refused = become_real_time(70)\n"
+        "print(refused, os.sched_getparam(0).sched_priority, os.sched_getparam(thread.native_id).sched_priority)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    if "real-time scheduling" in done.stdout:
+        pytest.skip("real time is not permitted here")
+    assert done.stdout.split("]")[1].split() == ["70", "69"]
+
+
+def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
+    """Nobody of lower priority on its processor could end it."""
+    script = (
+        "import sys; from los_testbed.loop.scheduling import become_real_time; refused = become_real_time(1)\n"
+        "if 'real-time scheduling' in refused: sys.exit(77)\n"
+        "while True: pass"
+    )
+    runaway = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
+    if runaway.returncode == 77:
+        pytest.skip("real-time scheduling is not permitted here")
+    assert runaway.returncode == -signal.SIGXCPU

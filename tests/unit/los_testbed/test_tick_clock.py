@@ -1,0 +1,80 @@
+"""Deadlines and overruns of the loop's clock, on a simulated steady clock."""
+
+import pytest
+from los_testbed.loop import tick_clock
+from los_testbed.loop.tick_clock import TickClock, wait_until
+
+MS = 1_000_000
+
+
+class SteadyClock:
+    """Steady clock of a machine that reads it in 1 us and sleeps `oversleep` ns too long."""
+
+    def __init__(self, oversleep):
+        self.now, self.oversleep, self.slept = 7 * MS, oversleep, 0
+
+    def monotonic_ns(self):
+        self.now += 1000
+        return self.now
+
+    def sleep(self, seconds):
+        self.slept += 1
+        self.now += round(seconds * 1e9) + self.oversleep
+
+
+@pytest.fixture
+def steady(monkeypatch):
+    clock = SteadyClock(oversleep=40_000)
+    monkeypatch.setattr(tick_clock, "time", clock)
+    return clock
+
+
+def test_a_wait_ends_at_its_deadline_although_sleeping_is_late(steady):
+    deadline = steady.now + 3 * MS
+    late = wait_until(deadline)
+    assert steady.slept == 1
+    assert 0 <= late <= 1000
+    assert steady.now == deadline + late
+
+
+def test_a_deadline_that_has_passed_is_reported_and_not_waited_for(steady):
+    assert wait_until(steady.now - 5 * MS) == 5 * MS + 1000
+    assert steady.slept == 0
+
+
+def test_deadlines_do_not_drift(steady):
+    clock, start = TickClock(2 * MS), steady.now + 5 * MS
+    clock.begin(start)
+    for k in range(100):
+        late = clock.wait()
+        assert 0 <= late <= 1000
+        assert steady.now == start + 2 * MS * k + late
+        steady.now += 700_000  # work of the tick
+    assert clock.skipped == 0
+
+
+@pytest.mark.parametrize(("work", "skipped"), [(1.99, 0), (3.5, 0), (4.0, 1), (15.1, 6)])
+def test_whole_periods_lost_are_counted_and_later_ones_are_not_shortened(steady, work, skipped):
+    clock, start = TickClock(2 * MS), steady.now + 1 * MS
+    clock.begin(start)
+    clock.wait()
+    steady.now = start + round(work * MS)
+    late = clock.wait()
+    assert late == pytest.approx(max(0.0, work - 2) * MS, abs=1001)
+    assert clock.skipped == skipped
+    first = steady.now - late
+    clock.wait()
+    second = steady.now
+    assert (second - start) // (2 * MS) == 2 + skipped, "the schedule stays on the grid of the periods"
+    assert second - first >= 2 * MS * (1 + skipped)
+
+
+def test_the_real_clock_never_ends_a_wait_early():
+    import time
+
+    start = time.monotonic_ns() + 3 * MS
+    clock = TickClock(2 * MS)
+    clock.begin(start)
+    for _ in range(20):
+        assert clock.wait() >= 0
+    assert time.monotonic_ns() >= start + (19 + clock.skipped) * 2 * MS

@@ -1,0 +1,299 @@
+"""H-infinity norms of systems whose norm is known in closed form, and the two level tests alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import lti.hinf_level_test
+import lti.norms
+from lti.frequency_response import FrequencyResponse, refined_response
+from lti.hinf_level_test import hamiltonian_test, interval_test
+from lti.norms import h2_norm, hinf_norm, schur_lyapunov, spectral_abscissa
+
+CERTIFICATES = ["interval", "hamiltonian"]
+
+
+def oscillator(w: float, zeta: float) -> tuple[np.ndarray, ...]:
+    """w^2 / (s^2 + 2 zeta w s + w^2): peak 1 / (2 zeta sqrt(1 - zeta^2)) at w sqrt(1 - 2 zeta^2)."""
+    A = np.array([[0.0, w], [-w, -2.0 * zeta * w]])
+    return A, np.array([[0.0], [w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1))
+
+
+def resonator(radius: float, angle: float) -> tuple[np.ndarray, ...]:
+    """1 / (z^2 - 2 r cos(a) z + r^2): peak 1 / ((1 - r^2) sin a) where cos(theta) = cos(a) (1 + r^2) / (2 r)."""
+    A = np.array([[0.0, 1.0], [-(radius**2), 2.0 * radius * np.cos(angle)]])
+    return A, np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1))
+
+
+def sum_of(*systems: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Block-diagonal system: each has inputs and outputs of its own, so the largest norm is the norm."""
+    return tuple(scipy.linalg.block_diag(*parts) for parts in zip(*systems))
+
+
+def mixed(system: tuple[np.ndarray, ...], seed: int = 0) -> tuple[np.ndarray, ...]:
+    """The same system in other coordinates."""
+    A, B, C, D = system
+    T = np.eye(len(A)) + 0.2 * np.random.default_rng(seed).normal(size=A.shape)
+    return T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), D
+
+
+@pytest.mark.parametrize("certificate", CERTIFICATES)
+@pytest.mark.parametrize("rtol", [0.1, 1e-3, 1e-6, 1e-9])
+def test_norm_lies_between_both_sides(rtol: float, certificate: str) -> None:
+    exact = 1.0 / (2 * 0.05 * np.sqrt(1 - 0.05**2))
+    norm = hinf_norm(*mixed(sum_of(oscillator(3.0, 0.05), oscillator(40.0, 0.06))), rtol=rtol, certificate=certificate)
+    assert norm.certificate == certificate
+    assert norm.value <= exact * (1 + 1e-12) and exact <= norm.upper
+    assert norm.upper == pytest.approx(norm.value * (1 + rtol), rel=1e-12)
+    assert norm.omega == pytest.approx(3.0 * np.sqrt(1 - 2 * 0.05**2), rel=0.1 * np.sqrt(rtol))
+
+
+@pytest.mark.parametrize("certificate", CERTIFICATES)
+def test_two_peaks_that_differ_by_little(certificate: str) -> None:
+    """The search starts at the second; the test finds the first."""
+    low, high = oscillator(1.0, 0.01), oscillator(70.0, 0.01 * (1 + 1e-5))
+    norm = hinf_norm(*mixed(sum_of(low, high)), rtol=1e-8, certificate=certificate)
+    assert norm.value == pytest.approx(50.0 / np.sqrt(1 - 1e-4), rel=2e-8)
+    assert norm.omega == pytest.approx(np.sqrt(1 - 2e-4), rel=1e-4)
+
+
+@pytest.mark.parametrize("zeta", [1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize("certificate", ["auto", "interval"])
+def test_damping_near_zero(zeta: float, certificate: str) -> None:
+    """Beside modes of three decades above and below."""
+    system = sum_of(oscillator(1.0, 0.1), oscillator(30.0, zeta), oscillator(1e3, 0.02))
+    norm = hinf_norm(*system, rtol=1e-7, certificate=certificate)
+    assert norm.value == pytest.approx(0.5 / zeta, rel=1e-7)
+    assert norm.omega == pytest.approx(30.0, rel=1e-12)
+    assert norm.upper == pytest.approx(norm.value, rel=1.01e-7) and norm.certificate == "interval"
+
+
+@pytest.mark.parametrize("certificate", CERTIFICATES)
+def test_peak_of_a_matrix_with_feedthrough(certificate: str) -> None:
+    """D + 1 / (s + 1) at zero frequency and D at infinity, for two signs of D."""
+    A, B, C = -np.eye(2), np.eye(2), np.eye(2)
+    same = hinf_norm(A, B, C, np.diag([3.0, 1.0]), certificate=certificate)
+    assert (same.value, same.omega) == (4.0, 0.0) and same.upper == pytest.approx(4.0, rel=1e-6)
+    against = hinf_norm(A, B, C, np.diag([-3.0, 1.0]), certificate=certificate)
+    assert against.value == pytest.approx(3.0, rel=1e-12) and against.omega == np.inf
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.01])
+@pytest.mark.parametrize(
+    ("a", "omega"),
+    [(0.9, 0.0), (-0.9, np.pi)],
+)
+def test_discrete_lag(dt: float, a: float, omega: float) -> None:
+    """1 / (z - a) is largest at z = 1 or z = -1."""
+    norm = hinf_norm([[a]], [[1.0]], [[2.0]], [[0.0]], dt=dt)
+    assert norm.value == pytest.approx(20.0, rel=1e-12) and norm.omega == pytest.approx(omega / dt)
+    assert norm.value <= norm.upper <= norm.value * (1 + 1.01e-7)
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.01])
+@pytest.mark.parametrize(("radius", "angle"), [(0.99, 0.3), (0.999, 2.5)])
+def test_discrete_resonance(dt: float, radius: float, angle: float) -> None:
+    norm = hinf_norm(*resonator(radius, angle), dt=dt)
+    assert norm.value == pytest.approx(1.0 / ((1 - radius**2) * np.sin(angle)), rel=1e-7)
+    assert norm.omega * dt == pytest.approx(np.arccos(np.cos(angle) * (1 + radius**2) / (2 * radius)), rel=1e-6)
+    assert norm.certificate == "interval"
+
+
+def test_discrete_pole_on_or_outside_the_circle_is_unstable() -> None:
+    for radius, angle in ((1.0, 0.7), (1.2, 0.7)):
+        norm = hinf_norm(*resonator(radius, angle), dt=0.1)
+        assert (norm.value, norm.upper, norm.certificate) == (np.inf, np.inf, "unstable")
+        assert norm.omega == pytest.approx(7.0)
+        assert h2_norm(*resonator(radius, angle), dt=0.1) == np.inf
+    both = sum_of(([[0.5]], [[1.0]], [[1.0]], [[0.0]]), ([[-1.5]], [[1.0]], [[1.0]], [[0.0]]))
+    assert hinf_norm(*both, dt=0.5).omega == pytest.approx(2 * np.pi)
+
+
+def test_systems_without_states() -> None:
+    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[3.0, 4.0]])
+    for dt in (None, 0.1):
+        norm = hinf_norm(*empty, dt=dt)
+        assert (norm.value, norm.upper, norm.omega, norm.certificate) == (5.0, 5.0, 0.0, "static")
+    assert h2_norm(*empty, dt=0.1) == 5.0
+    assert h2_norm(*empty) == np.inf
+    assert h2_norm(*empty[:3], 0.0 * empty[3]) == 0.0
+    assert spectral_abscissa(np.zeros((0, 0))) == -np.inf
+
+
+def test_states_that_are_not_driven_or_not_observed() -> None:
+    one, none = np.ones((1, 1)), np.zeros((1, 1))
+    for B, C in ((none, one), (one, none)):
+        norm = hinf_norm(-one, B, C, 2 * one)
+        assert (norm.value, norm.upper, norm.certificate) == (2.0, 2.0, "static")
+        assert hinf_norm(0 * one, B, C, 2 * one).certificate == "unstable"
+        assert hinf_norm(one, B, C, none).value == np.inf
+    assert hinf_norm(
+        np.array([[0.5, 2.0], [-2.0, 0.5]]), np.zeros((2, 1)), np.ones((1, 2)), none
+    ).omega == pytest.approx(2.0)
+
+
+def test_terms_that_cancel_leave_a_bound_of_rounding() -> None:
+    """One mode is driven, the other observed: the response is zero."""
+    A, B, C, D = mixed(sum_of(oscillator(1.0, 0.1), oscillator(5.0, 0.1)))
+    norm = hinf_norm(A, B[:, :1], C[1:], D[1:, :1])
+    assert 0.0 <= norm.value <= norm.upper < 1e-10
+    exact = hinf_norm(*sum_of(oscillator(1.0, 0.1), oscillator(5.0, 0.1))[:1], np.eye(4)[:, 1:2], np.eye(4)[2:3], [[0]])
+    assert exact.value == 0.0 and exact.upper < 1e-10
+
+
+@pytest.mark.parametrize("w", [0.0, 2.0, 1e4])
+def test_undamped_modes_are_unstable(w: float) -> None:
+    """Alone, beside damped ones, in mixed coordinates; a double integrator."""
+    free = ([[0.0, w], [-w, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    for system in (free, sum_of(free, oscillator(3.0, 0.01))):
+        norm = hinf_norm(*system)
+        assert (norm.value, norm.upper, norm.omega, norm.certificate) == (np.inf, np.inf, w, "unstable")
+        assert h2_norm(*system) == np.inf
+    assert hinf_norm([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]).certificate == "unstable"
+
+
+def test_least_stable_pole_is_named() -> None:
+    fast = ([[0.3, 7.0], [-7.0, 0.3]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    slow = ([[0.1, 2.0], [-2.0, 0.1]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    assert hinf_norm(*sum_of(slow, fast, oscillator(50.0, 0.1))).omega == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"certificate": "grid"}, "certificate must be auto, interval or hamiltonian, got 'grid'"),
+        ({"rtol": 0.0}, r"rtol must be positive, got 0\.0"),
+        ({"rtol": -1e-3}, r"rtol must be positive, got -0\.001"),
+        ({"rtol": np.nan}, "rtol must be positive, got nan"),
+        ({"dt": 0.0}, r"dt must be positive, got 0\.0"),
+        ({"dt": -1.0}, r"dt must be positive, got -1\.0"),
+        ({"dt": np.nan}, "dt must be positive, got nan"),
+    ],
+)
+def test_options_are_checked(options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        hinf_norm([[-1.0]], [[1.0]], [[1.0]], [[0.0]], **options)
+
+
+def test_h2_of_known_systems() -> None:
+    """The oscillator has the squared norm w / (4 zeta); the discrete lag c^2 / (1 - a^2) + d^2."""
+    assert h2_norm(*mixed(oscillator(3.0, 0.02))) ** 2 == pytest.approx(3.0 / 0.08, rel=1e-10)
+    two = sum_of(oscillator(3.0, 0.02), oscillator(7.0, 0.5))
+    assert h2_norm(*two) ** 2 == pytest.approx(3.0 / 0.08 + 7.0 / 2.0, rel=1e-10)
+    assert h2_norm([[-0.5]], [[1.0]], [[3.0]], [[4.0]], dt=0.1) ** 2 == pytest.approx(9 / 0.75 + 16)
+    assert h2_norm([[-1.0]], [[1.0]], [[1.0]], [[1e-9]]) == np.inf
+    assert h2_norm([[-1e-9]], [[1.0]], [[1.0]], [[0.0]]) ** 2 == pytest.approx(0.5e9)
+    assert h2_norm([[0.0]], [[1.0]], [[1.0]], [[0.0]]) == np.inf
+    assert h2_norm(*mixed(sum_of(oscillator(3.0, 0.0), oscillator(7.0, 0.5)))) == np.inf
+    assert h2_norm([[1.0]], [[1.0]], [[1.0]], [[0.0]], dt=1.0) == np.inf
+    assert h2_norm([[0.999]], [[1.0]], [[1.0]], [[0.0]], dt=1.0) < np.inf
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+def test_lyapunov_equation_of_a_quasi_triangular_matrix(transposed: bool) -> None:
+    rng = np.random.default_rng(0)
+    T = scipy.linalg.schur(rng.normal(size=(6, 6)) - 3 * np.eye(6))[0]
+    W = rng.normal(size=(6, 6))
+    W = W + W.T
+    P = schur_lyapunov(T, W, transposed=transposed)
+    left = T.T if transposed else T
+    assert np.array_equal(P, P.T)
+    np.testing.assert_allclose(left @ P + P @ left.T, -W, atol=1e-12)
+
+
+def structure(feedthrough: float = 0.3) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(8)
+    A, B, C, _ = mixed(sum_of(*(oscillator(w, 0.02) for w in (0.5, 0.55, 4.0, 30.0))))
+    return A, B @ rng.normal(size=(4, 3)), rng.normal(size=(2, 4)) @ C, feedthrough * rng.normal(size=(2, 3))
+
+
+@pytest.mark.parametrize("level", [0.2, 0.9, 1.0 - 1e-6, 1.0 + 1e-6, 1.1, 5.0])
+@pytest.mark.parametrize("feedthrough", [0.0, 0.3])
+def test_both_level_tests_decide_alike(level: float, feedthrough: float) -> None:
+    system = structure(feedthrough)
+    response = FrequencyResponse.of(*system)
+    top = level * hinf_norm(*system, rtol=1e-10).value
+    one, two = interval_test(response, top, np.abs(response.poles)), hamiltonian_test(*system, top)
+    for outcome in (one, two):
+        assert outcome.decided and outcome.below == (level > 1.0)
+        gains = [scipy.linalg.svdvals(g)[0] for g in response.at(outcome.frequencies)]
+        assert (len(gains) == 0) if level > 1.0 else (max(gains) > top)
+
+
+def test_crossings_of_the_level_are_answered() -> None:
+    """|1 / (jw + 1)| = 0.6 at w = 4 / 3; with 1 / (s^2 + 0.2 s + 1) two crossings and the middle between them."""
+    one = np.ones((1, 1))
+    found = hamiltonian_test(-one, one, one, 0 * one, 0.6)
+    assert not found.below and found.frequencies == pytest.approx([4 / 3], rel=1e-7)
+    level = 2.0
+    found = hamiltonian_test(*oscillator(1.0, 0.1), level)
+    square = np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / level**2])
+    low, high = np.sort(np.sqrt(square.real))
+    assert found.frequencies == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
+
+
+def test_level_below_the_feedthrough_points_to_infinity() -> None:
+    for D in (np.array([[2.0, 0.0]]), np.array([[2.0], [0.0]])):
+        p, m = D.shape
+        outcome = hamiltonian_test(-np.eye(1), np.ones((1, m)), np.ones((p, 1)), D, 1.9)
+        assert not outcome.below and outcome.decided and outcome.frequencies.tolist() == [np.inf]
+    response = FrequencyResponse.of([[-1.0]], [[1.0]], [[-1.0]], [[2.0]])
+    outcome = interval_test(response, 1.9, np.array([1.0]))
+    assert not outcome.below and response.at(outcome.frequencies).__abs__().max() > 1.9
+
+
+def test_peak_between_the_seeds_is_found_without_any() -> None:
+    """The cuts alone, with no seed at the resonance."""
+    system = sum_of(oscillator(3.0, 1e-4), oscillator(500.0, 1e-3))
+    response = FrequencyResponse.of(*system)
+    assert not interval_test(response, 4999.0, np.zeros(0)).below
+    assert interval_test(response, 5001.0, np.zeros(0)).below
+
+
+def test_an_interval_test_that_gives_up_hands_over_to_the_hamiltonian(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, exact = structure(), hinf_norm(*structure()).value
+    monkeypatch.setattr(lti.hinf_level_test, "MAX_INTERVALS", 3)
+    response = FrequencyResponse.of(*system)
+    outcome = interval_test(response, 2 * exact, np.abs(response.poles))
+    assert not outcome.below and not outcome.decided and len(outcome.frequencies) == 0
+    norm = hinf_norm(*system)
+    assert norm.certificate == "hamiltonian" and norm.value == pytest.approx(exact, rel=1e-7)
+
+
+def test_intervals_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    exact = hinf_norm(*structure())
+    monkeypatch.setattr(lti.hinf_level_test, "CHUNK", 7)
+    assert hinf_norm(*structure()) == exact
+
+
+def test_rounding_of_the_modal_form_hands_over_to_the_hamiltonian(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A modal form that is wrong by a millionth is not believed."""
+    exact = hinf_norm(*structure()).value
+    honest = FrequencyResponse.of
+
+    def wrong(A, B, C, D, **options) -> FrequencyResponse:
+        return honest(A, B * (1 + 1e-6), C, D, **options)
+
+    monkeypatch.setattr(lti.norms.FrequencyResponse, "of", wrong)
+    norm = hinf_norm(*structure())
+    assert norm.certificate == "hamiltonian" and norm.value == pytest.approx(exact, rel=2e-7)
+
+
+def test_no_certificate_within_the_rounds_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lti.norms, "MAX_ROUNDS", 0)
+    with pytest.raises(ArithmeticError, match=r"did not settle in 0 rounds \(order 8\)"):
+        hinf_norm(*structure())
+
+
+def test_schur_form_is_refused_by_the_interval_test() -> None:
+    response = FrequencyResponse.of(-np.eye(3) + np.diag([1.0, 1.0], 1), np.eye(3)[:, 2:], np.eye(3)[:1], [[0.0]])
+    with pytest.raises(ValueError, match="response must be in modal form, got a Schur form"):
+        interval_test(response, 2.0, np.zeros(0))
+
+
+def test_reported_gain_is_that_of_a_refined_solution() -> None:
+    norm = hinf_norm(*structure())
+    gain = scipy.linalg.svdvals(refined_response(*structure(), norm.omega))[0]
+    assert norm.value == pytest.approx(gain, rel=1e-13)
