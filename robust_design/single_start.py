@@ -57,6 +57,8 @@ def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) 
     soft, hard = worst_values(problem, problem.evaluate(found.x, gradients=False))
     count = stable.evaluations + found.evaluations
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
+    if soft < limits.target and hard <= 1.0 + FEASIBLE:
+        status = TuningStatus.TARGET
     return StartResult(status, found.x, soft, hard, problem.abscissa(found.x), np.inf, count, steps)
 
 
