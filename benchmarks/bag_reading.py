@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.cdr import SUPPORTED
+from pointing_analysis.message_types import COLUMNS
 from pointing_analysis.read import Run
 from pointing_analysis.synthetic import write_bag
 
@@ -66,7 +66,7 @@ def rosbags(bag: Path) -> Arrays:
     store = get_typestore(Stores.ROS2_JAZZY)
     rows: dict[str, tuple[list[int], list[list[float]]]] = {}
     with Reader(bag) as reader:
-        chosen = [c for c in reader.connections if c.msgtype in SUPPORTED]
+        chosen = [c for c in reader.connections if c.msgtype in COLUMNS]
         for connection, _, raw in reader.messages(connections=chosen):
             message: Any = store.deserialize_cdr(raw, connection.msgtype)
             stamps, values = rows.setdefault(connection.topic, ([], []))
@@ -83,7 +83,7 @@ def mcap_ros2(bag: Path) -> Arrays:
     rows: dict[str, tuple[list[int], list[list[float]]]] = {}
     for file in sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]:
         for item in read_ros2_messages(str(file)):
-            if item.schema.name not in SUPPORTED:
+            if item.schema.name not in COLUMNS:
                 continue
             stamps, values = rows.setdefault(item.channel.topic, ([], []))
             stamp = item.ros_msg.header.stamp

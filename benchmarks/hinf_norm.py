@@ -51,7 +51,7 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     parameters = load_parameters()
     k_fsm, k_pma = load_designs("implemented")
     options = DesignOptions()
-    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.held)
+    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
     data = continuous(k_pma).data_at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
     law = delayed_controller(StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)

@@ -22,10 +22,11 @@ from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains, singular_values
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import FRAME_TICKS, LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
 STAGES = {
@@ -105,11 +106,11 @@ def _stages(
 def _templates(axes: Axes, parameters: Parameters) -> None:
     table = parameters["weights"]
     omega = np.geomspace(1e-2, 3e3, 300)
-    seen = rpe_weight(omega, table["rpe_window"])
+    weight = rpe_weight(omega, table["rpe_window"])
     for limit, style, label in (
         (np.full_like(omega, table["ape_limit"]), "-", "APE 10 arcsec"),
-        (table["rpe_limit"] / seen, "--", "RPE 100 mas, 20 ms"),
-        (table["rpe_limit_fine"] / seen, ":", "RPE 40 mas, 20 ms"),
+        (table["rpe_limit"] / weight, "--", "RPE 100 mas, 20 ms"),
+        (table["rpe_limit_fine"] / weight, ":", "RPE 40 mas, 20 ms"),
     ):
         axes.loglog(omega, limit / ARCSEC, color="#b00020", ls=style, lw=1.3, label=label, zorder=4)
 
@@ -119,9 +120,9 @@ def _controllers(parameters: Parameters) -> Figure:
     figure = Figure(figsize=(7.2, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     omega = np.geomspace(1e-2, 3e3, 400)
-    guess = kalman_observer(parameters, telescope().bodies[1], lead=LOOP_DELAY)
+    kalman = kalman_observer(parameters, telescope().bodies[1], lead=LOOP_DELAY)
     for system, colour, label in (
-        (guess, "#999999", "Kalman guess"),
+        (kalman, "#999999", "Kalman observer"),
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
     ):
         for port, style in (("accel_Ip", "-"), ("camera_los", "--")):

@@ -1,4 +1,4 @@
-"""What to design: problem, effort, and the constants of the implemented loop."""
+"""Options of a control design: problem, effort, and the constants of the implemented loop."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """What to design and how long to try.
+    """Problem and effort of a control design.
 
     Parameters
     ----------
     nominal : bool
-        On the nominal model alone instead of the whole box of parameters.
+        Design on the nominal model alone instead of the whole box of parameters.
     loop_delay : float
-        0: the paper's continuous problem; else as implemented, with sensor noise and a held camera [s].
+        0: the paper's continuous problem; otherwise the implemented one, with sensor noise and a zero-order-hold
+        camera [s].
     starts : int
-        Random starts.
+        Number of random starts.
     seed : int
+        Seed of the starts and of the worst-case search.
     wall_limit : float
-        Seconds.
+        Limit of the computing time [s].
     workers : int
         Processes for the starts.
     progress : bool
+        Show a progress bar.
     """
 
     nominal: bool = False
@@ -37,19 +40,19 @@ class DesignOptions:
 
     @property
     def implemented(self) -> bool:
-        """With delay, held camera and noise requirements."""
+        """Whether the problem has the loop delay, the zero-order-hold camera and the noise requirements."""
         return self.loop_delay > 0.0
 
     @property
-    def held(self) -> dict[str, float]:
-        """What is held, for the plants: camera frames and commands [s]."""
+    def hold_delays(self) -> dict[str, float]:
+        """Keyword arguments of the design plants: camera period and mean delay of the zero-order-hold commands [s]."""
         if not self.implemented:
             return {}
         return {"camera_period": CAMERA_PERIOD, "command_hold": min(HOLD_DELAY, self.loop_delay)}
 
     @property
     def delay(self) -> float:
-        """The loop delay without the mean delay of held commands, which is in the plant [s]."""
+        """The loop delay without the mean delay of the zero-order-hold commands, which is in the plant [s]."""
         return max(0.0, self.loop_delay - HOLD_DELAY)
 
     @property

@@ -18,7 +18,6 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from titop_plant.disturbances import rpe_weight
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.disturbance_responses import (
     ALL,
@@ -29,6 +28,7 @@ from titop_plant.telescope.disturbance_responses import (
     disturbance_responses,
 )
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
 
 MEMBERS = 20
 """Random members of the family behind a shaded band."""

@@ -1,7 +1,7 @@
-"""The loop as it flies, as one sampled linear system: plant, one-tick delay, camera hold, controllers.
+"""The implemented loop as one sampled linear system: plant, one-tick delay, camera hold, controllers.
 
-The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, camera value
-held between frames. With camera frames every N ticks the loop is periodic; its stability is that of the
+The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, last camera value
+(zero-order hold between frames). With camera frames every N ticks the loop is periodic; its stability is that of the
 product of the N one-tick matrices.
 """
 
@@ -49,7 +49,7 @@ class SampledLoop:
     plant_order: int
 
     def spectral_radius(self) -> float:
-        """Growth a tick of the slowest or least stable motion: below 1 is stable."""
+        """Largest growth factor per tick, the N-th root of the spectral radius over a frame period; stable below 1."""
         period = np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame
         return float(np.max(np.abs(linalg.eigvals(period))) ** (1.0 / self.frame_ticks))
 
@@ -91,28 +91,28 @@ def sampled_loop(
         mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
     actuators = 1.0 if loop in FORCE_STAGES else 0.0
     f, p = k_fsm.order, k_pma.order
-    places = np.cumsum([0, n, COMMANDS, f, p, 2])
-    X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(places))
-    size = int(places[-1])
+    offsets = np.cumsum([0, n, COMMANDS, f, p, 2])
+    X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(offsets))
+    size = int(offsets[-1])
     Y = np.zeros((MEASUREMENTS, size))
     Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
 
     def tick(with_frame: bool) -> tuple[FloatArray, FloatArray]:
-        seen, noise = Y.copy(), np.eye(MEASUREMENTS)
+        measured, noise = Y.copy(), np.eye(MEASUREMENTS)
         if not with_frame:
-            seen[CAMERA], noise[CAMERA] = 0.0, 0.0
-            seen[CAMERA, H] = np.eye(2)
-        both = np.hstack([seen, noise])
+            measured[CAMERA], noise[CAMERA] = 0.0, 0.0
+            measured[CAMERA, H] = np.eye(2)
+        sensed = np.hstack([measured, noise])
         out = np.zeros((size, size + MEASUREMENTS))
         out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
-        out[F] = k_fsm.B @ both
+        out[F] = k_fsm.B @ sensed
         out[F, F] += k_fsm.A
-        out[P] = k_pma.B @ both[PLATFORM]
+        out[P] = k_pma.B @ sensed[PLATFORM]
         out[P, P] += k_pma.A
-        out[H] = both[CAMERA]
-        out[V.start : V.start + 2] = mirror * (k_fsm.D @ both)
+        out[H] = sensed[CAMERA]
+        out[V.start : V.start + 2] = mirror * (k_fsm.D @ sensed)
         out[V.start : V.start + 2, F] += mirror * k_fsm.C
-        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ both[PLATFORM])
+        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ sensed[PLATFORM])
         out[V.start + 2 : V.stop, P] += actuators * k_pma.C
         return out[:, :size], out[:, size:]
 

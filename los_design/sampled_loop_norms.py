@@ -1,10 +1,11 @@
-"""Pointing figures of the loop as it flies, from the sampled matrices: gains, noise, stability.
+"""Pointing metrics of the implemented loop, from the sampled matrices: gains, noise, stability.
 
-Route of its own, apart from the tuner: the plant is sampled exactly, commands act one tick late, controllers are the
-sampled files. A disturbance tone is not held but integrated over each tick, so its response at the ticks is exact at
-every frequency. The camera's value is held between its frames, which makes the loop periodic: a tone at w answers also
-at w + k w_frame. Gains count the power of these sidebands, noise is the mean variance over a frame period, and
-stability is that of the product of the one-tick matrices over a period.
+Independent of the tuner: the plant is sampled exactly, commands act one tick late, controllers are the sampled files.
+A disturbance tone is not held but integrated over each tick, so its response at the ticks is exact at every frequency.
+The zero-order hold of the camera value between frames makes the loop periodic: a tone at w causes a response also at
+the sidebands w + k w_frame. Gains include the power of the sidebands, noise is the mean variance over a frame period,
+and stability is that of the product of the one-tick matrices over a period. **The metrics of an unstable loop are
+infinite.**
 """
 
 from __future__ import annotations
@@ -22,33 +23,35 @@ from lti.batched_linalg import largest_gains
 from lti.eigenvectors import eigenpairs
 from lti.frequency_grid import frequency_grid
 from lti.sampling import sampled
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import relative_error_weight
+from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 SIDEBANDS = 4
-"""Sidebands of the camera's frame rate that are counted to each side."""
+"""Sidebands of the camera's frame rate that are included on each side."""
 
 
 @dataclass(frozen=True)
 class SampledLoopMetrics:
-    """Worst values of one loop at one parameter point, normalised where not said otherwise.
+    """Largest values of one loop at one parameter point, normalised unless stated otherwise; infinite if unstable.
 
     Parameters
     ----------
     ape, rpe, rpe_fine : float
-        Peak line of sight by normalised disturbances over 10 arcsec; through the weight of 20 ms over 100 and 40 mas.
+        Peak gain from normalised disturbances to the line of sight, over 10 arcsec; weighted with the window of 20 ms,
+        over 100 and 40 mas.
     mirror, force : float
-        Peak command over 5.3 mrad and over 31.6 N.
+        Peak gain to the commands, over 5.3 mrad and over 31.6 N.
     noise_ape, noise_rpe : float
-        Line of sight by sensor noise [rad rms, both axes], and through the weight of 20 ms.
+        Line of sight due to sensor noise [rad rms, both axes], plain and weighted with the window of 20 ms; NaN where
+        not asked for.
     radius : float
-        Growth a tick of the least stable motion, camera frames counted exactly; stable below 1.
+        Largest growth factor per tick (:meth:`SampledLoop.spectral_radius`); stable below 1.
     omega_rpe : float
-        Frequency of the peak of `rpe` [rad/s].
+        Frequency of the peak of `rpe` [rad/s]; NaN if unstable.
     """
 
     ape: float
@@ -60,6 +63,11 @@ class SampledLoopMetrics:
     noise_rpe: float
     radius: float
     omega_rpe: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion decays."""
+        return self.radius < 1.0
 
 
 def sampled_loop_metrics(
@@ -73,7 +81,7 @@ def sampled_loop_metrics(
     noise: bool = True,
     sensors: str | None = None,
 ) -> SampledLoopMetrics:
-    """All figures of the implemented loop at one parameter point.
+    """All metrics of the implemented loop at one parameter point.
 
     Parameters
     ----------
@@ -86,12 +94,16 @@ def sampled_loop_metrics(
     frame_ticks : int
         Ticks between camera frames.
     noise : bool
-        Compute the noise figures too (a Lyapunov equation).
+        Compute the noise metrics too (a Lyapunov equation).
     sensors : {None, "platform"}
-        Noise of all sensors, or of the platform's accelerometers only.
+        Noise of all sensors, or of the accelerometers of the payload base only.
     """
     sensitivity = float(parameters["fsm"]["los_sensitivity"])
     closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    radius = closed.spectral_radius()
+    if not radius < 1.0:
+        inf = np.inf
+        return SampledLoopMetrics(inf, inf, inf, inf, inf, inf, inf, radius, omega_rpe=np.nan)
     omega, response, relative = weighted_response(closed, plant, parameters)
     table = parameters["weights"]
     los = largest_gains(response[:, :2])
@@ -105,7 +117,7 @@ def sampled_loop_metrics(
         float(mirror.max()) / parameters["fsm"]["authority"],
         float(force.max()) / parameters["pma"]["authority"],
         *rms,
-        closed.spectral_radius(),
+        radius,
         float(omega[relative.argmax()]),
     )
 
@@ -122,8 +134,8 @@ def weighted_response(
     tone = tone_response(loop, plant, omega)
     size = weight_amplitudes(parameters, omega)[:, None, :]
     window = parameters["weights"]["rpe_window"]
-    seen = rpe_weight(omega, window)[:, None, None]
-    stack = [seen * tone.fundamental[:, :2] * size]
+    weight = rpe_weight(omega, window)[:, None, None]
+    stack = [weight * tone.fundamental[:, :2] * size]
     if tone.camera is not None:
         power = np.zeros((omega.size, 2, 2), complex)
         for shift, gain in tone.sidebands:
@@ -144,7 +156,7 @@ def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float =
 
 @dataclass(frozen=True)
 class ToneResponse:
-    """Answer to tones ``exp(i w t)`` on the 22 disturbance inputs.
+    """Response to tones ``exp(i w t)`` on the 22 disturbance inputs.
 
     Parameters
     ----------
@@ -153,7 +165,7 @@ class ToneResponse:
     camera : ndarray, shape (k, 2, 22), or None
         Camera value at its frames; None where every tick has a frame.
     sidebands : list of (shift, gain)
-        Line of sight at w + shift [rad/s] by the camera value, gains of shape (k, 2, 2).
+        Line of sight at w + shift [rad/s] due to the camera value, gains of shape (k, 2, 2).
     """
 
     fundamental: ComplexArray
@@ -167,54 +179,56 @@ def disturbance_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray
 
 
 def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ToneResponse:
-    """Exact response at the ticks, the held camera value closed around the rest of the loop.
+    """Response at the ticks, the zero-order-hold camera value closed around the rest of the loop.
 
-    Sidebands beyond the :data:`SIDEBANDS`-th to each side are left out; the hold attenuates them.
+    Sidebands beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With a frame period of
+    at most ``2 SIDEBANDS + 1`` ticks all of them are included and the response is exact.
     """
     n, size, ticks = loop.plant_order, loop.hold.shape[0] - 2, loop.frame_ticks
     A, N = loop.hold[:size, :size], loop.noise_hold[:size]
     if ticks == 1:
         A, N = loop.frame[:size, :size], loop.noise_frame[:size]
-    wanted = np.zeros((10, size))
-    wanted[:2], wanted[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+    outputs = np.zeros((10, size))
+    outputs[:2], outputs[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
     enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
     mu, W = eigenpairs(A)
-    right, left = linalg.inv(W), np.vstack([wanted, read]) @ W
+    right, left = linalg.inv(W), np.vstack([outputs, read]) @ W
     z = np.exp(1j * omega * DT)
     rows = left[None] / (z[:, None, None] - mu)  # (k, 12, size), to be followed by `right`
-    # Sensors feel the disturbance of the tick itself through the plant's feedthrough.
-    felt = plant.D[:MEASUREMENTS, COMMANDS:]
-    pushed = _pushed(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ felt))
+    # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
+    through = plant.D[:MEASUREMENTS, COMMANDS:]
+    forced = _forced(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
     if ticks == 1:
-        return ToneResponse(pushed[:, :10], None, [])
-    pushed[:, 10:] += loop.noise_frame[size:] @ felt
+        return ToneResponse(forced[:, :10], None, [])
+    forced[:, 10:] += loop.noise_frame[size:] @ through
     entry, ends = right @ enter, np.vstack([left[:2], left[10:]])
     loop_gain, sidebands = np.zeros((omega.size, 2, 2), complex), []
-    for k in range(-SIDEBANDS, SIDEBANDS + 1):
+    count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
+    for k in range(-(count // 2), count - count // 2):
         shift = 2.0 * np.pi * k / (ticks * DT)
         zk = np.exp(1j * (omega + shift) * DT)
-        held = np.mean(zk[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
-        answer = (ends[None] / (zk[:, None, None] - mu)) @ entry * held
-        loop_gain += answer[:, 2:]
+        hold = np.mean(zk[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+        gain = (ends[None] / (zk[:, None, None] - mu)) @ entry * hold
+        loop_gain += gain[:, 2:]
         if k:
-            sidebands.append((shift, answer[:, :2]))
-    camera = np.linalg.solve(np.eye(2) - loop_gain, pushed[:, 10:])
-    held = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
-    return ToneResponse(pushed[:, :10] + rows[:, :10] @ entry @ (held * camera), camera, sidebands)
+            sidebands.append((shift, gain[:, :2]))
+    camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, 10:])
+    hold = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+    return ToneResponse(forced[:, :10] + rows[:, :10] @ entry @ (hold * camera), camera, sidebands)
 
 
-def _pushed(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
-    """What a tone adds to the plant's state over a tick, seen through `rows` (k, p, size) times `right` (size, n)."""
+def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) and `right` (size, n)."""
     values, vectors = eigenpairs(plant.A)
     drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
     z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
     near = np.abs(s - values) < 1e-9
-    kick = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
-    return np.asarray((rows @ (right @ vectors) * kick[:, None, :]) @ drive)
+    factor = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
+    return np.asarray((rows @ (right @ vectors) * factor[:, None, :]) @ drive)
 
 
 def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
-    """Line of sight by sensor noise [rad rms over a frame period], plain and through the relative-error weight."""
+    """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
     table: Any = parameters["sensors"]
     sigma = np.r_[
         np.tile(table["accelerometer_noise"], 3),
@@ -227,9 +241,9 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
     n, m = loop.hold.shape[0], w.order
 
     def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        both = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
+        whole = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
         drive = np.vstack([N * sigma, np.zeros((m, sigma.size))])
-        return both, drive @ drive.T
+        return whole, drive @ drive.T
 
     outputs = (
         np.hstack([loop.truth, np.zeros((2, m))]),
@@ -238,10 +252,10 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
     frame, hold = extended(loop.frame, loop.noise_frame), extended(loop.hold, loop.noise_hold)
     ticks = [frame] + [hold] * (loop.frame_ticks - 1)
     period: FloatArray = np.eye(n + m)
-    gathered: FloatArray = np.zeros((n + m, n + m))
+    accumulated: FloatArray = np.zeros((n + m, n + m))
     for A, Q in ticks:
-        period, gathered = A @ period, A @ gathered @ A.T + Q
-    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, gathered), dtype=float)
+        period, accumulated = A @ period, A @ accumulated @ A.T + Q
+    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, accumulated), dtype=float)
     power = np.zeros(2)
     for A, Q in ticks:
         power += [np.trace(C @ P @ C.T) for C in outputs]

@@ -1,4 +1,4 @@
-"""Where a robust design begins: parameter points that are bad for the stage before, and random controllers."""
+"""Starts of a robust design: parameter points at which the previous stage is worst, and random controllers."""
 
 from __future__ import annotations
 
@@ -23,17 +23,32 @@ START_GAIN = 100.0
 def screened(
     telescope: Telescope, parameters: Parameters, observer: SampledSystem | None, seed: int
 ) -> list[dict[str, float]]:
-    """Parameter points to begin a robust design with: the worst relative error in each band of peaks.
+    """First active parameter points of a robust design: those with the largest relative error in each frequency band.
 
-    Of all corners and some random points, those where the stage before (the isolator alone, or with an observer the
-    mirror loop) has its largest peak in each of the bands :data:`SCREEN_BANDS`.
+    The candidates are all corners and :data:`SCREEN_SAMPLES` random points. In each of the bands between the
+    frequencies :data:`SCREEN_BANDS` the one is chosen at which the previous stage (the isolator alone, or with an
+    observer the mirror loop) has its largest peak.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    observer : SampledSystem or None
+        K_FSM of the mirror loop; None: the isolator alone.
+    seed : int
+        Seed of the random points.
+
+    Returns
+    -------
+    list of dict
+        Different points, at most one for each band.
     """
     system, rng = control_loop_plant(telescope, parameters), np.random.default_rng(seed)
-    chosen = parameter_corners(parameters) + system.sample_values(rng, SCREEN_SAMPLES)
+    candidates = parameter_corners(parameters) + system.sample_values(rng, SCREEN_SAMPLES)
     k_fsm, k_pma = observer or zero_controller("k-fsm"), zero_controller("k-pma")
     loop, sensitivity = "isolator" if observer is None else "fsm", float(parameters["fsm"]["los_sensitivity"])
     worst: dict[int, tuple[float, dict[str, float]]] = {}
-    for values in chosen:
+    for values in candidates:
         plant = system.data_at(values)
         closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
         omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
@@ -50,7 +65,7 @@ def screened(
 
 
 def zero_controller(kind: str) -> SampledSystem:
-    """A controller of a kind that does nothing."""
+    """A controller of a kind whose outputs are zero."""
     inputs, outputs = design_ports(kind)
     rows, columns = (sum(p.size for p in ports) for ports in (outputs, inputs))
     none = np.zeros((0, 0))
@@ -58,7 +73,7 @@ def zero_controller(kind: str) -> SampledSystem:
 
 
 def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
-    """A stable random K_PMA of order 4 that hardly does anything: poles spread over the isolator's band."""
+    """A stable random K_PMA of order 4 with small gain: poles spread over the isolator's band."""
     rng = np.random.default_rng(seed)
     poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
     ports = [plant.output_port("accel_Ip")], [plant.input_port("pma_force")]

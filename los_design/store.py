@@ -1,4 +1,4 @@
-"""Stored designs: where they are, and the continuous controllers in them."""
+"""Stored designs: their files, and the continuous controllers in them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VARIANTS = ("implemented", "implemented_nominal", "paper", "paper_nominal")
 
 
 def design_file(kind: str, variant: str = "implemented") -> Path:
-    """Where a design is stored.
+    """File of a stored design.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Making the implemented controllers: problems, tuner, files with their provenance."""
+"""Synthesis of the two controllers: design problem, tuner, sampled controller with its provenance."""
 
 from __future__ import annotations
 
@@ -19,25 +19,37 @@ from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
-ITERATIONS, ROUNDS, NOMINAL_ITERATIONS = 40, 4, 250
-"""Effort of a robust design (in each round) and of a nominal one: what ends it must not be the wall limit, or the
-result would depend on the machine's speed."""
+MAX_ITERATIONS, MAX_ROUNDS, MAX_NOMINAL_ITERATIONS = 40, 4, 250
+"""Effort of a robust design (iterations in each round) and of a nominal one. These limits end a design, not the wall
+limit: otherwise the result would depend on the speed of the machine."""
+WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
+"""Effort of the worst-case search of a robust design, see :class:`robust_design.WorstCaseOptions`."""
 
 
 def design_observer(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> SampledSystem:
-    """Tune K_FSM, started from the Kalman observer: with its delay made up for, on the nominal model also without.
+    """Tune K_FSM from the Kalman observer with delay compensation; a nominal design also from the one without.
 
-    The tuner gets stuck at some starts (the noise in the relative error is stiff); one model is cheap to try from two.
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    options : DesignOptions
+
+    Returns
+    -------
+    SampledSystem
+        K_FSM with the washout, ports of :mod:`los_estimator.runtime`; its provenance holds command, commit, parameters
+        hash, seed, status, tuned values and the continuous controller.
     """
-    plant = observer_plant(telescope, parameters, **options.held)
+    plant = observer_plant(telescope, parameters, **options.hold_delays)
     structure = observer_structure(plant, held_camera=options.implemented)
     leads = dict.fromkeys((options.loop_delay, 0.0) if options.nominal else (options.loop_delay,))
     starts = [kalman_start(structure, telescope, parameters, lead=lead) for lead in leads]
     requirements = observer_requirements(parameters, implemented=options.implemented)
-    first = [] if options.nominal else screened(telescope, parameters, None, options.seed)
-    result = _run(plant, requirements, structure, starts, first, parameters, options)
-    found = result.controller
-    system = state_space(found.A, found.B, found.C, found.D, design_ports("k-fsm")[0], design_ports("k-fsm")[1])
+    active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    tuned = result.controller
+    system = state_space(tuned.A, tuned.B, tuned.C, tuned.D, design_ports("k-fsm")[0], design_ports("k-fsm")[1])
     return sampled_observer(
         system,
         parameters["sensors"]["washout"],
@@ -50,21 +62,35 @@ def design_observer(telescope: Telescope, parameters: Parameters, options: Desig
 def design_actuators(
     telescope: Telescope, parameters: Parameters, observer: SampledSystem, options: DesignOptions
 ) -> SampledSystem:
-    """Tune K_PMA on top of an observer, from random starts."""
+    """Tune K_PMA with the mirror loop of an observer closed, from random starts.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    observer : SampledSystem
+        K_FSM with its continuous form in the provenance.
+    options : DesignOptions
+
+    Returns
+    -------
+    SampledSystem
+        K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
+    """
     plant = actuator_plant(
         telescope,
         parameters,
         continuous(observer),
         loop_delay=options.delay,
-        **options.held,
+        **options.hold_delays,
     )
     requirements = actuator_requirements(parameters, implemented=options.implemented)
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
-    first = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
-    result = _run(plant, requirements, structure, starts, first, parameters, options)
-    found = result.controller
-    system = state_space(found.A, found.B, found.C, found.D, design_ports("k-pma")[0], design_ports("k-pma")[1])
+    active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    tuned = result.controller
+    system = state_space(tuned.A, tuned.B, tuned.C, tuned.D, design_ports("k-pma")[0], design_ports("k-pma")[1])
     return sampled_controller(
         system,
         parameters["sensors"]["washout"],
@@ -79,7 +105,7 @@ def _run(
     requirements: Any,
     structure: Any,
     starts: Sequence[Any],
-    first: Sequence[Mapping[str, float]],
+    active: Sequence[Mapping[str, float]],
     parameters: Parameters,
     options: DesignOptions,
 ) -> RobustResult | TuningResult:
@@ -89,24 +115,24 @@ def _run(
         seed=options.seed,
         wall_limit=options.wall_limit,
         workers=options.workers,
-        iterations=NOMINAL_ITERATIONS if options.nominal else ITERATIONS,
+        iterations=MAX_NOMINAL_ITERATIONS if options.nominal else MAX_ITERATIONS,
         tolerance=1e-3,
         progress=options.progress,
     )
     if options.nominal:
         models: list[StateSpace] = [plant(nominal)]
         return tune(models, requirements, structure, initial=starts, loop_delay=options.delay, options=tuning)
-    search = WorstCaseOptions(samples=32, climbs=1, iterations=4, seed=options.seed)
+    search = WorstCaseOptions(**WORST_CASE_SEARCH, seed=options.seed)
     return tune_robust(
         plant,
         parameter_box(parameters),
         requirements,
         structure,
         nominal=nominal,
-        active=first,
+        active=active,
         initial=starts,
         loop_delay=options.delay,
-        max_rounds=ROUNDS,
+        max_rounds=MAX_ROUNDS,
         options=tuning,
         search=search,
     )
@@ -115,10 +141,10 @@ def _run(
 def _provenance(
     kind: str, result: RobustResult | TuningResult, parameters: Parameters, options: DesignOptions
 ) -> dict[str, Any]:
-    """Birth certificate of a design."""
+    """How a design was made, for its file."""
     tuning = result.tuning if isinstance(result, RobustResult) else result
-    found = tuning.controller
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
+    flags += f" --starts {options.starts}" if options.starts else ""
     content: dict[str, Any] = {
         "command": f"los-testbed design {kind}{flags}",
         "commit": commit(),
@@ -129,7 +155,7 @@ def _provenance(
         "tuned_values": {
             name: float(f"{value:.6g}") for name, value in zip(tuning.requirement_names, tuning.values.max(axis=1))
         },
-        "continuous": {key: getattr(found, key).tolist() for key in "ABCD"},
+        "continuous": {key: getattr(tuning.controller, key).tolist() for key in "ABCD"},
     }
     if isinstance(result, RobustResult):
         content["active_models"] = [dict(values) for values in result.active]

@@ -3,19 +3,18 @@
 The disturbance of a run is a set of tones, each on several of the 22 channels at once. For each tone
 
     measured = amplitude fitted to the recorded line of sight / amplitude of the disturbance
-    model    = |H(i w) a| / |a|,  H the response of the loop as it flies
+    model    = |H(i w) a| / |a|,  H the response of the implemented loop
 
 with the norm of both axes above and the norm of the 22 channels below, **forces in N and torques in Nm
-counted alike**. The model knows nothing of the record but the tones.
+weighted equally**. Of the record the model uses the tones only.
 
-H is exact: plant sampled with the tones integrated, commands one tick late, camera value held between its frames. The
-hold makes the loop periodic; a tone then answers with a period of N ticks times the tone, and H is the mean over the
-period, which is what a fit of the tone to the record gives.
+H is exact: plant sampled with the tones integrated, commands one tick late, zero-order hold of the camera value between
+its frames. The hold makes the loop periodic; the response to a tone is the tone times a function with the period of N
+ticks, and H is the mean of that function, which is what a fit of the tone to the record gives.
 
-H is what the loop settles to. A run starts in the settled motion of the telescope without fine control, and where a
-stage shifts a mode of the structure that decays within minutes, a record of seconds shows the beat of both. So
-the model is also run from that start, with the limits of the commands, and its record fitted as the measured one is
-(`expected`).
+H is the steady state. A run starts in the steady state of the telescope without fine control, and where a stage shifts
+a lightly damped mode, a record of seconds shows the beat of both. The model is therefore also simulated from that
+start, with the limits of the commands, and its record fitted in the same way (`expected`).
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ WINDOW = 0.02
 
 @dataclass(frozen=True)
 class ToneResponse:
-    """One tone of the disturbance and what it does to the line of sight.
+    """One tone of the disturbance and the response of the line of sight.
 
     Parameters
     ----------
@@ -57,8 +56,8 @@ class ToneResponse:
     disturbance : float
         Norm of the amplitudes on the 22 channels [N, Nm].
     measured, expected, model : float
-        Amplitude of the line of sight [rad], norm of both axes: in the record; in the record of the model, from
-        the same start; of the model when all has settled.
+        Amplitude of the line of sight [rad], norm of both axes: in the record; in the simulated record from the
+        same start; of the model in steady state.
     """
 
     omega: float
@@ -68,7 +67,7 @@ class ToneResponse:
     model: float
 
     def as_dict(self) -> dict[str, float]:
-        """Figures for JSON: transmissibility in mas per N."""
+        """Values for JSON: transmissibility in mas per N."""
         scale = self.disturbance * RAD_PER_MAS
         return {
             "rad_s": round(self.omega, 6),
@@ -81,7 +80,7 @@ class ToneResponse:
 
 @dataclass(frozen=True)
 class LoopModel:
-    """The loop as it flies with the tones of a run.
+    """The implemented loop with the tones of a run.
 
     Parameters
     ----------
@@ -89,9 +88,9 @@ class LoopModel:
     plant : StateSpace
         Continuous, inputs: commands, disturbances.
     omega : ndarray, shape (K,)
-        rad/s, rising.
+        Frequencies [rad/s], rising.
     amplitude : ndarray, shape (22, K), complex
-        On the disturbance inputs.
+        Phasors on the disturbance inputs [N, Nm].
     limits : ndarray, shape (8,)
         Largest commands: mirror [rad], actuators [N].
     """
@@ -143,37 +142,36 @@ class LoopModel:
             limits[columns] = np.minimum(limits[columns], limit)
         omega = np.unique(tones.frequency)
         amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
-        seen = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
-        return cls(closed, plant, np.asarray(omega[seen]), np.asarray(amplitude[:, seen]), limits)
+        present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
+        return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits)
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """What unit phasors add: to the next state on a tick with a frame and without (n, K); to the line of sight."""
+        """Forcing by unit phasors: of the next state with a frame and without (n, K), of the line of sight."""
         n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
-        nothing = np.zeros(self.omega.size)
-        tones = Tones(self.omega, self.amplitude, nothing, nothing.astype(np.int64))
+        zeros = np.zeros(self.omega.size)
+        tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
         step = sample(self.plant, tones, 1).step[:, n + COMMANDS :]
-        factors = (
-            step[:, 1::2] + 1j * step[:, 0::2]
-        )  # columns act on the real and imaginary parts of the phasor in turn
+        # Columns act on the real and imaginary parts of the phasor in turn.
+        factors = step[:, 1::2] + 1j * step[:, 0::2]
         drive = np.zeros((size, self.omega.size), complex)
         drive[:n] = factors[:n]
-        felt = factors[n : n + MEASUREMENTS]
-        frame, hold = drive + self.loop.noise_frame @ felt, drive + self.loop.noise_hold @ felt
+        measured = factors[n : n + MEASUREMENTS]
+        frame, hold = drive + self.loop.noise_frame @ measured, drive + self.loop.noise_hold @ measured
         return np.asarray(frame, complex), np.asarray(hold, complex), np.asarray(factors[n + MEASUREMENTS :], complex)
 
     def settled(self) -> ComplexArray:
-        """Amplitudes of the line of sight [rad], shape (2, K), mean over a camera period, when all has settled."""
+        """Amplitudes of the line of sight in steady state [rad], shape (2, K), mean over a camera period."""
         N, size, turn = self.loop.frame_ticks, self.loop.hold.shape[0], np.exp(1j * self.omega * DT)
         frame, hold, through = self.forcing()
 
         def period(state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
             """State after a camera period and sum of the line of sight over it, per unit of the first phasor."""
-            seen = np.zeros((2, self.omega.size), complex)
+            total = np.zeros((2, self.omega.size), complex)
             for k in range(N):
-                seen += self.loop.truth @ state / turn**k
-                A, pushed = (self.loop.hold, hold) if k else (self.loop.frame, frame)
-                state = np.asarray(A @ state + pushed * turn**k)
-            return state, seen
+                total += self.loop.truth @ state / turn**k
+                A, drive = (self.loop.hold, hold) if k else (self.loop.frame, frame)
+                state = np.asarray(A @ state + drive * turn**k)
+            return state, total
 
         forced, _ = period(np.zeros((size, self.omega.size), complex))
         whole = np.linalg.matrix_power(self.loop.hold, N - 1) @ self.loop.frame
@@ -183,7 +181,7 @@ class LoopModel:
         return np.asarray(period(start)[1] / N + through, dtype=np.complex128)
 
     def record(self, ticks: int) -> FloatArray:
-        """Line of sight [rad], shape (ticks, 2), from the settled motion without fine control, commands limited."""
+        """Line of sight [rad], shape (ticks, 2), from the steady state without fine control, commands limited."""
         n, loop = self.plant.A.shape[0], self.loop
         frame, hold, through = self.forcing()
         state, los = np.zeros(loop.hold.shape[0]), np.empty((ticks, 2))
@@ -193,8 +191,8 @@ class LoopModel:
         for k in range(ticks):
             phasor = np.exp(1j * self.omega * DT * k)
             los[k] = loop.truth @ state + (through @ phasor).imag
-            A, pushed = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
-            state = A @ state + (pushed @ phasor).imag
+            A, forcing = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
+            state = A @ state + (forcing @ phasor).imag
             command = state[n : n + COMMANDS]
             np.clip(command, -self.limits, self.limits, out=command)
         return los
@@ -203,10 +201,10 @@ class LoopModel:
 def compare_tones(
     run: Run, model: LoopModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
 ) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
-    """Amplitudes in the record and in that of the model, run from the same start, and the seconds they are fitted to.
+    """Amplitudes in the record and in the simulated record from the same start, and the fitted part of the run [s].
 
-    Tones that the run cannot tell apart are fitted as one in both; those beyond half the sampling rate and those slower
-    than one period are left out.
+    Tones that the run cannot resolve are fitted as one in both; those beyond half the sampling rate and those with less
+    than one period are omitted.
 
     Parameters
     ----------
@@ -214,12 +212,12 @@ def compare_tones(
         Its first sample is the first tick of the run.
     model : LoopModel
     transient : float, optional
-        Seconds of start-up to leave out.
+        Seconds of start-up to omit.
     stop : float
-        Only up to this second of the run. The model costs a step of python for each tick before it.
+        End of the fitted part [s]. The simulation costs a step of Python for each tick before it.
     taper : bool
-        Fit both with Hann weights, so that drift and noise below a tone stay out of it; tones with less than 2.5
-        periods in the part are left out, too.
+        Fit both with Hann weights, which suppress drift and noise at lower frequencies than the tone; tones with less
+        than 2.5 periods in the part are omitted, too.
     """
     series = performance_error(run, transient)
     first = round(series.start / series.dt)
@@ -245,7 +243,7 @@ def compare_tones(
 def tone_responses(run: Run, model: LoopModel, transient: float | None = None) -> tuple[ToneResponse, ...]:
     """Measured and modelled response at each tone of a run.
 
-    Tones that the run cannot tell apart are left out, and those beyond half the sampling rate.
+    Tones that the run cannot resolve are omitted, and those beyond half the sampling rate.
     """
     with one_thread():
         settled = np.linalg.norm(model.settled(), axis=0)

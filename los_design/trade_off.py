@@ -1,8 +1,8 @@
-"""What the accelerometers cost: sensor noise in the relative error against the disturbance that is left in it.
+"""Trade-off of K_FSM: sensor noise against disturbances in the relative error.
 
 For each bound on the disturbance's part (H-infinity, over the parameter points of the stored design) K_FSM is tuned for
-the least noise (H2); the other requirements of the implemented problem are kept as hard ones. No observer of this order
-lies below the curve, as far as the tuner finds it.
+the least noise (H2); the other requirements of the implemented problem are hard. The curve is the best that the tuner
+found for an observer of this order.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from titop_plant.telescope.parameters import load_parameters
 
 LEVELS = (0.17, 0.2, 0.25, 0.3, 0.4, 0.55, 0.75, 1.0)
 MAX_POINTS = 4
-ITERATIONS = 40
+MAX_ITERATIONS = 40
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class TradeOffPoint:
     Parameters
     ----------
     bound : float or None
-        Asked of the disturbance's relative error, over the template of 100 mas; None for the stored design.
+        Bound on the disturbance's relative error, over the template of 100 mas; None for the stored design.
     disturbance, noise : float
-        Reached: worst disturbance amplitude and noise rms in the relative error of 20 ms [mas].
+        Worst disturbance amplitude and noise rms in the relative error of 20 ms [mas].
     status : str
-        Of the tuner; ``infeasible`` where the bound was not met.
+        Status of the tuner; ``infeasible`` where the bound was not met.
     """
 
     bound: float | None
@@ -61,14 +61,22 @@ class TradeOffPoint:
 
     @property
     def infeasible(self) -> bool:
-        """The bound was not met."""
+        """Whether the bound was not met."""
         return self.status == "infeasible"
 
 
 def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambda: None) -> list[TradeOffPoint]:
     """The stored design, then one point for each of `levels`, from the narrowest bound to the widest.
 
-    The levels are gone through twice, up and down, each design starting from the one before; the better one stands.
+    The levels are designed for twice, in rising and in falling order, each design starting from the one before; the
+    better of the two is kept.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Bounds on the disturbance's relative error, over the template of 100 mas.
+    tick : callable
+        Called after each of the ``2 len(levels)`` designs.
 
     Raises
     ------
@@ -78,59 +86,60 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     check_levels(levels)
     parameters = load_parameters()
     design = DesignOptions()
-    plant = observer_plant(telescope(), parameters, **design.held)
+    plant = observer_plant(telescope(), parameters, **design.hold_delays)
     structure = observer_structure(plant, held_camera=True)
     stored = SampledSystem.from_file(design_file("k-fsm"))
-    at = stored.provenance.get("active_models", [{}])[:MAX_POINTS]
-    models = [plant(values) for values in at]
-    wanted = observer_requirements(parameters, implemented=True)
+    points = stored.provenance.get("active_models", [{}])[:MAX_POINTS]
+    models = [plant(values) for values in points]
+    requirements = observer_requirements(parameters, implemented=True)
     limit = 1e3 * parameters["weights"]["rpe_limit"] * 648000.0 / np.pi
     x = structure.parameters_of(_model(stored, plant))
-    options = TuningOptions(starts=0, iterations=ITERATIONS, tolerance=1e-3, wall_limit=900.0)
+    options = TuningOptions(starts=0, iterations=MAX_ITERATIONS, tolerance=1e-3, wall_limit=900.0)
 
     def point(bound: float | None, values: FloatArray, status: str) -> TradeOffPoint:
-        worst = dict(zip((r.name for r in wanted), values.max(axis=1)))
+        worst = dict(zip((r.name for r in requirements), values.max(axis=1)))
         return TradeOffPoint(bound, limit * (bound or 1.0) * worst["RPE"], limit * worst["noise -> RPE"], status)
 
-    now = Problem(models, wanted, structure, loop_delay=design.delay).evaluate(x, gradients=False)
+    present = Problem(models, requirements, structure, loop_delay=design.delay).evaluate(x, gradients=False)
     best: dict[float, TradeOffPoint] = {}
     for level in (*sorted(levels), *sorted(levels, reverse=True)):
-        requirements = least_noise(wanted, level)
-        result = tune(models, requirements, structure, initial=[x], loop_delay=design.delay, options=options)
+        result = tune(
+            models, least_noise(requirements, level), structure, initial=[x], loop_delay=design.delay, options=options
+        )
         found = point(level, result.values, result.status)
         if level not in best or (not result.feasible, found.noise) < (best[level].infeasible, best[level].noise):
             best[level] = found
         if result.feasible:
             x = result.x
         tick()
-    return [point(None, now.values, "stored"), *(best[level] for level in sorted(levels))]
+    return [point(None, present.values, "stored"), *(best[level] for level in sorted(levels))]
 
 
 def undominated(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
-    """Points that kept their bound and that no other one beats in both figures, by rising disturbance."""
+    """Points that meet their bound and that no other one beats in both values, by rising disturbance."""
     met = sorted((p for p in points if not p.infeasible), key=lambda p: (p.disturbance, p.noise))
     lowest = np.minimum.accumulate(np.array([p.noise for p in met]))
     return [p for p, low in zip(met, lowest) if p.noise <= low]
 
 
 def check_levels(levels: Sequence[float]) -> None:
-    """Bounds must be there and positive.
+    """Check that there are bounds and that all are positive.
 
     Raises
     ------
     ValueError
     """
     if not levels or not min(levels) > 0.0:
-        raise ValueError(f"expected positive bounds on the relative error, got {list(levels)}")
+        raise ValueError(f"levels must be positive bounds on the relative error, got {list(levels)}")
 
 
-def least_noise(wanted: Sequence[Requirement], level: float) -> list[Requirement]:
-    """The implemented problem with its noise in the relative error to be minimised and all else hard.
+def least_noise(requirements: Sequence[Requirement], level: float) -> list[Requirement]:
+    """The implemented problem with the noise in the relative error as the only objective, all else hard.
 
-    The disturbance's relative error is bounded by `level` of its template.
+    The disturbance's relative error is bounded by `level` times its template.
     """
     changed: list[Requirement] = []
-    for r in wanted:
+    for r in requirements:
         if r.name == "RPE" and isinstance(r, HinfGain):
             changed.append(replace(r, bound=level * r.bound, hard=True))
         elif r.name == "noise -> RPE":
@@ -147,7 +156,7 @@ def _model(stored: SampledSystem, plant: ObserverPlant) -> StateSpace:
 
 
 def draw_trade_off(points: Sequence[TradeOffPoint], output: Path) -> list[Path]:
-    """Picture of the curve as PNG and SVG in a folder; returns their paths."""
+    """Draw the curve as PNG and SVG into a folder; returns their paths."""
     settings: Any = STYLE
     with mpl.rc_context(settings):
         figure = Figure(figsize=(6.0, 3.6), layout="constrained")

@@ -1,7 +1,8 @@
-"""Checking the stored designs by a route of their own: gammas of the paper's problem and of the loop as implemented."""
+"""Independent verification of the stored designs: gammas of the paper's problem and of the sampled loop."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -35,18 +36,18 @@ def verification_points(
 
 @dataclass(frozen=True)
 class ImplementedCheck:
-    """Worst figures over parameter points of a pair of implemented designs.
+    """Worst metrics over parameter points of a pair of implemented designs; infinite where a point is unstable.
 
     Parameters
     ----------
     fsm, pma : list of float
         Gammas in the paper's order: APE, RPE (100 mas), mirror; APE, RPE (40 mas), noise to APE, force.
     noise_ape, noise_rpe : float
-        Of the final loop at the nominal point [rad rms].
+        Of the loop with both controllers at the nominal point [rad rms].
     worst : dict
-        Parameter point of the largest APE and RPE of each stage.
+        Parameter point of the largest APE and RPE of each stage; the first unstable point where there is one.
     stable, count : int
-        Points at which both stages are stable, and all points.
+        Points at which the loops of both stages are stable, and all points.
     """
 
     fsm: list[float]
@@ -57,20 +58,26 @@ class ImplementedCheck:
     stable: int
     count: int
 
+    @property
+    def all_stable(self) -> bool:
+        """Whether both stages are stable at every point; the nominal one is always among them."""
+        return self.stable == self.count and math.isfinite(self.noise_ape)
+
     def to_mapping(self) -> dict[str, Any]:
-        """Figures for the JSON line."""
+        """Metrics for the JSON line; ``"inf"`` where a loop is unstable."""
         return {
-            "fsm": [_short(v) for v in self.fsm],
-            "pma": [_short(v) for v in self.pma],
-            "noise_ape_arcsec_rms": _short(self.noise_ape / ARCSEC),
-            "noise_rpe_mas_rms": _short(1e3 * self.noise_rpe / ARCSEC),
+            "fsm": [rounded(v) for v in self.fsm],
+            "pma": [rounded(v) for v in self.pma],
+            "noise_ape_arcsec_rms": rounded(self.noise_ape / ARCSEC),
+            "noise_rpe_mas_rms": rounded(1e3 * self.noise_rpe / ARCSEC),
             "stable_samples": self.stable,
             "samples": self.count,
         }
 
 
-def _short(value: float) -> float:
-    return float(f"{value:.5g}")
+def rounded(value: float) -> float | str:
+    """Five digits for JSON, which has no infinity: ``"inf"``."""
+    return float(f"{value:.5g}") if math.isfinite(value) else str(value)
 
 
 def check_implemented(
@@ -81,7 +88,21 @@ def check_implemented(
     at: Iterable[Values],
     tick: Callable[[], None] = lambda: None,
 ) -> ImplementedCheck:
-    """Evaluate a pair of implemented designs at the given parameter points."""
+    """Evaluate a pair of implemented designs at the given parameter points.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
+        :func:`titop_plant.simulation.control_loop_plant` makes it.
+    parameters : mapping
+        Telescope parameters (weights, sensors, authority).
+    k_fsm, k_pma : SampledSystem
+    at : iterable of mapping
+        Parameter points; noise is evaluated at the nominal point whatever they are.
+    tick : callable
+        Called after each point.
+    """
     fsm: FloatArray = np.zeros(3)
     pma: FloatArray = np.zeros(4)
     worst: dict[str, Values] = {}
@@ -94,7 +115,7 @@ def check_implemented(
         }
         one, two = stages["fsm"], stages["fsm+pma"]
         count += 1
-        stable += int(one.radius < 1.0 and two.radius < 1.0)
+        stable += int(one.stable and two.stable)
         for name, new, old in (
             ("fsm APE", one.ape, fsm[0]),
             ("fsm RPE", one.rpe, fsm[1]),
@@ -117,10 +138,31 @@ def check_implemented(
     return ImplementedCheck(fsm.tolist(), pma.tolist(), final.noise_ape, final.noise_rpe, worst, stable, count)
 
 
+def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedCheck]) -> list[str]:
+    """One line for each loop that is unstable somewhere; empty if the verification holds.
+
+    Parameters
+    ----------
+    paper : mapping
+        Result of :func:`check_paper`.
+    checks : mapping
+        Name to result of :func:`check_implemented`.
+    """
+    found = [
+        f"the paper's problem, {kind}: unstable" for kind, gammas in paper.items() if not np.isfinite(gammas).all()
+    ]
+    for name, check in checks.items():
+        if check.stable < check.count:
+            found.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")
+        elif not check.all_stable:
+            found.append(f"{name}: unstable at the nominal point")
+    return found
+
+
 def check_paper(
     telescope: Telescope, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, at: list[Values]
 ) -> dict[str, list[float]]:
-    """Worst certified gammas of the continuous designs over the points, in the paper's order."""
+    """Worst certified gammas of the continuous designs over the points, in the paper's order; infinite if unstable."""
     observer, actuators = continuous(k_fsm), continuous(k_pma)
     first = observer_plant(telescope, parameters)
     second = actuator_plant(telescope, parameters, observer)
@@ -139,10 +181,10 @@ def check_paper(
 
 
 def _certified(
-    plant: Any, controller: UncertainSystem, measured: tuple[str, ...], wanted: Any, at: list[Values]
+    plant: Any, controller: UncertainSystem, measured: tuple[str, ...], requirements: Any, at: list[Values]
 ) -> list[float]:
     data = controller.data_at({})
     ports = tuple(plant.system.output_port(name) for name in measured)
     K = StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K")
-    found = certify([plant(values) for values in at], K, wanted, 0.0)
-    return [_short(float(v)) for v in np.max(found.values, axis=1)]
+    certificate = certify([plant(values) for values in at], K, requirements, 0.0)
+    return [float(f"{v:.5g}") for v in np.max(certificate.values, axis=1)]

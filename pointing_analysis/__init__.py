@@ -4,10 +4,12 @@
 `read`             ``Run.open(path)``: a bag as arrays; `topic`: one topic and its gaps
 `errors`           performance and knowledge error of a run, start-up transient dropped
 `metrics`          APE, MPE, RPE, PDE, PRE; `weights`: their spectral weights
-`statistics`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
+`confidence`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
 `requirements`     requirements in text form and the verdict on them; `budget`: error budgets
-`summary`          the figures of a run; `report`: the HTML page
-`replay`           recorded sensors through observers and controllers
+`summary`          the metrics of a run; `report`: the HTML page, `figures` and `prediction`: its parts
+`replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks
+`cdr`              messages as bytes; `message_types`: names and definitions; `mcap_records`: the file format
+`dataframes`       topics as pandas or xarray objects
 `synthetic`        bags with known answers
 =================  ====================================================================================
 """

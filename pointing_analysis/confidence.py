@@ -20,31 +20,9 @@ Floats = NDArray[np.float64]
 SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
 
 
-def gaussian_factor(probability: float) -> float:
-    """Number of sigmas that hold a zero-mean Gaussian on one axis with this probability.
-
-    Examples
-    --------
-    >>> round(gaussian_factor(0.997), 5)
-    2.96774
-    """
-    return float(special.ndtri((1 + _probability(probability)) / 2))
-
-
-def radial_factor(probability: float) -> float:
-    r"""Number of sigmas (of one axis) that hold the norm of two equal Gaussian axes: :math:`\sqrt{-2\ln(1-P)}`.
-
-    Examples
-    --------
-    >>> [round(radial_factor(p), 5) for p in (0.95, 0.997, 0.9973)]
-    [2.44775, 3.40856, 3.43933]
-    """
-    return math.sqrt(-2 * math.log1p(-_probability(probability)))
-
-
 def _probability(p: float) -> float:
     if not 0 < p < 1:
-        raise ValueError(f"expected a probability between 0 and 1; got {p:g}")
+        raise ValueError(f"probability must be between 0 and 1, got {p:g}")
     return p
 
 

@@ -67,7 +67,7 @@ def transient_of(run: Run, transient: float | None, duration: float) -> float:
     """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `default_transient`."""
     value = run.parameters.get("transient_s", default_transient(duration)) if transient is None else transient
     if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
-        raise BagError(f"expected a transient of zero or more seconds; got {value!r}")
+        raise BagError(f"transient must be zero or more seconds, got {value!r}")
     return float(value)
 
 
@@ -75,12 +75,12 @@ def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSer
     first = round(transient / dt)
     if first >= len(values):
         raise BagError(
-            f"{path}: only start-up transient: expected more than {transient:g} s of data; got {len(values) * dt:g} s"
+            f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
     rest = np.array(values[first:, :2])
     missing = int(np.isnan(rest).any(axis=1).sum())
     if missing == len(rest):
-        raise BagError(f"{path}: expected numbers in the line of sight; every sample is missing or NaN")
+        raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
     return ErrorSeries(read_only(rest), dt, first * dt, missing)
 
 
@@ -100,7 +100,7 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
         No truth topic, only transient, or a time axis that is not uniform.
     """
     if "truth/los" not in run:
-        raise BagError(f"{run.path}: expected the topic truth/los; the bag has {', '.join(run.topics)}")
+        raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = on_grid(run["truth/los"])
     return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path)
 
@@ -126,7 +126,9 @@ def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
 def _need(run: Run, *names: str) -> None:
     for name in names:
         if name not in run:
-            raise BagError(f"{run.path}: a knowledge error needs the topic {name}; the bag has {', '.join(run.topics)}")
+            raise BagError(
+                f"{run.path}: for a knowledge error the bag must hold the topic {name}, got {', '.join(run.topics)}"
+            )
 
 
 def knowledge_error_of(

@@ -1,4 +1,4 @@
-"""Pictures of the report: one function per picture; the same run gives the same SVG byte for byte."""
+"""Figures of the report: one function per figure; the same run gives the same SVG byte for byte."""
 
 from __future__ import annotations
 

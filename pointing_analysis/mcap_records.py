@@ -1,12 +1,12 @@
-"""Walk through the records of an MCAP file, quickly and forgivingly.
+"""Records of an MCAP file, read in blocks; damaged and cut-off files are read as far as possible.
 
 The file format is simple (https://mcap.dev/spec): a magic number, then records ``opcode (1 byte), length (8 bytes),
 content``. Messages sit in compressed chunks, each followed by message-index records that say where in the chunk
 each channel's messages begin. General readers turn every message into an object; a pointing analysis wants arrays, so
-this module yields whole chunks with the *offsets* of their messages and leaves the decoding to numpy.
+this module yields complete chunks with the *offsets* of their messages and leaves the decoding to numpy.
 
 A file whose recorder was killed has no footer and perhaps half a chunk: all that can be decompressed is used and the
-cut is reported as a problem, never hidden.
+cut is reported as a problem.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LARGEST_RECORD = 1 << 31  # a longer one is a damaged length field
 
 
 class BagError(ValueError):
-    """The file is not a bag, or not one that can be read; the message says what was expected and what came."""
+    """The file is not a bag, or not one that can be read; the message says what it must be and what it is."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _unpack(info: FileInfo, body: bytes, where: str, cut: bool) -> bytes:
         info.problems.append(f"{where}: the head of a chunk is damaged; it is left out")
         return b""
     if kind not in ("", "zstd", "lz4"):
-        raise BagError(f"{where}: chunk compression is zstd, lz4 or none; got {kind!r}")
+        raise BagError(f"{where}: chunk compression must be zstd, lz4 or none, got {kind!r}")
     try:
         data = packed if not kind else _zstd(packed, size) if kind == "zstd" else _lz4(packed, size)
     except (zstandard.ZstdError, RuntimeError) as error:
@@ -315,7 +315,7 @@ def walk(path: str | os.PathLike[str], info: FileInfo) -> Iterator[Block]:
             stream = zstandard.ZstdDecompressor().stream_reader(raw)  # type: ignore[assignment]
         magic = stream.read(len(MAGIC))
         if magic != MAGIC:
-            raise BagError(f"{where}: not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}")
+            raise BagError(f"{where}: an MCAP file must begin with {MAGIC!r}, got {magic!r}")
         # A damaged length must not make us ask for more memory than the file can fill.
         largest = LARGEST_RECORD if stream is not raw else os.fstat(raw.fileno()).st_size
         yield from _Walk(stream, info, where, largest).blocks()

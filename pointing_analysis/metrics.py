@@ -69,7 +69,7 @@ def window_samples(window: float, dt: float) -> int:
     n = round(ratio) if np.isfinite(ratio) else 0
     if n < 2 or abs(ratio - n) > 1e-3:
         raise ValueError(
-            f"expected a window of a whole number (two or more) of samples of {1e3 * dt:g} ms; got {1e3 * window:g} ms"
+            f"window must be a whole number (two or more) of samples of {1e3 * dt:g} ms, got {1e3 * window:g} ms"
         )
     return n
 
@@ -77,14 +77,14 @@ def window_samples(window: float, dt: float) -> int:
 def _series(error: ArrayLike) -> Floats:
     e = np.asarray(error, dtype=float)
     if e.ndim != 2 or e.shape[1] != 2:
-        raise ValueError(f"expected errors of shape (n, 2), one column per axis; got {e.shape}")
+        raise ValueError(f"error must have the shape (n, 2), got {e.shape}")
     return e
 
 
 def _fits(e: Floats, window: float, dt: float) -> int:
     n = window_samples(window, dt)
     if n > len(e):
-        raise ValueError(f"expected a run longer than the window; got {len(e) * dt:g} s of data, window {window:g} s")
+        raise ValueError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
     return n
 
 
@@ -190,7 +190,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
         blocks = e[: m * n].reshape(m, n, 2)
         return np.asarray((blocks - blocks.mean(axis=1, keepdims=True)).reshape(m * n, 2))
     if position not in ("centred", "end"):
-        raise ValueError(f"expected position 'all', 'centred' or 'end'; got {position!r}")
+        raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
     at = n // 2 if position == "centred" else n - 1
     missing: NDArray[np.bool_] = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
@@ -225,7 +225,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats
     lag = window_samples(separation, dt)
     if n + lag > len(e):
         raise ValueError(
-            f"expected a run longer than window + separation = {window + separation:g} s; got {len(e) * dt:g} s"
+            f"the run must last for window + separation = {window + separation:g} s or more, got {len(e) * dt:g} s"
         )
     starts = np.arange(0, len(e) - n - lag + 1, n)
     first = e[starts[:, None] + np.arange(n)].mean(axis=1)

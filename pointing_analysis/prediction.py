@@ -1,11 +1,11 @@
-"""What a model predicts of a run beside what the run shows, tone by tone; the model itself is somebody else's."""
+"""Predicted and measured amplitudes of a run, tone by tone; the prediction comes from a model outside this package."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 CLEAR = 3.0
-"""A tone stands clear of the noise from this many times the noise's own amplitude on."""
+"""A tone is told from the noise if its amplitude is at least this many times that of the noise."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ToneComparison:
 
     @property
     def in_noise(self) -> bool:
-        """Whether neither the predicted nor the measured tone stands clear of the noise."""
+        """Whether neither the predicted nor the measured tone can be told from the noise."""
         return max(self.predicted, self.measured) < CLEAR * self.noise
 
     @property

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis import cdr
 from pointing_analysis.mcap_records import BODY, HEAD, BagError, Block, Channel, FileInfo, walk
+from pointing_analysis.message_types import COLUMNS, UNITS
 from pointing_analysis.topic import NANO, Topic, make_topic
 
 METADATA_NAME = "los_testbed"
@@ -70,9 +71,9 @@ def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
         problems.append(f"files named in metadata.yaml are missing: {', '.join(missing)}")
     files = [f for f in named if f.is_file()] or on_disk
     if any(f.suffix == ".db3" for f in files):
-        raise BagError(f"{path}: expected an MCAP bag; got an sqlite3 one (convert it with `ros2 bag convert`)")
+        raise BagError(f"{path}: the bag must be MCAP, got sqlite3 (convert it with `ros2 bag convert`)")
     if not files:
-        raise BagError(f"{path}: expected a rosbag2 folder with .mcap files; found none")
+        raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got none")
     return files, info, problems
 
 
@@ -92,7 +93,7 @@ class _Column:
 
     def __init__(self, name: str, schema: str) -> None:
         self.name, self.schema = name, schema
-        width = len(cdr.SUPPORTED[schema][0].split())
+        width = len(COLUMNS[schema])
         self.size = 0
         self.arrays: list[NDArray[Any]] = _nothing(width)
 
@@ -102,8 +103,7 @@ class _Column:
             self.arrays = _nothing(values.shape[1])
         if values.shape[1] != self.arrays[1].shape[1]:
             raise BagError(
-                f"expected the same number of values in every message; got {self.arrays[1].shape[1]} "
-                f"and {values.shape[1]}"
+                f"all messages must have the same number of values, got {self.arrays[1].shape[1]} and {values.shape[1]}"
             )
         end = self.size + len(stamp)
         for i, new in enumerate((stamp, values, sent)):
@@ -121,12 +121,12 @@ class _Column:
 
     def topic(self) -> Topic:
         """The finished topic; the column is empty afterwards."""
-        columns = cdr.SUPPORTED[self.schema][0].split()
+        columns = list(COLUMNS[self.schema])
         stamp, values, published = (a[: self.size] for a in self.arrays)
         if len(columns) != values.shape[1]:
             columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
         self.arrays = []
-        unit = KNOWN.get(self.name, cdr.SUPPORTED[self.schema][1])
+        unit = KNOWN.get(self.name, UNITS[self.schema])
         return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
 
 
@@ -221,7 +221,7 @@ class Run:
             Not a bag, no known topic in it, several plants and no `namespace`, or too large.
         """
         if not stop > start:
-            raise BagError(f"expected stop after start; got start={start:g} s, stop={stop:g} s")
+            raise BagError(f"stop must be after start = {start:g} s, got {stop:g} s")
         limit = MEMORY_LIMIT if memory_limit is None else memory_limit
         return cls(Path(path), namespace, float(start), float(stop), limit)
 
@@ -301,7 +301,7 @@ class Run:
         numbers = block.heads["channel"]
         for number in np.unique(numbers):
             channel: Channel | None = info.channels.get(int(number))
-            if channel is None or channel.encoding != "cdr" or channel.schema not in cdr.SUPPORTED:
+            if channel is None or channel.encoding != "cdr" or channel.schema not in COLUMNS:
                 continue
             if not selects(channel.topic):
                 continue
@@ -323,13 +323,13 @@ class Run:
         if self._asked_namespace is not None:
             chosen = "/" + self._asked_namespace.strip("/") if self._asked_namespace.strip("/") else ""
             if chosen not in found:
-                raise BagError(f"{self.path}: expected namespace one of {sorted(found)}; got {chosen!r}")
+                raise BagError(f"{self.path}: namespace must be one of {sorted(found)}, got {chosen!r}")
             return chosen
         if not found:
             some = ", ".join(sorted(names)[:5]) or "no topics at all"
-            raise BagError(f"{self.path}: expected a topic such as /telescope/truth/los; the bag has {some}")
+            raise BagError(f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}")
         if len(found) > 1:
-            raise BagError(f"{self.path}: expected one plant; got {sorted(found)}: choose one with namespace=")
+            raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")
         return next(iter(found))
 
     # -- access -------------------------------------------------------------------------------------------------
@@ -340,13 +340,13 @@ class Run:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What was wrong with the files, in plain words; empty for a clean recording."""
+        """Defects of the files, one sentence each; empty for an intact recording."""
         return tuple(self._noted)
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics that can be read, without the namespace, sorted."""
-        return tuple(sorted(name for name, schema in self._schemas.items() if schema in cdr.SUPPORTED))
+        return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))
 
     def __contains__(self, name: object) -> bool:
         return name in self.topics
@@ -373,7 +373,7 @@ class Run:
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
-        """Files that travel in the bag (controllers, plant parameters), by name."""
+        """Files in the bag (controllers, plant parameters), by name."""
         return MappingProxyType({k: v for info in self._infos for k, v in info.attachments.items()})
 
     @property

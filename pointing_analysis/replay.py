@@ -16,8 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics
-from pointing_analysis.errors import ErrorSeries, knowledge_error_of
+from pointing_analysis.gap_stepping import GapStepper
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.topic import NANO, read_only
@@ -38,8 +37,6 @@ COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
 MEASUREMENTS = max(columns.stop for columns in MEASUREMENT.values())
 COMMANDS = max(columns.stop for columns in COMMAND.values())
 PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
-#: the nodes step on held samples over a gap of at most so many ticks; over a longer one they do not
-GAP_LIMIT = 50
 
 
 class Estimator(Protocol):
@@ -82,7 +79,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the replayed cores gave.
+    """Estimates and commands of a replay.
 
     Attributes
     ----------
@@ -115,15 +112,15 @@ def sensors(run: Run) -> Sensors:
     """
     for name, columns in MEASUREMENT.items():
         if name not in run:
-            raise BagError(f"{run.path}: a replay needs the topic {name}; the bag has {', '.join(run.topics)}")
+            raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
         if run[name].values.shape[1] < columns.stop - columns.start:
-            raise BagError(f"{run.path}: {name}: expected {columns.stop - columns.start} values in a message")
+            raise BagError(f"{run.path}: {name}: messages must have {columns.stop - columns.start} values or more")
     fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
     stamp = fast[0].stamp
     for topic in fast[1:]:
         stamp = np.intersect1d(stamp, topic.stamp, assume_unique=True)
     if not stamp.size:
-        raise BagError(f"{run.path}: expected sensors with common stamps; got none")
+        raise BagError(f"{run.path}: the sensors must have common stamps, got none")
     camera = run["camera/los"]
     frame = round(camera.period * NANO) if len(camera) > 1 else 0
     if frame:
@@ -147,10 +144,9 @@ def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
     return np.flatnonzero(np.isin(stamp, done))
 
 
-def _gaps(stamp: Stamps, period: int) -> NDArray[np.int64]:
-    """Ticks left out before each one, as the nodes make up for them: none after a gap longer than the limit."""
-    left_out = np.append(0, np.diff(stamp) // period - 1)
-    return np.where(left_out > GAP_LIMIT, 0, left_out)
+def _gaps(stamp: Stamps, period: int) -> list[int]:
+    """Ticks missing before each one."""
+    return np.append(0, np.diff(stamp) // period - 1).tolist()  # type: ignore[no-any-return]
 
 
 def replay(
@@ -159,15 +155,15 @@ def replay(
     controller: Controller,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replayed:
-    """Drive the cores with the sensors of a run, as the nodes do, from the zero state.
+    """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
-    The cores step on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
+    Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
     step on held samples, as the node did.
 
     Parameters
     ----------
     run : with the sensor topics
-    estimator, controller : the cores; both are reset first
+    estimator, controller : both are reset first
     progress : called with (ticks done, all ticks) about every second of the run
     """
     given = sensors(run)
@@ -176,16 +172,10 @@ def replay(
     stamp, measurement = given.stamp[rows], given.measurement[rows]
     total = 2 * len(stamp)
     estimate = np.zeros((len(stamp), 2))
-    out, held = np.zeros(2), np.zeros(MEASUREMENTS)
-    held[CAMERA] = np.nan
     estimator.reset()
-    for i, left_out in enumerate(_gaps(stamp, given.period)):
-        for _ in range(left_out):
-            estimator.step(held, out)
-        estimator.step(measurement[i], out)
-        estimate[i] = out
-        held[:] = measurement[i]
-        held[CAMERA] = np.nan
+    step = GapStepper(estimator.step, measurement.shape[1], CAMERA)
+    for i, gap in enumerate(_gaps(stamp, given.period)):
+        step(measurement[i], gap, estimate[i])
         if i % 1000 == 0:
             progress(i, total)
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
@@ -195,16 +185,12 @@ def replay(
     return Replayed(read_only(stamp.copy()), read_only(estimate), read_only(command_stamp.copy()), read_only(command))
 
 
-def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: NDArray[np.int64]) -> Floats:
-    command, out = np.zeros((len(estimate), COMMANDS)), np.zeros(COMMANDS)
-    held_los, held_accel = np.zeros(2), np.zeros(6)
+def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: list[int]) -> Floats:
+    samples, command = np.hstack([estimate, accel]), np.zeros((len(estimate), COMMANDS))
     controller.reset()
-    for i, left_out in enumerate(gaps):
-        for _ in range(left_out):
-            controller.step(held_los, held_accel, out)
-        controller.step(estimate[i], accel[i], out)
-        command[i] = out
-        held_los[:], held_accel[:] = estimate[i], accel[i]
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), samples.shape[1])
+    for i, gap in enumerate(gaps):
+        step(samples[i], gap, command[i])
     return command
 
 
@@ -284,19 +270,3 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
         lone = len(stamp) + len(topic) - 2 * len(i)
         found.append(Difference(name, len(i), int(wrong.sum()), lone, first, largest))
     return Comparison(tuple(found), sensors(run).incomplete)
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """Knowledge error of the replayed estimate: rms [rad], radial, and RKE rms in windows [rad], radial."""
-
-    rms: float
-    rke_rms: float
-    series: ErrorSeries
-
-
-def knowledge(run: Run, replayed: Replayed, window: float = 0.02, transient: float | None = None) -> Knowledge:
-    """Knowledge error of the replayed estimate against the recorded truth."""
-    series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-    rms = float(np.hypot(*metrics.rms(series.values)))
-    return Knowledge(rms, float(np.hypot(*metrics.rpe_rms(series.values, series.dt, window))), series)

@@ -35,12 +35,6 @@ HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
-WORDS = {
-    "compliant": "compliant",
-    "not compliant": "not compliant",
-    "not enough data": "not enough data",
-    "not judged": "not judged",
-}
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,7 @@ def _row(label: str, v: Verdict) -> Row:
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=WORDS[v.status],
+        status=v.status,
         css=_css(v.status),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
@@ -314,9 +308,9 @@ def render(
         No run was given, or predictions for another number of runs.
     """
     if not runs:
-        raise ValueError("expected at least one run for a report; got none")
+        raise ValueError("runs must hold at least one run, got none")
     if predictions and len(predictions) != len(runs):
-        raise ValueError(f"expected one prediction for each of {len(runs)} runs; got {len(predictions)}")
+        raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
@@ -375,7 +369,7 @@ def write_report(
     target = Path(path)
     page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
     if not target.parent.is_dir():
-        raise ValueError(f"expected an existing folder for the report; got {target.parent}")
+        raise ValueError(f"the folder of the report must exist, got {target.parent}")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:
         stream.write(page)
     os.chmod(stream.name, 0o644)

@@ -57,7 +57,7 @@ Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
 class RequirementError(ValueError):
-    """A requirement that cannot be understood; the message says what was expected and what came."""
+    """A requirement that cannot be read; the message says what it must be and what it is."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     m = _TEXT.fullmatch(text.strip())
     if m is None:
         raise RequirementError(
-            f"expected a requirement such as 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence'; got {text!r}"
+            f"requirement must read like 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence', got {text!r}"
         )
     index, kind = m["index"].upper(), m["kind"] or "temporal"
     _member("index", index, INDICES)
@@ -138,16 +138,16 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     _member("interpretation", kind, INTERPRETATIONS)
     times = tuple(_time(part) for part in (m["times"] or "").split(",") if part.strip())
     if len(times) != INDICES[index]:
-        raise RequirementError(f"expected {INDICES[index]} times in {index}(...); got {len(times)} in {text!r}")
+        raise RequirementError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
     probability, confidence = (
         float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
     )
     for what, value in (("probability", probability), ("confidence", confidence)):
         if not 0 < value < 1:
-            raise RequirementError(f"expected a {what} between 0 and 1 (or 0 and 100 %); got {value:g} in {text!r}")
+            raise RequirementError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
     limit = float(m["limit"]) * ANGLES[m["unit"]]
     if not 0 < limit < math.inf:
-        raise RequirementError(f"expected a positive limit; got {m['limit']} in {text!r}")
+        raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
     return Requirement(
         index, m["axis"] or "", times, limit, m["unit"], probability, confidence, kind, name or index, tuple(loops)
     )
@@ -155,13 +155,13 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
 
 def _member(what: str, value: str, known: Any) -> None:
     if value not in known:
-        raise RequirementError(f"expected {what} one of {', '.join(known)}; got {value!r}")
+        raise RequirementError(f"{what} must be one of {', '.join(known)}, got {value!r}")
 
 
 def _time(text: str) -> float:
     m = re.fullmatch(r"\s*([\d.]+)\s*(us|ms|s|min)\s*", text)
     if m is None or not float(m[1]) > 0:
-        raise RequirementError(f"expected a time such as '20 ms'; got {text.strip()!r}")
+        raise RequirementError(f"time must read like '20 ms', got {text.strip()!r}")
     return float(m[1]) * TIMES[m[2]]
 
 
@@ -182,15 +182,15 @@ def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]
     except OSError as error:
         raise RequirementError(f"{file}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RequirementError(f"{file}: expected TOML or YAML: {str(error).splitlines()[0]}") from None
+        raise RequirementError(f"{file}: must be TOML or YAML: {str(error).splitlines()[0]}") from None
     entries = content.get("requirement") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) and "text" in e for e in entries):
-        raise RequirementError(f"{file}: expected a list 'requirement' whose entries have a 'text'")
+        raise RequirementError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
     found = []
     for entry in entries:
         unknown = set(entry) - {"text", "name", "loop"}
         if unknown:
-            raise RequirementError(f"{file}: expected the keys text, name, loop; got {sorted(unknown)}")
+            raise RequirementError(f"{file}: keys must be of text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
         found.append(
             parse(str(entry["text"]), str(entry.get("name", "")), [loops] if isinstance(loops, str) else loops)
@@ -305,7 +305,7 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
     """
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
-        return _not_judged(requirement, f"a {what} requirement needs several runs; got {len(runs)}")
+        return _not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:

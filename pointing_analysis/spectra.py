@@ -1,4 +1,4 @@
-"""Spectra of the line of sight: power density, cumulative RMS, and what each disturbance line adds to the RPE.
+"""Spectra of the line of sight: power density, cumulative RMS, contribution of each disturbance line to the RPE.
 
 Nothing is detrended: an offset is part of the APE and stays in the spectrum at zero frequency.
 """
@@ -15,7 +15,7 @@ from pointing_analysis import weights
 from pointing_analysis.topic import read_only
 
 Floats = NDArray[np.float64]
-NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the places of `background` lie beside a tone
+NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
 
 
@@ -77,7 +77,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     e = np.asarray(error, dtype=float)
     n = min(max(round(segment / dt), 8), len(e))
     if n < 8:
-        raise ValueError(f"expected at least 8 samples for a spectrum; got {len(e)}")
+        raise ValueError(f"error must have at least 8 samples for a spectrum, got {len(e)}")
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)  # Hann, periodic
     scale = 2 * dt / np.square(window).sum()
     density = np.zeros((n // 2 + 1, 2))
@@ -90,7 +90,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
         density += scale * np.square(np.abs(np.fft.rfft(piece * window[:, None], axis=0)))
         used += 1
     if not used:
-        raise ValueError(f"expected a stretch of {n * dt:g} s without a missing sample for the spectrum; found none")
+        raise ValueError(f"error must have a segment of {n * dt:g} s without missing samples for a spectrum, got none")
     density /= used
     density[0] /= 2
     if n % 2 == 0:

@@ -1,4 +1,4 @@
-"""The figures of a run in one place: what the command line prints and the report begins with."""
+"""The metrics of a run: what the command line prints and the report begins with."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of one run.
+    """Metrics of one run.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Summary:
     camera_dropped : camera frames that are NaN
     knowledge : knowledge errors, None without an estimate in the bag
     verdicts : one per requirement
-    problems : what was wrong with the bag, in plain words
+    problems : defects of the bag, one sentence each
     """
 
     path: Path
@@ -80,7 +80,7 @@ class Summary:
     problems: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Figures for JSON; infinities and NaN become None."""
+        """Metrics for JSON; infinities and NaN become None."""
 
         def number(x: float) -> float | None:
             return float(f"{x:.6g}") if math.isfinite(x) else None
@@ -130,7 +130,7 @@ def applicable(requirements: Sequence[Requirement], run: Run) -> tuple[Requireme
 
 
 def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
-    """Lost samples by topic, problems in plain words, dropped camera frames."""
+    """Lost samples by topic, defects of the bag, dropped camera frames."""
     lost: dict[str, int] = {}
     problems = list(run.problems)
     stamps = {}
@@ -192,7 +192,7 @@ def summarise(
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
 ) -> Summary:
-    """Figures and verdicts of one run.
+    """Metrics and verdicts of one run.
 
     Parameters
     ----------

@@ -8,7 +8,6 @@ module.
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,63 +17,13 @@ import yaml
 from mcap.writer import CompressionType, IndexType, Writer
 from numpy.typing import ArrayLike, NDArray
 
+from pointing_analysis.cdr import Encoder
+from pointing_analysis.message_types import ACCEL, DEFINITIONS, JOINT_STATE, VECTOR3
 from pointing_analysis.read import METADATA_NAME
-
-_SEPARATOR = "\n" + "=" * 80 + "\n"
-_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-_VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-_ACCEL = "MSG: geometry_msgs/Accel\nVector3 linear\nVector3 angular\n"
-DEFINITIONS = {
-    "geometry_msgs/msg/Vector3Stamped": _SEPARATOR.join(
-        ["std_msgs/Header header\nVector3 vector\n", _HEADER, _TIME, _VECTOR]
-    ),
-    "geometry_msgs/msg/AccelStamped": _SEPARATOR.join(
-        ["std_msgs/Header header\nAccel accel\n", _HEADER, _TIME, _ACCEL, _VECTOR]
-    ),
-    "sensor_msgs/msg/JointState": _SEPARATOR.join(
-        [
-            "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
-            _HEADER,
-            _TIME,
-        ]
-    ),
-}
-PMA_NAMES = tuple(f"pma_{i}" for i in range(1, 7))
-
-
-def _pad(data: bytes, size: int) -> bytes:
-    return data + b"\0" * (-(len(data) - 4) % size)
-
-
-def _string(text: str) -> bytes:
-    raw = text.encode() + b"\0"
-    return struct.pack("<I", len(raw)) + raw
-
-
-def encode(schema: str, stamp: int, values: ArrayLike, frame: str = "telescope") -> bytes:
-    """CDR payload of one message.
-
-    Parameters
-    ----------
-    schema : a key of `DEFINITIONS`
-    stamp : [ns]
-    values : 3 (Vector3Stamped), 6 (AccelStamped) or any number (JointState efforts)
-    frame : frame_id
-    """
-    data = b"\x00\x01\x00\x00" + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + _string(frame)
-    row = np.asarray(values, dtype="<f8")
-    if schema == "sensor_msgs/msg/JointState":
-        data = _pad(data, 4) + struct.pack("<I", row.size)
-        for i in range(row.size):
-            data = _pad(data, 4) + _string(PMA_NAMES[i] if i < len(PMA_NAMES) else f"joint_{i + 1}")
-        data = _pad(data, 4) + struct.pack("<III", 0, 0, row.size)
-    return _pad(data, 8) + row.tobytes()
 
 
 def _schema_of(width: int) -> str:
-    kinds = {2: "geometry_msgs/msg/Vector3Stamped", 3: "geometry_msgs/msg/Vector3Stamped"}
-    return kinds.get(width, "geometry_msgs/msg/AccelStamped")
+    return VECTOR3 if width in (2, 3) else ACCEL
 
 
 def write_bag(
@@ -144,13 +93,13 @@ _Signals = dict[str, tuple[str, NDArray[np.float64]]]
 
 
 def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]], namespace: str) -> None:
-    channels = {}
-    for name, (schema, _) in typed.items():
+    channels, encoders = {}, {}
+    for name, (schema, values) in typed.items():
+        encoders[name] = Encoder(schema, values.shape[1], name.replace("/", "_"))
         number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
         channels[name] = writer.register_channel(f"{namespace}/{name}", "cdr", number)
     for logged, stamp, name, row in events:
-        schema, values = typed[name]
-        data = encode(schema, stamp, values[row], frame=name.replace("/", "_"))
+        data = bytes(encoders[name].encode(stamp, typed[name][1][row]))
         writer.add_message(channels[name], logged, data, logged, sequence=row)
 
 
@@ -166,7 +115,7 @@ def _events(
     events = []
     for name, signal in signals.items():
         values = np.atleast_2d(np.asarray(signal, dtype=float))
-        schema = "sensor_msgs/msg/JointState" if name == "pma/command" else _schema_of(values.shape[1])
+        schema = JOINT_STATE if name == "pma/command" else _schema_of(values.shape[1])
         if values.shape[1] == 2:
             values = np.column_stack([values, np.zeros(len(values))])
         typed[name] = (schema, values)

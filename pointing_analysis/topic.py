@@ -15,7 +15,7 @@ NANO = 1_000_000_000
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array with writing switched off (house rule for arrays in frozen dataclasses)."""
+    """Return the array with writing switched off (arrays in frozen dataclasses are read-only)."""
     array.flags.writeable = False
     return array
 
@@ -33,7 +33,7 @@ class Integrity:
     out_of_order : messages recorded after one with a later stamp
     missing : samples missing between the first and the last stamp
     gaps : (start, samples missing) of each gap, start in seconds after the topic's first stamp
-    irregular : intervals that are no whole multiple of the period (2 % of it allowed)
+    irregular : intervals that are no multiple of the period (2 % of it allowed)
     nan : messages with a value that is not a number (for a camera: a dropped frame)
     other_rate : share of the intervals that belong to stretches at another constant rate
     """
@@ -191,26 +191,26 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
     """
     state = topic.integrity
     if len(topic) < 2:
-        raise BagError(f"{topic.name}: expected at least two samples; got {len(topic)}")
+        raise BagError(f"{topic.name}: topic must have at least two samples, got {len(topic)}")
     if state.conflicts:
         raise BagError(
-            f"{topic.name}: {state.conflicts} stamps carry two different values: expected one plant per bag, "
-            "got two publishers on this topic"
+            f"{topic.name}: a bag must hold one plant, got two publishers on this topic: "
+            f"{state.conflicts} stamps carry two different values"
         )
     if state.other_rate > 0.01:
         raise BagError(
-            f"{topic.name}: expected one sampling rate; {100 * state.other_rate:.0f} % of the run is not at the "
-            f"period of {1e3 * topic.period:g} ms"
+            f"{topic.name}: topic must have one sampling rate, got another period than {1e3 * topic.period:g} ms in "
+            f"{100 * state.other_rate:.0f} % of the run"
         )
     if state.irregular > 0.01 * len(topic):
         raise BagError(
-            f"{topic.name}: expected stamps on a grid of {1e3 * topic.period:g} ms; {state.irregular} intervals are not"
+            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, not {state.irregular} others"
         )
     index = np.rint((topic.stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64)
     if index[-1] + 1 > 4 * len(topic) + 100_000:
         raise BagError(
-            f"{topic.name}: {len(topic)} samples span {index[-1] * topic.period:g} s: expected a continuous "
-            "recording; the clock jumped or most of it is missing"
+            f"{topic.name}: recording must be continuous, got {len(topic)} samples in {index[-1] * topic.period:g} s: "
+            "the clock was stepped, or most samples are missing"
         )
     if state.missing == 0 and index[-1] + 1 == len(topic):
         return topic.values, topic.period

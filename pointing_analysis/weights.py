@@ -1,10 +1,10 @@
-r"""Spectral weights of the pointing indices: the part of a tone's rms that an index sees.
+r"""Spectral weights of the RPE: the share of a tone's rms that the index contains.
 
 A tone of amplitude A and frequency :math:`\omega` on one axis has :math:`\mathrm{RPE_{rms}} = |W(\omega)|\, A/\sqrt
-2`. Exact weights follow from the window mean (Lucke et al. 1992; Ott et al. 2011); the rational one is the common
-second-order fit used for synthesis. **The rational weight is no upper bound**: the exact one is up to 4.5 % larger in
-amplitude (near :math:`\omega\Delta t = 5.3`, 42 Hz for 20 ms), so a design with norm 1 allows a measured RPE of 1.045
-times its limit.
+2`. The weights here follow from the window mean (Lucke et al. 1992; Ott et al. 2011). The second-order rational fit of
+the synthesis (:func:`titop_plant.telescope.weights.rpe_weight`) **is no upper bound**: the exact weight is up to 4.5 %
+larger in amplitude (near :math:`\omega\Delta t = 5.3`, 42 Hz for 20 ms), so a design with norm 1 allows a measured RPE
+of 1.045 times its limit.
 """
 
 from __future__ import annotations
@@ -13,18 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
-
-
-def mean_exact(omega: ArrayLike, window: float) -> Floats:
-    r"""Magnitude of the window mean of a tone: :math:`\sqrt{2(1-\cos y)}/y`, :math:`y=\omega\Delta t`.
-
-    Parameters
-    ----------
-    omega : frequency [rad/s]
-    window : [s]
-    """
-    y = np.asarray(omega, dtype=float) * window
-    return np.asarray(np.abs(np.sinc(y / (2 * np.pi))))
 
 
 def rpe_exact(omega: ArrayLike, window: float) -> Floats:
@@ -60,40 +48,3 @@ def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> Floats:
     flat = np.abs(bottom) < 1e-9
     kernel = np.where(flat, 1.0, np.sin(samples * half) / np.where(flat, 1.0, bottom))
     return np.asarray(np.sqrt(np.maximum(1 - kernel**2, 0)))
-
-
-def drift_exact(omega: ArrayLike, separation: float) -> Floats:
-    r"""Weight of the difference of two instants `separation` apart: :math:`\sqrt{2(1-\cos\omega\Delta t_s)}`."""
-    return np.asarray(2 * np.abs(np.sin(np.asarray(omega, dtype=float) * separation / 2)))
-
-
-def pde_exact(omega: ArrayLike, window: float, separation: float) -> Floats:
-    """Weight of the PDE: the difference of two window means."""
-    return mean_exact(omega, window) * drift_exact(omega, separation)
-
-
-def rpe_rational(omega: ArrayLike, window: float) -> Floats:
-    r"""Rational RPE weight: :math:`|y(y+\sqrt{12})/(y^2+6 y+12)|` at :math:`y=j\omega\Delta t`.
-
-    Examples
-    --------
-    >>> float(rpe_rational(2 * np.pi * 10, 0.02).round(6))
-    0.360016
-    """
-    s = 1j * np.asarray(omega, dtype=float) * window
-    return np.asarray(np.abs(s * (s + np.sqrt(12)) / (s**2 + 6 * s + 12)))
-
-
-def worst_ratio() -> tuple[float, float]:
-    r"""Largest ratio exact / rational RPE weight and the :math:`\omega\Delta t` [rad] where it is.
-
-    Examples
-    --------
-    >>> ratio, y = worst_ratio()
-    >>> round(ratio, 3), round(y / (2 * np.pi * 0.02))
-    (1.045, 42)
-    """
-    y = np.linspace(0.1, 12, 20001)
-    ratio = rpe_exact(y, 1.0) / rpe_rational(y, 1.0)
-    i = int(ratio.argmax())
-    return float(ratio[i]), float(y[i])

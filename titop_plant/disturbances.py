@@ -28,6 +28,7 @@ from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
 
 ComplexArray = NDArray[np.complex128]
 
@@ -156,12 +157,6 @@ def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
     high_pass = np.hypot(w, table["wheel_imbalance_zero"]) / np.hypot(w, table["wheel_imbalance_pole"])
     wheels = high_pass[:, None] * np.tile(table["wheel_imbalance"], 4)
     return np.hstack([wheels, np.full((w.size, 2), parameters["sadm"]["torque_bound"])])
-
-
-def rpe_weight(omega: Any, window: float) -> FloatArray:
-    """Magnitude of the paper's rational high-pass weight for a relative performance error over `window` [s]."""
-    s = 1j * np.asarray(omega, dtype=float) * window
-    return np.asarray(np.abs(s * (s + np.sqrt(12.0)) / (s**2 + 6.0 * s + 12.0)))
 
 
 def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Generator) -> Tones:

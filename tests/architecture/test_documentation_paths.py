@@ -1,9 +1,11 @@
-"""Every path, link and command in README.md and the documentation exists; every page refers to the glossary."""
+"""Paths, links, objects and commands named in README.md and the documentation exist; pages refer to the glossary."""
 
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -79,6 +81,33 @@ def test_named_files_exist(page: Path) -> None:
     assert not {path for path in missing if not is_generic(path)}
 
 
+def named_objects(text: str, changelog: bool) -> set[str]:
+    """Dotted names of this project in inline code; of CHANGELOG.md the right column of its table only."""
+    if changelog:
+        text = "\n".join(line.split("|")[-2] for line in text.splitlines() if line.startswith("  | `"))
+    return {span for span in code_spans(text) if re.fullmatch(r"(?:lti|titop_plant|robust_design|los_estimator|"
+            r"fsm_pma_controller|los_design|pointing_analysis|los_testbed)(?:\.\w+)+", span)}  # fmt: skip
+
+
+def is_object(name: str) -> bool:
+    """Whether a dotted name is a module or an attribute; modules of nodes, which import rclpy, are not imported."""
+    if name.startswith("los_testbed.nodes"):
+        module, _, attribute = name.rpartition(".")
+        source = find_spec(module)
+        return source is not None and f"class {attribute}" in Path(str(source.origin)).read_text("utf-8")
+    try:
+        resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_named_objects_exist(page: Path) -> None:
+    names = named_objects(page.read_text("utf-8"), page.stem == "CHANGELOG")
+    assert not {name for name in names if not is_object(name)}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_links_have_targets(page: Path) -> None:
     text = without_blocks(page.read_text("utf-8"))
@@ -142,6 +171,7 @@ def test_the_checks_find_mistakes() -> None:
     """A wrong path, a wrong command and a wrong option are found; shorthand and wildcards are resolved."""
     assert named_files("see `lti/no_such.py` and `run x/y.toml now`") == {"lti/no_such.py", "x/y.toml"}
     assert not exists("lti/no_such.py")
+    assert named_objects("`lti.no_such`", False) == {"lti.no_such"} and not is_object("lti.no_such")
     assert exists("los_testbed/config.py")
     assert exists("los_estimator/designs/*.json")
     commands = get_command(app).commands  # type: ignore[attr-defined]

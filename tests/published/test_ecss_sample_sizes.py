@@ -22,9 +22,3 @@ from pointing_analysis import confidence
 )
 def test_samples_needed_at_95_percent_confidence(probability: float, exceedances: int, samples: int) -> None:
     assert confidence.samples_needed(probability, 0.95, exceedances) == samples
-
-
-def test_gaussian_and_radial_factors() -> None:
-    assert confidence.gaussian_factor(0.997) == pytest.approx(2.96774, abs=6e-6)
-    for probability, factor in ((0.95, 2.44775), (0.997, 3.40856), (0.9973, 3.43933)):
-        assert confidence.radial_factor(probability) == pytest.approx(factor, abs=6e-6)

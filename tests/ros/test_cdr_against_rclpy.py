@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.bags.cdr import JOINT_NAMES, Codec, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, codec_for, stamp_of
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.nodes.support.raw_topics import MESSAGES
-from los_testbed.topics import ACCEL, HEADER, JOINT_STATE, TOPICS, VECTOR3
+from los_testbed.topics import TOPICS
 from rclpy.serialization import deserialize_message, serialize_message
+
+from pointing_analysis.cdr import Encoder
+from pointing_analysis.message_types import ACCEL, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
 
 pytestmark = pytest.mark.ros
 RNG = np.random.default_rng(11)
@@ -84,7 +87,7 @@ def test_a_joint_state_with_everything_in_it_is_read():
 
 
 def test_the_header_alone():
-    ours = bytes(HeaderCodec().encode(9_000_000_007))
+    ours = bytes(Encoder(HEADER, 0, "").encode(9_000_000_007))
     message = deserialize_message(ours, MESSAGES[HEADER])
     assert (message.stamp.sec, message.stamp.nanosec, message.frame_id) == (9, 7, "")
     assert stamp_of(serialize_message(message)) == 9_000_000_007

@@ -132,7 +132,7 @@ def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
 
     def meanwhile(ticks):
         if ticks > 200 and not refused:
-            with pytest.raises(ValueError, match="another run holds ROS domain") as error:
+            with pytest.raises(ValueError, match="must be a ROS domain without another run") as error:
                 Runner(second, commands={"plant": PLANT}).run()
             refused.append(str(error.value))
             raise KeyboardInterrupt

@@ -233,10 +233,6 @@ class ModalData:
             children=tuple(dataclasses.replace(c, shapes=c.shapes[:, :n_modes]) for c in self.children),
         )
 
-    def with_damping(self, damping: float | ArrayLike) -> ModalData:
-        """The same body with other damping ratios (one number for all modes, or shape (n,))."""
-        return dataclasses.replace(self, damping=np.broadcast_to(damping, (self.n_modes,)))
-
     def rotated(self, dcm: ArrayLike) -> ModalData:
         """The same body expressed in another frame with the same origin.
 

@@ -7,8 +7,10 @@ high-pass of a relative performance error over a window. Source: the paper, "Hyb
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lti import Port, UncertainSystem, state_space
+from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
 
 
@@ -33,8 +35,25 @@ def disturbance_weight(parameters: Parameters) -> UncertainSystem:
     return state_space(-pole * np.eye(20), B, C, D, [Port("normalised", 22)], [Port("disturbance", 22)])
 
 
+RPE_NUMERATOR, RPE_DENOMINATOR = np.sqrt(12.0), (6.0, 12.0)
+"""Coefficients b1, (a1, a0) of the weight of a relative performance error: y (y + b1) / (y^2 + a1 y + a0), y = s t."""
+
+
+def rpe_weight(omega: ArrayLike, window: float) -> FloatArray:
+    """Magnitude of the weight of a relative performance error over `window` [s] at `omega` [rad/s].
+
+    Examples
+    --------
+    >>> round(float(rpe_weight(2.0 * np.pi * 10.0, 0.02)), 6)
+    0.360016
+    """
+    y = 1j * np.asarray(omega, dtype=float) * window
+    a1, a0 = RPE_DENOMINATOR
+    return np.asarray(np.abs(y * (y + RPE_NUMERATOR) / (y**2 + a1 * y + a0)))
+
+
 def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
-    """``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis, t the window [s]; 2 states per axis.
+    """:func:`rpe_weight` as a system, ``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis; 2 states per axis.
 
     Examples
     --------
@@ -44,7 +63,7 @@ def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
     """
     if not window > 0.0:
         raise ValueError(f"window must be positive, got {window} s")
-    a1, a0, b1 = 6.0 / window, 12.0 / window**2, np.sqrt(12.0) / window
+    a1, a0, b1 = RPE_DENOMINATOR[0] / window, RPE_DENOMINATOR[1] / window**2, RPE_NUMERATOR / window
     each = np.eye(size)
     return state_space(
         np.kron(each, [[0.0, 1.0], [-a0, -a1]]),

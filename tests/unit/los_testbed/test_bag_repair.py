@@ -25,9 +25,9 @@ def chunks(bag):
         return make_reader(stream).get_summary().chunk_indexes
 
 
-def test_a_whole_bag_is_copied_message_for_message(bag, tmp_path):
-    salvage = repair_bag(bag, tmp_path / "new")
-    assert (salvage.messages, salvage.chunks, salvage.damaged, salvage.cut_at) == (32_200, 4, [], None)
+def test_an_intact_bag_is_copied_message_by_message(bag, tmp_path):
+    result = repair_bag(bag, tmp_path / "new")
+    assert (result.messages, result.chunks, result.damaged, result.cut_at) == (32_200, 4, [], None)
     old, new = Run.open(bag), Run.open(tmp_path / "new")
     for name in old.topics:
         assert np.array_equal(old[name].values, new[name].values, equal_nan=True)
@@ -42,24 +42,24 @@ def test_a_bag_that_ends_within_a_chunk_keeps_all_chunks_before(bag, tmp_path, p
     cut = chunks(bag)[3]
     file.write_bytes(file.read_bytes()[: cut.chunk_start_offset + int(part * cut.chunk_length)])
     (bag / "metadata.yaml").unlink()
-    salvage = repair_bag(bag, tmp_path / "new")
-    assert salvage.chunks == 3
-    assert salvage.cut_at == cut.chunk_start_offset
+    result = repair_bag(bag, tmp_path / "new")
+    assert result.chunks == 3
+    assert result.cut_at == cut.chunk_start_offset
     with AnyReader([tmp_path / "new"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
-        assert sum(1 for _ in reader.messages()) == salvage.messages
+        assert sum(1 for _ in reader.messages()) == result.messages
     assert counts["/telescope/truth/los"] == 3000
     assert Run.open(tmp_path / "new").parameters["loop"] == "fsm+pma"
 
 
-def test_a_damaged_chunk_is_named_with_its_place_and_the_others_are_saved(bag, tmp_path):
+def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(bag, tmp_path):
     file = bag / "bag_0.mcap"
     data = bytearray(file.read_bytes())
     hurt = chunks(bag)[1]
     data[hurt.chunk_start_offset + hurt.chunk_length // 2] ^= 0x10
     file.write_bytes(data)
-    salvage = repair_bag(bag, tmp_path / "new")
-    assert [offset for offset, _ in salvage.damaged] == [hurt.chunk_start_offset]
+    result = repair_bag(bag, tmp_path / "new")
+    assert [offset for offset, _ in result.damaged] == [hurt.chunk_start_offset]
     truth = Run.open(tmp_path / "new")["truth/los"]
     assert len(truth) == 3000
     assert truth.integrity.missing == 1000

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
-from los_testbed.loop.command_gate import REASONS, CommandGate
-from los_testbed.topics import VECTOR3
+from los_testbed.loop.command_gate import CommandGate
+
+from pointing_analysis.message_types import VECTOR3
 
 MS = 1_000_000
 LIMIT = 5.3e-3
@@ -63,7 +64,6 @@ def test_an_invalid_command_is_counted_by_reason_and_changes_nothing(gate, data,
     now = START + MS
     assert not gate.offer(data, now)
     assert dict(gate.rejected) == {reason: 1}
-    assert reason in REASONS
     assert not gate.fresh(now)
     assert output(gate, now).tolist() == [0, 0]
 

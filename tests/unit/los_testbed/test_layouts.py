@@ -6,11 +6,12 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
-from los_testbed.bags.cdr import JOINT_NAMES
 from los_testbed.bags.schemas import DEFINITIONS
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.run.runner import NODES
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, JOINT_STATE, NAMESPACE, TOPICS
+from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NAMESPACE, TOPICS
+
+from pointing_analysis.message_types import JOINT_NAMES, JOINT_STATE
 
 FOLDER = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed" / "layouts"
 BY_PATH = {topic.path: topic for topic in TOPICS}

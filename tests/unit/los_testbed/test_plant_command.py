@@ -15,11 +15,11 @@ from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
 from los_design import plant_figures
-from titop_plant.disturbances import rpe_weight
 from titop_plant.simulation import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.weights import rpe_weight
 
 
 @pytest.fixture

@@ -140,7 +140,7 @@ def test_a_bag_without_controllers_or_sensors(call, tmp_path) -> None:
     assert code == 2 and "k_fsm.json" in err and "--k-fsm FILE" in err
     own = write_controllers(tmp_path)
     code, _, err = call(bag, "--k-fsm", own["k_fsm"], "--k-pma", own["k_pma"])
-    assert code == 2 and "a replay needs the topic" in err
+    assert code == 2 and "for a replay the bag must hold the topic" in err
     nameless = write_bag(tmp_path / "nameless", {"truth/los": np.zeros((10, 2))})
     code, _, err = call(nameless)
     assert code == 2 and "give --loop" in err

@@ -22,8 +22,8 @@ def test_what_is_not_permitted_is_named_and_not_an_error():
     assert done.stdout.strip() == "['real-time scheduling', 'locked memory']"
 
 
-def test_the_resending_thread_stands_behind_its_siblings():
-    """At the same priority and place a thread that polls would keep the others of its process from running."""
+def test_the_resending_thread_has_a_lower_priority_than_the_other_threads():
+    """At the same priority, on the same processor, a polling thread would keep the others from running."""
     code = (
         "import os, threading, time\n"
         "from los_testbed.loop.scheduling import become_real_time\n"

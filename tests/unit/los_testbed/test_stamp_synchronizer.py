@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
-from los_testbed.topics import VECTOR3
+
+from pointing_analysis.message_types import VECTOR3
 
 MS = 1_000_000
 
@@ -113,11 +114,117 @@ def test_holding_starts_anew_even_with_older_stamps():
     assert synchronizer.gap == 0
 
 
-def test_a_stray_hold_message_disturbs_no_tick_under_way():
-    """Tick 64 and the hold tick would share a place if places were counted modulo 64 alone."""
+def test_a_single_hold_message_does_not_change_an_incomplete_tick():
+    """Tick 64 and the hold tick would share a slot if slots were the tick numbers modulo 64 alone."""
     synchronizer = make()
     synchronizer.put(0, sample(64 * MS, 1.0))
     synchronizer.put(1, sample(HOLD_STAMP, 0.0))
     synchronizer.put(1, sample(64 * MS, 2.0))
     assert synchronizer.put(2, sample(64 * MS, 3.0)).tolist() == [1, -1, 2, -2, 3, -3]
     assert synchronizer.stamp == 64 * MS
+
+
+def test_nothing_of_an_incomplete_tick_is_left_when_its_slot_is_used_again():
+    """Ticks 64 apart share a slot: an older part does not count for the newer tick."""
+    synchronizer = make()
+    assert not synchronizer.waiting and (synchronizer.gap, synchronizer.gaps, synchronizer.stamp) == (0, 0, HOLD_STAMP)
+    synchronizer.put(0, sample(5 * MS, 1.0))
+    assert synchronizer.put(2, sample(69 * MS, 3.0)) is None
+    assert synchronizer.put(0, sample(69 * MS, 2.0)).tolist()[:2] == [2.0, -2.0]
+
+
+def test_a_frame_of_an_incomplete_tick_is_not_the_frame_of_another():
+    synchronizer = make(camera_every=3)
+    synchronizer.put(1, sample(3 * MS, 1.0))
+    synchronizer.put(0, sample(67 * MS, 2.0))
+    row = synchronizer.put(2, sample(67 * MS, 3.0))
+    assert row[:2].tolist() == [2.0, -2.0] and np.isnan(row[2:4]).all()
+
+
+def test_an_old_tick_does_not_push_a_newer_one_out_of_its_slot():
+    synchronizer = make()
+    synchronizer.put(0, sample(69 * MS, 2.0))
+    assert synchronizer.put(0, sample(5 * MS, 1.0)) is None
+    assert dict(synchronizer.rejected) == {"late": 1}
+    assert synchronizer.put(2, sample(69 * MS, 3.0)).tolist()[:2] == [2.0, -2.0]
+
+
+def test_64_ticks_may_be_under_way_at_once():
+    synchronizer = make(camera_every=1000)
+    for tick in range(1, 65):
+        synchronizer.put(0, sample(tick * MS, float(tick)))
+    for tick in range(1, 65):
+        assert synchronizer.put(2, sample(tick * MS, 0.0)).tolist()[0] == tick
+        assert (synchronizer.gap, synchronizer.gaps, synchronizer.stamp) == (0, 0, tick * MS)
+        assert synchronizer.waiting is (tick < 64)
+
+
+def test_messages_that_cannot_be_decoded_are_counted_by_reason():
+    synchronizer = make()
+    whole = sample(5 * MS, 1.0)
+    for data in (whole[:-9], whole[:12], whole[:11], b"", b"\xff" + whole[1:]):
+        assert synchronizer.put(0, data) is None
+    assert sum(synchronizer.rejected.values()) == 5 and synchronizer.rejected["encoding"] >= 1
+    assert not synchronizer.waiting
+    synchronizer.put(0, whole)
+    assert synchronizer.put(2, sample(5 * MS, 2.0)).tolist()[0] == 1.0
+
+
+def test_a_rejected_message_counts_once_for_each_reason():
+    synchronizer = make()
+    for _ in range(2):
+        synchronizer.put(0, sample(5 * MS, np.nan))
+        synchronizer.put(0, sample(5 * MS + 1, 1.0))
+    assert dict(synchronizer.rejected) == {"not_finite": 2, "off_grid": 2}
+    complete(synchronizer, 5)
+    for _ in range(2):
+        synchronizer.put(0, sample(5 * MS, 1.0))
+        synchronizer.put(0, sample(4 * MS, 1.0))
+        synchronizer.horizon = 6 * MS
+        synchronizer.put(0, sample(7 * MS, 1.0))
+    assert dict(synchronizer.rejected) == {"not_finite": 2, "off_grid": 2, "late": 4, "future": 2}
+
+
+def complete(synchronizer, tick):
+    synchronizer.put(0, sample(tick * MS, 1.0))
+    return synchronizer.put(2, sample(tick * MS, 1.0))
+
+
+def test_the_horizon_itself_is_accepted_and_none_applies_before_the_first_tick():
+    synchronizer = make()
+    synchronizer.horizon = 3 * MS
+    assert complete(synchronizer, 5) is not None  # nothing is known of the time before the first tick
+    synchronizer.horizon = 7 * MS
+    assert complete(synchronizer, 7) is not None
+    assert complete(synchronizer, 9) is None
+    assert synchronizer.gaps == 1
+
+
+def test_gaps_add_up_and_the_first_tick_and_a_hold_are_none():
+    synchronizer = make()
+    for tick, gap in ((1, 0), (3, 1), (5, 1), (6, 0), (11, 4)):
+        row = complete(synchronizer, tick)
+        if row is None:  # an even tick has a camera frame
+            row = synchronizer.put(1, sample(tick * MS, 1.0))
+        assert row is not None and synchronizer.gap == gap
+    assert synchronizer.gaps == 6
+    for i in range(3):
+        synchronizer.put(i, sample(HOLD_STAMP, 0.0))
+    assert (synchronizer.gap, synchronizer.gaps, synchronizer.stamp, synchronizer.last) == (
+        0,
+        6,
+        HOLD_STAMP,
+        HOLD_STAMP,
+    )
+    assert complete(synchronizer, 21) is not None and (synchronizer.gap, synchronizer.gaps) == (0, 6)
+
+
+def test_a_hold_needs_every_part_and_forgets_ticks_under_way():
+    synchronizer = make()
+    synchronizer.put(0, sample(5 * MS, 1.0))
+    synchronizer.put(0, sample(HOLD_STAMP, 0.0))
+    assert synchronizer.put(2, sample(HOLD_STAMP, 0.0)) is None
+    assert synchronizer.put(1, sample(HOLD_STAMP, 0.0)) is not None
+    assert not synchronizer.waiting
+    assert synchronizer.put(2, sample(5 * MS, 2.0)) is None  # its other part came before the hold
+    assert synchronizer.waiting

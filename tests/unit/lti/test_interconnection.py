@@ -147,3 +147,123 @@ def test_every_operation_keeps_names_and_parameters(make, operation: str) -> Non
     assert [p.name for p in result.inputs] == ["u", "w"]
     assert [p.name for p in result.outputs] == ["y", "z"]
     assert set(result.occurrences()) == {"k", "m"}
+
+
+def test_any_wiring_equals_its_matrices(make) -> None:
+    """Three systems with ports of several sizes, sums and signs: z = So y + Eo r with y = G (S y + E r)."""
+    rng = np.random.default_rng(13)
+    a = make(rng, 3, {"u": 2, "v": 1}, {"y": 2, "q": 1}, ("k", "m"))
+    b = make(rng, 2, {"u": 2}, {"y": 2}, ("m",))
+    c = make(rng, 0, {"u": 1}, {"y": 1}, ())
+    whole = connect(
+        {"a": a, "b": b, "c": c},
+        [
+            (("r", "-b.y"), "a.u"),
+            (("-c.y", "t"), "a.v"),
+            (("a.y", "r", "-b.y"), "b.u"),
+            ("-a.q", "c.u"),
+        ],
+        inputs=[Port("r", 2), Port("t", 1)],
+        outputs={"e": ("r", "-a.y"), "q": "a.q", "w": ("c.y", "t", "-a.q")},
+    )
+    G = np.zeros((6, 6), complex)
+    G[:3, :3], G[3:5, 3:5], G[5:, 5:] = response(a), response(b), response(c)
+    S, E = np.zeros((6, 6)), np.zeros((6, 3))
+    S[:2, 3:5], E[:2, :2] = -np.eye(2), np.eye(2)
+    S[2, 5], E[2, 2] = -1.0, 1.0
+    S[3:5, :2], S[3:5, 3:5], E[3:5, :2] = np.eye(2), -np.eye(2), np.eye(2)
+    S[5, 2] = -1.0
+    So, Eo = np.zeros((4, 6)), np.zeros((4, 3))
+    So[:2, :2], Eo[:2, :2] = -np.eye(2), np.eye(2)
+    So[2, 2] = 1.0
+    So[3, 5], Eo[3, 2], So[3, 2] = 1.0, 1.0, -1.0
+    y = np.linalg.solve(np.eye(6) - G @ S, G @ E)
+    np.testing.assert_allclose(response(whole), So @ y + Eo, rtol=1e-11, atol=1e-12)
+    assert whole.occurrences() == {"k": 1, "m": 2} and whole.order == 5
+    assert [(p.name, p.size) for p in whole.outputs] == [("e", 2), ("q", 1), ("w", 1)]
+
+
+def test_a_source_counts_as_often_as_it_stands_in_a_sum(make) -> None:
+    g = make(np.random.default_rng(14), 2, {"u": 1}, {"y": 1}, ())
+    twice = connect({"g": g}, [(("r", "r"), "g.u")], inputs=[Port("r", 1)], outputs={"y": ("g.y", "g.y")})
+    np.testing.assert_allclose(response(twice), 4.0 * response(g), rtol=1e-12)
+
+
+def test_parallel_adds_unless_told_otherwise(make) -> None:
+    rng = np.random.default_rng(15)
+    a, b = (make(rng, 2, {"u": 2, "w": 1}, {"y": 2, "z": 1}, ("k",)) for _ in range(2))
+    for sum_of_both in (parallel(a, b), parallel(a, b, 1.0)):
+        np.testing.assert_allclose(response(sum_of_both), response(a) + response(b), rtol=1e-12)
+    with pytest.raises(ValueError, match="sign must be"):
+        parallel(a, b, 0.5)
+    other = make(rng, 2, {"u": 2, "w": 1}, {"y": 2, "x": 1}, ("k",))
+    with pytest.raises(ValueError, match="parallel systems must have the same ports"):
+        parallel(a, other)
+
+
+def test_inverting_some_channels_solves_for_their_inputs(make) -> None:
+    """Two channels of different size, their ports in another order than in the system, a third one kept."""
+    system = make(np.random.default_rng(16), 3, {"a": 1, "b": 2, "c": 1}, {"p": 2, "q": 1, "r": 1}, ("k", "m", "k"))
+    turned = invert(system, {"b": "p", "a": "r"})
+    assert [p.name for p in turned.inputs] == ["r", "p", "c"] and [p.name for p in turned.outputs] == ["b", "q", "a"]
+    rng = np.random.default_rng(17)
+    u = rng.standard_normal(4)
+    y = response(system) @ u
+    result = response(turned) @ np.r_[y[3], y[:2], u[3]]
+    np.testing.assert_allclose(result, np.r_[u[1:3], y[2], u[0]], rtol=1e-10, atol=1e-12)
+    assert turned.occurrences() == system.occurrences()
+
+
+def test_channels_of_different_size_are_not_inverted(make) -> None:
+    system = make(np.random.default_rng(18), 1, {"u": 2}, {"y": 1}, ())
+    with pytest.raises(ValueError, match="must be square"):
+        invert(system, {"u": "y"})
+
+
+def test_transform_of_one_port_leaves_the_others_where_they_are(make) -> None:
+    system = make(np.random.default_rng(19), 2, {"u": 2, "w": 1}, {"y": 2, "z": 1}, ("k", "m"))
+    T, R = np.array([[1.0], [-2.0]]), np.array([[0.5, 3.0]])
+    changed = transform(system, inputs={"u": (T, Port("n", 1))}, outputs={"y": (R, Port("s", 1))})
+    H = response(system)
+    left, right = np.zeros((2, 3)), np.zeros((3, 2))
+    left[0, :2], left[1, 2] = R, 1.0
+    right[:2, 0], right[2, 1] = T[:, 0], 1.0
+    np.testing.assert_allclose(response(changed), left @ H @ right, rtol=1e-12)
+    for wrong in ({"inputs": {"u": (T.T, Port("n", 1))}}, {"outputs": {"y": (R.T, Port("s", 1))}},
+                  {"inputs": {"x": (T, Port("n", 1))}}, {"outputs": {"x": (R, Port("s", 1))}}):  # fmt: skip
+        with pytest.raises(ValueError):
+            transform(system, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("wires", "outputs", "message"),
+    [
+        ([("r", "a.u"), ("r", "b.u"), ("a.y", "b.u")], {"y": "b.y"}, "b.u"),
+        ([((), "a.u"), ("r", "b.u")], {"y": "b.y"}, "empty|at least one"),
+        ([("r", "a.u"), ("r", "b.u")], {"y": ("a.y", "s")}, "same size"),
+        ([("r", "a.u"), ("r", "b.u")], {"y": "c.y"}, "c.y"),
+        ([], {"y": "b.y"}, "a.u, b.u"),
+        ([("r", "b.u")], {"y": "b.y"}, "a.u"),
+    ],
+)
+def test_more_that_connect_refuses(wires, outputs, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        connect(two(), wires, inputs=[Port("r", 1), Port("s", 2)], outputs=outputs)
+
+
+def test_star_refuses_free_ports_of_one_name(make) -> None:
+    rng = np.random.default_rng(20)
+    a = make(rng, 1, {"a": 1, "b": 1}, {"c": 1, "z": 1}, ())
+    b = make(rng, 1, {"d": 1, "e": 1}, {"f": 1, "z": 1}, ())
+    with pytest.raises(ValueError, match="z"):
+        star(a, b, {"upper.c": "lower.d"})
+
+
+def test_series_keeps_the_ports_of_its_ends(make) -> None:
+    rng = np.random.default_rng(21)
+    a = make(rng, 2, {"u": 2, "w": 1}, {"v": 1, "x": 2}, ("k",))
+    b = make(rng, 1, {"p": 2, "q": 1}, {"y": 2}, ("m",))
+    chain = series(a, b, {"x": "p", "v": "q"})
+    swap = np.eye(3)[[1, 2, 0]]
+    np.testing.assert_allclose(response(chain), response(b) @ swap @ response(a), rtol=1e-11)
+    assert [p.name for p in chain.inputs] == ["u", "w"] and [p.name for p in chain.outputs] == ["y"]

@@ -68,7 +68,7 @@ def test_bounds_cover_on_500_runs(pole: float, p: float) -> None:
     n, runs = 4000, 500
     white = rng.standard_normal((runs, 2, n + 400))
     e = lfilter([math.sqrt(1 - pole**2)], [1, -pole], white, axis=2)[:, :, 400:]
-    true = confidence.radial_factor(p)
+    true = math.sqrt(-2 * math.log(1 - p))  # radius that holds the share p of two equal Gaussian axes
     bounds = [confidence.quantile(np.hypot(*one), p, 0.95) for one in e]
     assert np.mean([b.upper >= true for b in bounds]) >= 0.93
     assert np.mean([b.lower <= true for b in bounds]) >= 0.93
@@ -79,9 +79,6 @@ def test_bounds_cover_on_500_runs(pole: float, p: float) -> None:
 
 def test_quantile_of_nothing_and_bad_probabilities() -> None:
     assert math.isnan(confidence.quantile([], 0.5).value)
-    for call in (confidence.gaussian_factor, confidence.radial_factor):
-        with pytest.raises(ValueError, match="between 0 and 1"):
-            call(1.0)
     with pytest.raises(ValueError, match="between 0 and 1"):
         confidence.quantile([1.0], 99.7)
 
@@ -93,3 +90,109 @@ def test_length_of_run_that_would_decide() -> None:
     bad = confidence.samples_to_decide(0.997, 0.95, 0.01)
     assert confidence.exceedance_lower(int(0.01 * bad), int(bad), 0.95) > 0.003
     assert confidence.samples_to_decide(0.997, 0.95, 0.003) == math.inf
+
+
+def reference_time(x: np.ndarray) -> float:
+    """Sokal's window and Wolff's correction with the correlations summed lag by lag."""
+    n, x = len(x), x - x.mean()
+    tau = -0.5
+    for lag in range(n):
+        tau += float(x[: n - lag] @ x[lag:]) / float(x @ x)
+        if lag >= 6.0 * max(tau, 0.5):
+            return min(max(tau, 0.5) * (1.0 + (2 * lag + 1) / n), n / 2)
+    return n / 2
+
+
+@pytest.mark.parametrize("n", [4, 5, 8, 40, 300])
+@pytest.mark.parametrize("pole", [-0.7, 0.0, 0.8, 0.99])
+def test_autocorrelation_time_is_the_windowed_sum(n: int, pole: float) -> None:
+    x = lfilter([1], [1, -pole], np.random.default_rng(n).standard_normal(n)) + 3.0
+    assert confidence.autocorrelation_time(x) == pytest.approx(reference_time(x), rel=1e-9)
+    assert confidence.effective_number(x) == pytest.approx(max(1.0, n / (2.0 * reference_time(x))), rel=1e-9)
+
+
+def test_autocorrelation_time_of_hardly_any_samples() -> None:
+    assert [confidence.autocorrelation_time(np.arange(k, dtype=float)) for k in (0, 1, 3)] == [0.5] * 3
+    assert confidence.effective_number([1.0, 5.0, 2.0]) == 3.0
+    assert confidence.autocorrelation_time(np.full(10, 7.0)) == 5.0
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(500)
+    assert confidence.effective_number(1.0 + noise) > 300  # small, and no rounding noise
+
+
+@pytest.mark.parametrize("p", [0.0, 1.0, -0.1, 1.1, float("nan")])
+def test_what_is_no_probability_is_refused(p: float) -> None:
+    for call in (confidence.gaussian_factor, confidence.radial_factor):
+        with pytest.raises(ValueError, match="between 0 and 1"):
+            call(p)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        confidence.samples_needed(0.9, p)
+    assert confidence.gaussian_factor(0.999999) == pytest.approx(stats.norm.isf(5e-7), rel=1e-6)
+
+
+def test_bounds_at_the_ends_of_the_count() -> None:
+    assert confidence.exceedance_lower(0, 7, 0.9) == 0.0 and confidence.exceedance_lower(-1, 7, 0.9) == 0.0
+    assert confidence.exceedance_upper(7, 7, 0.9) == 1.0 and confidence.exceedance_upper(8, 7, 0.9) == 1.0
+    assert confidence.exceedance_upper(0, 7, 0.9) == pytest.approx(1.0 - 0.1 ** (1 / 7), rel=1e-12)
+    assert confidence.exceedance_lower(7, 7, 0.9) == pytest.approx(0.1 ** (1 / 7), rel=1e-12)
+    assert confidence.exceedance_upper(6, 7, 0.9) == pytest.approx(0.9 ** (1 / 7), rel=1e-12)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 7, 40])
+@pytest.mark.parametrize(("p", "c"), [(0.4, 0.55), (0.3, 0.9), (0.9, 0.95), (0.01, 0.2)])
+def test_samples_needed_by_trying_all_numbers(p: float, c: float, k: int) -> None:
+    n = k + 1
+    while stats.binom.cdf(k, n, 1 - p) > 1 - c:
+        n += 1
+    assert confidence.samples_needed(p, c, k) == n
+
+
+@pytest.mark.parametrize(("p", "c", "rate"), [(0.5, 0.95, 1.0), (0.5, 0.95, 0.8), (0.9, 0.9, 0.5), (0.99, 0.95, 0.04)])
+def test_samples_to_refute_by_trying_all_numbers(p: float, c: float, rate: float) -> None:
+    """Exact up to 50 samples, then in steps of 2 %."""
+
+    def refutes(n: int) -> bool:
+        return confidence.exceedance_lower(int(rate * n), n, c) > 1 - p
+
+    first = next(n for n in range(1, 100_000) if refutes(n))
+    found = confidence.samples_to_refute(p, c, rate)
+    assert found == confidence.samples_to_decide(p, c, rate) and refutes(int(found))
+    assert found == first if first <= 50 else first <= found < 1.3 * first
+    assert confidence.samples_to_refute(p, c, 0.5 * (1 - p)) == math.inf
+    assert confidence.samples_to_refute(p, c, 1 - p) == math.inf
+
+
+@pytest.mark.parametrize(("p", "c", "rate"), [(0.5, 0.95, 0.2), (0.9, 0.9, 0.03), (0.99, 0.95, 0.004)])
+def test_samples_to_decide_shows_compliance_within_two_percent(p: float, c: float, rate: float) -> None:
+    found = int(confidence.samples_to_decide(p, c, rate))
+
+    def shows(n: float) -> bool:
+        return confidence.exceedance_upper(math.ceil(rate * int(n)), int(n), c) <= 1 - p
+
+    n = float(confidence.samples_needed(p, c))
+    while not shows(n):
+        n *= 1.02
+    assert found == int(n)
+
+
+@pytest.mark.parametrize(("p", "c"), [(0.5, 0.95), (0.9, 0.9), (0.99, 0.95), (0.05, 0.6)])
+@pytest.mark.parametrize(("n", "effective"), [(1, 1), (30, 30), (1000, 1000), (1000, 217), (50, 400), (7, 0.3)])
+def test_quantile_bounds_are_the_ranks_of_the_binomial(p: float, c: float, n: int, effective: float) -> None:
+    """Samples are 0, 1, ... n - 1; with fewer independent ones the ranks are stretched, each to its safe side."""
+    x = np.random.default_rng(0).permutation(np.r_[np.arange(float(n)), np.nan])
+    found = confidence.quantile(x, p, c, effective=effective)
+    m = max(int(min(effective, n)), 1)
+    assert (found.probability, found.confidence, found.effective) == (p, c, float(min(effective, n)))
+    assert found.value == pytest.approx(p * (n - 1), rel=1e-12)
+    up = next((r for r in range(1, m + 1) if stats.binom.cdf(r - 1, m, p) >= c), None)
+    low = max((r for r in range(1, m + 1) if stats.binom.sf(r - 1, m, p) >= c), default=None)
+    assert found.upper == (math.inf if up is None else min(math.ceil(up * n / m), n) - 1)
+    assert found.lower == (0.0 if low is None else math.floor((low - 1) * n / m))
+
+
+def test_quantile_takes_95_percent_and_the_effective_number_by_default() -> None:
+    x = lfilter([1], [1, -0.9], np.random.default_rng(3).standard_normal(3000))
+    found = confidence.quantile(x, 0.9)
+    assert found == confidence.quantile(x, 0.9, 0.95, confidence.effective_number(x))
+    assert found.effective < 300
+    empty = confidence.quantile([np.nan], 0.5)
+    assert math.isnan(empty.value) and math.isnan(empty.lower) and (empty.upper, empty.effective) == (math.inf, 0.0)

@@ -15,7 +15,14 @@ from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator, actuated_platform, isolator
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
-from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel, spin_frame
+from titop_plant.blocks.reaction_wheel import (
+    MountedWheel,
+    ReactionWheel,
+    pyramid_axes,
+    reaction_wheel,
+    spin_frame,
+    wheel_assembly,
+)
 from titop_plant.blocks.revolute_joint import on_revolute_joint
 from titop_plant.blocks.rotation import rotation, rotation_matrix, turned
 from titop_plant.structures import Beam, BeamFrame, ModalData, Section, from_inertia, to_modal_data
@@ -282,3 +289,75 @@ def test_actuator_data_must_be_positive(field: str) -> None:
     data = {"moving_mass": 2.5, "casing_mass": 3.5, "inertia": np.eye(3), "stiffness": 70.0, "damping": 1.0}
     with pytest.raises(ValueError, match=f"{field} must be positive"):
         ProofMassActuator(**{**data, field: -1.0})
+
+
+@pytest.mark.parametrize("nominal", [0.0, 130.0])
+def test_wheel_equals_newton_and_euler(nominal: float) -> None:
+    """All ports at once, for random motion, torque and imbalance."""
+    m, Jw, Jr, speed = 3.5, 0.096, 0.047, -270.0
+    wheel = reaction_wheel(ReactionWheel(m, Jw, Jr), RealParameter("speed", nominal, -1000.0, 1000.0))
+    a, omega_dot, omega, w = (np.random.default_rng(k).standard_normal(n) for k, n in enumerate((3, 3, 3, 5)))
+    u = 0.7
+    out = wheel.at({"speed": speed}).D @ np.r_[a, omega_dot, omega, u, w]
+    force = -m * a + w[:3]
+    gyroscopic = -Jw * speed * np.array([omega[1], -omega[0], 0.0])
+    torque = np.array([-Jr * omega_dot[0] + w[3], -Jr * omega_dot[1] + w[4], u]) + gyroscopic
+    np.testing.assert_allclose(out, np.r_[force, torque, -u / Jw - omega_dot[2]], rtol=1e-12, atol=1e-13)
+    assert [(p.name, p.size) for p in wheel.inputs] == [("accel_G", 6), ("rate_G", 3), ("wheel_torque", 1),
+                                                        ("imbalance", 5)]  # fmt: skip
+    assert [(p.name, p.size) for p in wheel.outputs] == [("wrench_G", 6), ("wheel_accel", 1)]
+
+
+def test_assembly_is_the_sum_of_its_wheels() -> None:
+    """Two wheels with lever arms and axes of their own, moved from frame to frame by hand."""
+    data = [ReactionWheel(3.5, 0.096, 0.047), ReactionWheel(2.0, 0.05, 0.03)]
+    axes = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 1.0]])
+    positions = np.array([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2]])
+    speeds = [120.0, -300.0]
+    block = wheel_assembly([
+        MountedWheel(d, axis, r, RealParameter(f"wheel_{i + 1}.speed", 0.0, -1000.0, 1000.0))
+        for i, (d, axis, r) in enumerate(zip(data, axes, positions))
+    ])  # fmt: skip
+    assert block.occurrences() == {"wheel_1.speed": 2, "wheel_2.speed": 2}
+    rng = np.random.default_rng(4)
+    a, omega_dot, omega, u, w = (rng.standard_normal(n) for n in (3, 3, 3, 2, 10))
+    force, torque, spin = np.zeros(3), np.zeros(3), np.zeros(2)
+    for i, (d, axis, r) in enumerate(zip(data, axes, positions)):
+        R = spin_frame(axis)
+        acceleration, turning, rate = R @ (a + np.cross(omega_dot, r)), R @ omega_dot, R @ omega
+        f = -d.mass * acceleration + w[5 * i : 5 * i + 3]
+        t = np.r_[-d.radial_inertia * turning[:2] + w[5 * i + 3 : 5 * i + 5], u[i]]
+        t -= d.axial_inertia * speeds[i] * np.array([rate[1], -rate[0], 0.0])
+        force += R.T @ f
+        torque += R.T @ t + np.cross(r, R.T @ f)
+        spin[i] = -u[i] / d.axial_inertia - turning[2]
+    values = {f"wheel_{i + 1}.speed": s for i, s in enumerate(speeds)}
+    out = block.at(values).D @ np.r_[a, omega_dot, omega, u, w]
+    np.testing.assert_allclose(out, np.r_[force, torque, spin], rtol=1e-10, atol=1e-12)
+    assert [p.size for p in block.inputs] == [6, 3, 2, 10] and [p.size for p in block.outputs] == [6, 2]
+
+
+def test_x_of_a_wheel_frame_is_horizontal() -> None:
+    for axis in ([0.3, 0.4, 1.0], [1.0, 0.0, 0.0], [1e-5, 0.0, 1.0]):
+        R = spin_frame(axis)
+        assert R[0] @ [0.0, 0.0, 1.0] == pytest.approx(0.0, abs=1e-15)
+        assert R[0] @ np.cross([0.0, 0.0, 1.0], axis) > 0.0
+    np.testing.assert_array_equal(spin_frame([0.0, 0.0, 2.0]), np.eye(3))
+    np.testing.assert_array_equal(spin_frame([0.0, 0.0, -2.0]), np.diag([1.0, -1.0, -1.0]))
+
+
+def test_pyramid_axes_rise_by_the_cant_at_their_azimuths() -> None:
+    cant, azimuths = 0.6, [0.3, 1.9, -2.0]
+    axes = pyramid_axes(cant, azimuths)
+    assert axes.shape == (3, 3)
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=0), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(np.arcsin(axes[2]), cant, rtol=1e-12)
+    np.testing.assert_allclose(np.arctan2(axes[1], axes[0]), azimuths, rtol=1e-12)
+
+
+@pytest.mark.parametrize("field", ["mass", "axial_inertia", "radial_inertia"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_wheel_data_must_be_positive(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{field} must be positive"):
+        ReactionWheel(**{"mass": 1.0, "axial_inertia": 1.0, "radial_inertia": 1.0, field: value})
+    ReactionWheel(1e-3, 1e-3, 1e-3)

@@ -14,7 +14,7 @@ from lti.batched_linalg import largest_gains
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
 from lti.minimal import minimal_realisation
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.disturbances import weight_amplitudes
 from titop_plant.simulation import telescope
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
@@ -26,6 +26,7 @@ from titop_plant.telescope.parameters import (
     parameters_hash,
     uncertain_parameters,
 )
+from titop_plant.telescope.weights import rpe_weight
 
 OCCURRENCES = {
     "wheel_1.speed": 2,

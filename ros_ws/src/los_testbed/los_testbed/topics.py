@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS
 
 NAMESPACE = "/telescope"
 
-ACCEL = "geometry_msgs/msg/AccelStamped"
-VECTOR3 = "geometry_msgs/msg/Vector3Stamped"
-JOINT_STATE = "sensor_msgs/msg/JointState"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-HEADER = "std_msgs/msg/Header"
 
 
 @dataclass(frozen=True)
@@ -60,10 +57,6 @@ class Topic:
     def size(self) -> int:
         """Number of values in a message."""
         return int(self.columns.stop) - int(self.columns.start)
-
-    def expected_count(self, ticks: int, frame_ticks: int) -> int:
-        """Messages of a run of `ticks` ticks with one camera frame every `frame_ticks`."""
-        return ticks if self.rate == "tick" else -(-ticks // frame_ticks)
 
 
 ISOLATOR_ACCEL = Topic(

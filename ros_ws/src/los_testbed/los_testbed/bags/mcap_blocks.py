@@ -221,10 +221,6 @@ class McapBlockWriter:
         self._file.write(MAGIC)
         self._file.close()
 
-    def abandon(self) -> None:
-        """Close the file as it is, without a summary."""
-        self._file.close()
-
     def _write_summary(self) -> None:
         statistics = Statistics(
             attachment_count=len(self._attachments),

@@ -1,4 +1,4 @@
-"""Bring a bag whose recorder was killed, or whose file was damaged, back into one that every reader opens."""
+"""Repair of a bag whose recorder was killed or whose file is damaged: every reader opens the new bag."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _LARGEST = 1 << 31
 
 
 @dataclass
-class Salvage:
-    """What could be saved.
+class RepairResult:
+    """What was copied and what is damaged.
 
     Attributes
     ----------
     messages : messages in the new bag
-    chunks : whole chunks found
-    damaged : place of each damaged chunk in the file [byte] and what is wrong with it
+    chunks : complete chunks found
+    damaged : offset of each damaged chunk in the file [byte] and what is wrong with it
     cut_at : where the file ends in the middle of a record [byte]; None if it does not
     last_stamp : log time of the newest message [ns]
     """
@@ -41,8 +41,8 @@ class Salvage:
     last_stamp: int = 0
 
 
-def repair_bag(source: Path, target: Path) -> Salvage:
-    """Copy every whole message of `source` (folder or file) into the new bag `target`.
+def repair_bag(source: Path, target: Path) -> RepairResult:
+    """Copy every complete message of `source` (folder or file) into the new bag `target`.
 
     Raises
     ------
@@ -53,12 +53,12 @@ def repair_bag(source: Path, target: Path) -> Salvage:
     file = _file(source)
     data = file.read_bytes()
     if data[:8] != MAGIC:
-        raise ValueError(f"{file} is not an MCAP file: expected it to begin with its magic number")
-    salvage = Salvage()
+        raise ValueError(f"{file} must be an MCAP file, got one that begins with {data[:8]!r}")
+    result = RepairResult()
     metadata: dict[str, dict[str, str]] = {}
     attachments: dict[str, tuple[str, bytes]] = {}
     chunks: list[tuple[int, bytes]] = []
-    for code, offset, body in _records(data, 8, salvage):
+    for code, offset, body in _records(data, 8, result):
         if code == _METADATA:
             name, at = _text(body, 0)
             metadata[name] = _table(body, at)
@@ -73,45 +73,45 @@ def repair_bag(source: Path, target: Path) -> Salvage:
     names: dict[int, str] = {}
     with BagWriter(target, metadata, attachments, diagnostics=True) as bag:
         for offset, body in chunks:
-            _copy_chunk(offset, body, bag, names, salvage)
-    return salvage
+            _copy_chunk(offset, body, bag, names, result)
+    return result
 
 
 def _file(source: Path) -> Path:
     files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
     if len(files) != 1 or not files[0].is_file():
-        raise ValueError(f"{source}: expected a bag folder with one .mcap file, found {len(files)}")
+        raise ValueError(f"{source} must be a bag folder with one .mcap file, got {len(files)}")
     return files[0]
 
 
-def _records(data: bytes, at: int, salvage: Salvage | None = None) -> Iterator[tuple[int, int, bytes]]:
-    """Code, place and content of one record after the other, up to the first that is cut."""
+def _records(data: bytes, at: int, result: RepairResult | None = None) -> Iterator[tuple[int, int, bytes]]:
+    """Code, offset and content of the records, up to the first that is cut off."""
     while at + _RECORD.size <= len(data) and data[at : at + 8] != MAGIC:
         code, length = _RECORD.unpack_from(data, at)
         end = at + _RECORD.size + length
         if length > _LARGEST or end > len(data):
-            if salvage is not None:
-                salvage.cut_at = at
+            if result is not None:
+                result.cut_at = at
             return
         yield code, at, data[at + _RECORD.size : end]
         at = end
-    if salvage is not None and at < len(data) and data[at : at + 8] != MAGIC:
-        salvage.cut_at = at
+    if result is not None and at < len(data) and data[at : at + 8] != MAGIC:
+        result.cut_at = at
 
 
-def _copy_chunk(offset: int, body: bytes, bag: BagWriter, names: dict[int, str], salvage: Salvage) -> None:
+def _copy_chunk(offset: int, body: bytes, bag: BagWriter, names: dict[int, str], result: RepairResult) -> None:
     _, _, size, checksum = _CHUNK.unpack_from(body)
     compression, at = _text(body, _CHUNK.size)
     packed = body[at + 8 :]
     try:
         content = zstandard.decompress(packed, max_output_size=size) if compression == "zstd" else packed
     except zstandard.ZstdError as error:
-        salvage.damaged.append((offset, f"cannot be decompressed ({error})"))
+        result.damaged.append((offset, f"cannot be decompressed ({error})"))
         return
     if checksum and zlib.crc32(content) != checksum:
-        salvage.damaged.append((offset, "its checksum does not fit"))
+        result.damaged.append((offset, "its checksum does not fit"))
         return
-    salvage.chunks += 1
+    result.chunks += 1
     collected: dict[str, list[tuple[int, int, bytes]]] = {}
     for code, _, record in _records(content, 0):
         if code == _CHANNEL:
@@ -122,8 +122,8 @@ def _copy_chunk(offset: int, body: bytes, bag: BagWriter, names: dict[int, str],
                 collected.setdefault(names[number], []).append((log, publish, record[_MESSAGE.size :]))
     for name, messages in collected.items():
         _copy_messages(bag, name, messages)
-        salvage.messages += len(messages)
-        salvage.last_stamp = max(salvage.last_stamp, messages[-1][0])
+        result.messages += len(messages)
+        result.last_stamp = max(result.last_stamp, messages[-1][0])
     bag.end_chunk()
 
 

@@ -1,19 +1,11 @@
-"""Message definitions and type hashes that a bag carries, so that any reader can decode it alone.
-
-The texts are the ROS 2 Jazzy definitions without comments; the hashes are theirs (REP-2016).
-A test compares both with the installed message packages.
-"""
+"""Message definitions and type hashes (REP-2016) of a bag; a test compares them with the installed packages."""
 
 from __future__ import annotations
 
-from los_testbed.topics import ACCEL, DIAGNOSTICS, JOINT_STATE, VECTOR3
+from los_testbed.topics import DIAGNOSTICS
+from pointing_analysis import message_types
+from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
 
-_SEPARATOR = "\n" + "=" * 80 + "\nMSG: "
-
-_TIME = "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = "std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-_VECTOR3 = "geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-_ACCEL = "geometry_msgs/Accel\nVector3 linear\nVector3 angular\n"
 _STATUS = (
     "diagnostic_msgs/DiagnosticStatus\nbyte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\n"
     "string name\nstring message\nstring hardware_id\nKeyValue[] values\n"
@@ -21,19 +13,15 @@ _STATUS = (
 _KEY_VALUE = "diagnostic_msgs/KeyValue\nstring key\nstring value\n"
 
 DEFINITIONS = {
-    ACCEL: _SEPARATOR.join(
-        ["std_msgs/Header header\nAccel accel\n", _HEADER, _TIME, _ACCEL, _VECTOR3],
-    ),
-    VECTOR3: _SEPARATOR.join(["std_msgs/Header header\nVector3 vector\n", _HEADER, _TIME, _VECTOR3]),
-    JOINT_STATE: _SEPARATOR.join(
+    **message_types.DEFINITIONS,
+    DIAGNOSTICS: message_types.SEPARATOR.join(
         [
-            "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
-            _HEADER,
-            _TIME,
+            "std_msgs/Header header\nDiagnosticStatus[] status\n",
+            message_types.HEADER_DEFINITION,
+            message_types.TIME_DEFINITION,
+            _STATUS,
+            _KEY_VALUE,
         ]
-    ),
-    DIAGNOSTICS: _SEPARATOR.join(
-        ["std_msgs/Header header\nDiagnosticStatus[] status\n", _HEADER, _TIME, _STATUS, _KEY_VALUE]
     ),
 }
 """Full ros2msg text of each type, dependencies included."""

@@ -35,7 +35,7 @@ QOS = [
 
 
 def check_new_bag(path: Path) -> None:
-    """Refuse a place where no new bag can be made.
+    """Refuse a path where no new bag can be made.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def check_new_bag(path: Path) -> None:
         Something is there already, or the parent is no folder one may write to.
     """
     if path.exists():
-        raise ValueError(f"the bag {path} exists already: expected a new name, bags are never overwritten")
+        raise ValueError(f"bag must have a new name, got {path}: it exists already, and bags are never overwritten")
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent

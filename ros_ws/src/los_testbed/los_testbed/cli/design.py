@@ -167,23 +167,30 @@ def verify(
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     json_: Json = False,
 ) -> None:
-    """Recompute all figures of the stored designs: certified norms, and the sampled loop as it flies."""
+    """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
+
+    The exit code is 1 if a loop is unstable at any parameter point.
+    """
     if samples < 0:
         raise ValueError(f"--samples must not be negative, got {samples}")
     from lti.threads import one_thread
 
     with one_thread():
-        result = _verified(samples)
+        result, failed = _verified(samples)
     if json_:
-        print_json(result)
-        return
-    for name, content in result.items():
-        Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
+        print_json({**result, "failures": failed})
+    else:
+        for name, content in result.items():
+            Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
+    for text in failed:
+        sys.stderr.write(f"verification failed: {text}\n")
+    if failed:
+        raise typer.Exit(1)
 
 
-def _verified(samples: int) -> dict[str, Any]:
+def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
     from los_design.store import load_designs
-    from los_design.verification import check_implemented, check_paper, verification_points
+    from los_design.verification import check_implemented, check_paper, failures, rounded, verification_points
     from titop_plant.interface import design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
@@ -206,12 +213,19 @@ def _verified(samples: int) -> dict[str, Any]:
     robust = load_designs("paper")
     for design in robust:
         paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
-    return {
-        "paper": check_paper(assembled, parameters, *robust, paper_points),
+    paper = check_paper(assembled, parameters, *robust, paper_points)
+    checks = {
+        "robust design": implemented,
+        "nominal design, nominal model": alone,
+        "nominal design, uncertain model": spread,
+    }
+    result = {
+        "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
         "implemented": implemented.to_mapping(),
         "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
         "worst_parameters": {name: dict(values) for name, values in implemented.worst.items()},
     }
+    return result, failures(paper, checks)
 
 
 def _counted(bar: Progress, total: int) -> Callable[[], None]:
@@ -257,7 +271,7 @@ def trade_off(
     try:
         levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
     except ValueError:
-        raise ValueError(f"--bounds expects numbers with commas between them, got {bounds!r}") from None
+        raise ValueError(f"--bounds must be numbers with commas between them, got {bounds!r}") from None
     check_levels(levels)
     with Progress("trade-off") as bar, one_thread():
         points = curve(levels, _counted(bar, 2 * len(levels)))

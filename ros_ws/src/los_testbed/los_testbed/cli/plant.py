@@ -1,4 +1,4 @@
-"""Command group ``los-testbed plant``: the telescope's model in figures and pictures."""
+"""Command group ``los-testbed plant``: the telescope's model in numbers and figures."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bo
 
     los-testbed plant --parameters my_telescope.toml   # your own
 
-    los-testbed plant figures --output pictures        # what disturbs its line of sight, PNG and SVG
+    los-testbed plant figures --output pictures        # disturbances to line of sight, PNG and SVG
 """
 
-FIGURES_EXAMPLES = """Draw how wheels and array drives reach the line of sight.
+FIGURES_EXAMPLES = """Draw the responses from wheels and array drives to the line of sight.
 
 **Example**
 
     los-testbed plant figures --output pictures
 """
 
-CASES_EXAMPLES = """List the named telescopes that `los-testbed run --case NAME` flies.
+CASES_EXAMPLES = """List the named telescopes of `los-testbed run --case NAME`.
 
 **Example**
 
@@ -72,7 +72,7 @@ def plant(
 @plant_app.command(help=FIGURES_EXAMPLES)
 def figures(
     context: typer.Context,
-    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    output: Annotated[Path, typer.Option(help="Folder for the figures.")] = Path("figures"),
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
 ) -> None:
     """See FIGURES_EXAMPLES."""
@@ -102,7 +102,7 @@ def cases(
 
 
 def show(console: Console, found: PlantSummary) -> None:
-    """Print a model's figures as tables."""
+    """Print a model's properties as tables."""
     stable = "all poles in the left half plane" if found.hurwitz else "[red]not stable[/red]"
     inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
     console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)

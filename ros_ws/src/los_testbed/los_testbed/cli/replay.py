@@ -23,9 +23,9 @@ DIFFERENT = 1
 
 REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
-Through the controllers that flew, the recorded estimates and commands come out again, bit by bit: the proof that the
-bag holds all that the loop saw (exit code 1 if not). Through others: their estimates, knowledge errors and the
-commands they would have sent. The recorded telescope does not answer to those.
+With the recorded controllers, the replay reproduces the recorded estimates and commands bit by bit: the bag then holds
+every sample that the loop used (exit code 1 if not). With other controllers it gives their estimates, knowledge errors
+and commands. The recorded telescope does not respond to those commands.
 
 **Examples**
 
@@ -64,7 +64,9 @@ def replay(
     from pointing_analysis.read import Run
 
     if to_ros and (k_fsm or k_pma or loop):
-        raise ValueError("--to-ros drives nodes with controllers of their own: expected no --k-fsm, --k-pma, --loop")
+        raise ValueError(
+            "--to-ros must be given without --k-fsm, --k-pma and --loop: the nodes have their own controllers"
+        )
     if output is not None:
         check_new_bag(output)
     run, console = Run.open(bag), Console(stderr=json_)

@@ -15,10 +15,10 @@ from los_testbed.cli.output import Json, print_json
 if TYPE_CHECKING:
     from pointing_analysis.summary import Summary
 
-REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, pictures, provenance.
+REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, figures, provenance.
 
-For bags of this testbed it also says what the model of the loop predicts of each tone of the disturbance, beside what
-was measured. The page holds everything it shows, opens from disk and prints.
+For bags of this testbed it also compares the predicted with the measured amplitude of each tone of the disturbance. The
+page needs no other file and no network.
 
 **Examples**
 
@@ -68,7 +68,7 @@ def report(
 
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
-    """Print the figures of some runs, one line each, and what was found in the bags."""
+    """Print the metrics of some runs, one line each, and the problems of their bags."""
     from pointing_analysis.report import digits, overall
 
     table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")

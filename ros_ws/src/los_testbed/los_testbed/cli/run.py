@@ -55,12 +55,12 @@ def run(
     camera_rate: Annotated[
         str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
     ] = None,
-    k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the one that ships.")] = None,
-    k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file.")] = None,
+    k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
+    k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
     domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
     theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
-    tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), in the place of theta.")] = None,
+    tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), instead of theta.")] = None,
     wheel_speed: Annotated[
         tuple[float, float, float, float] | None, typer.Option(help="Speeds of the four wheels [rad/s].")
     ] = None,
@@ -136,7 +136,7 @@ def configure(
     for setting in settings:
         name, sign, text = setting.partition("=")
         if not sign:
-            raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
+            raise ValueError(f"--set must be NAME=VALUE, got {setting!r}")
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))

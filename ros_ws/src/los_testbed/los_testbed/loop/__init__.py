@@ -1,1 +1,1 @@
-"""The loop without ROS: simulation, joining by stamp, gate, clock, statistics of time."""
+"""The loop without ROS: simulation, synchronization by stamp, command gate, tick clock, scheduling, latency, health."""

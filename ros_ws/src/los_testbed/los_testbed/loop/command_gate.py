@@ -1,4 +1,4 @@
-"""What may reach the actuators: commands are checked, counted, held, and faded out when they stop."""
+"""Commands on their way to the actuators: checked, counted, held, and faded out when they stop."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from los_testbed.bags.cdr import Codec, CodecError
 from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
-
-REASONS = ("encoding", "size", "not_finite", "limit", "off_grid", "future", "late", "duplicate")
-"""Why a command is rejected."""
 
 
 class CommandGate:
@@ -73,7 +70,7 @@ class CommandGate:
         return True
 
     def _fault(self, stamp: int, now_ns: int) -> str:
-        """Reason to reject the candidate: its values are judged before its stamp."""
+        """Reason to reject the candidate: its values are checked before its stamp."""
         largest = float(np.max(np.abs(self._candidate, out=self._magnitude)))
         if not largest <= self.limit:
             return "limit" if math.isfinite(largest) else "not_finite"

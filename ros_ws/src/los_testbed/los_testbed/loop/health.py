@@ -1,4 +1,4 @@
-"""State of a loop as /diagnostics tells it, with the limits that ros2_control's users know.
+"""State of a loop for /diagnostics, with the limits of ros2_control.
 
 Mean rate off by 5 Hz is a warning, by 10 Hz an error; a mean execution time of 1000 us is a warning, of
 2000 us an error; a loop that did nothing since the last report is stale.
@@ -40,7 +40,7 @@ class LoopHealth:
         self._last: tuple[int, int, int, int] | None = None
 
     def assess(self, ticks: int, now_ns: int, execution: LatencyHistogram) -> tuple[int, str, dict[str, str]]:
-        """Level, message and figures since the last call.
+        """Level, message and values since the last call.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Running figures of a loop: counts and latency histograms of fixed size, nothing kept per tick."""
+"""Histogram of durations of fixed size: count, mean, quantiles and maximum without keeping single values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples of one tick from several topics, joined by stamp and never by order of arrival."""
+"""Samples of one tick from several topics, synchronized by stamp and never by order of arrival."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ HOLD_STAMP = 0
 
 
 class Part:
-    """One topic's share of a tick: its bytes, its place, and when it is due.
+    """One topic's share of a tick: its bytes, its columns, and when it is due.
 
     Parameters
     ----------
     codec : Codec
         Bytes of the topic.
     columns : slice
-        Place in the joined vector.
+        Columns in the joined vector.
     every : int
         Due on ticks whose number (stamp / 1 ms) is a multiple of this.
     nan_allowed : bool
@@ -74,7 +74,7 @@ class StampSynchronizer:
         self.gap = 0
         self.horizon = 1 << 62
         self._newest = HOLD_STAMP
-        slots = self.SLOTS + 1  # the last one is for hold ticks: a stray one disturbs no tick under way
+        slots = self.SLOTS + 1  # the last one is for hold ticks, so that they share no slot with a tick
         self._stamps = [-1] * slots
         self._seen = [0] * slots
         self._rows = [np.full(size, np.nan) for _ in range(slots)]

@@ -1,1 +1,1 @@
-"""ROS 2 nodes, thin over the cores: bytes to arrays, ``core.step``, arrays to bytes."""
+"""ROS 2 nodes: messages to arrays, one step of the plant, the observer or the controller, arrays to messages."""

@@ -17,6 +17,7 @@ from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
+from pointing_analysis.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        core = build(context.config)
+        controller = build(context.config)
         if build is build_controller:
             context.warn_alone(check_controllers(context.config))
         parts = [
@@ -39,21 +40,19 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
             Part(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
-        command, nothing, held = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE), np.zeros(ACCEL.stop)
+        command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
+        step = GapStepper(lambda sample, out: controller.step(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                core.reset()
+                controller.reset()
                 for publisher, codec, _, zero in slots:
                     publisher.publish(codec.encode(stamp, zero))
                 return
-            for _ in range(gap):  # time went on without samples: the state must too
-                core.step(held[ESTIMATE], held[ACCEL], command)
-            core.step(sample[ESTIMATE], sample[ACCEL], command)
+            step(sample, gap, command)
             for publisher, codec, values, _ in slots:
                 publisher.publish(codec.encode(stamp, values))
-            held[:] = sample
 
         follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick)
         code = follower.run()

@@ -17,6 +17,7 @@ from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
+from pointing_analysis.gap_stepping import GapStepper
 from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
 
 if TYPE_CHECKING:
@@ -27,25 +28,21 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        core = build(context.config)
+        estimator = build(context.config)
         every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
-        los, held, nothing = np.zeros(ESTIMATES), np.zeros(MEASUREMENTS), np.zeros(ESTIMATES)
-        held[CAMERA] = np.nan
+        los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
+        step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
 
         def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                core.reset()
+                estimator.reset()
                 publisher.publish(codec.encode(stamp, nothing))
                 return
-            for _ in range(gap):  # time went on without samples: the state must too
-                core.step(held, los)
-            core.step(measurement, los)
+            step(measurement, gap, los)
             publisher.publish(codec.encode(stamp, los))
-            held[: CAMERA.start] = measurement[: CAMERA.start]
-            held[CAMERA.stop :] = measurement[CAMERA.stop :]
 
         follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick)
         code = follower.run()

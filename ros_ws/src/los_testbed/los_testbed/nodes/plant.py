@@ -1,7 +1,7 @@
-"""Plant node: owns time, publishes sensors and truth, applies the commands of the tick before.
+"""Plant node: keeps the time, publishes sensors and truth, applies the commands of the previous tick.
 
 Tick k of the real-time loop: wake at the deadline, take the commands that were computed from tick k - 1,
-pass them through the gates, step the core, publish. In lockstep the wait for the clock is replaced by a
+pass them through the gates, step the plant, publish. In lockstep the wait for the clock is replaced by a
 wait for both commands of the tick just published, and ``/clock`` follows the ticks.
 """
 
@@ -29,10 +29,10 @@ from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, 
 RING = 64
 
 CLOCK_TICKS = 10
-"""In lockstep ``/clock`` comes at every tenth tick, 100 times a simulated second: every participant pays for it."""
+"""Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
 
 CLOCK_STEP_NS = 1_000_000_000
-"""The middleware stamps arrivals with the wall clock: a figure beyond this is a step of that clock."""
+"""The middleware stamps arrivals with the wall clock: a longer latency than this [ns] is a step of that clock."""
 
 
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
@@ -41,9 +41,9 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
     def body(context: NodeContext) -> int:
         refuse_second_plant(context)
         context.event("alone")
-        core = build(context.config)
+        plant = build(context.config)
         with one_thread():
-            return PlantLoop(context, core).run()
+            return PlantLoop(context, plant).run()
 
     return run_node("plant", arguments, body)
 
@@ -55,13 +55,13 @@ class PlantLoop:
     ----------
     context : NodeContext
         The node.
-    core : Plant
-        What is simulated.
+    plant : Plant
+        The simulated telescope.
     """
 
-    def __init__(self, context: NodeContext, core: Plant) -> None:
+    def __init__(self, context: NodeContext, plant: Plant) -> None:
         self.context = context
-        self.core = core
+        self.plant = plant
         self.io = PlantIo(context)
         self.ticks = 0
         self.held = 0
@@ -86,7 +86,7 @@ class PlantLoop:
         if context.stop:
             context.event("done", statistics={})
             return 0
-        self.core.reset()
+        self.plant.reset()
         if config.mode == "lockstep":
             start = aligned_start(SIMULATED_START_NS, config.frame_ticks)
         else:
@@ -126,10 +126,10 @@ class PlantLoop:
                 break
             self._tick(now)
             self.execution.add(time.monotonic_ns() - start_time)
-            self._slack(k, now)
+            self._background(k, now)
 
     def _take_commands(self, now: int) -> None:
-        """Offer all that came to the gates; note when the mirror command of a tick arrived."""
+        """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
         io = self.io
         while (taken := io.pma_input.take()) is not None:
             io.pma_gate.offer(taken[0], now)
@@ -146,19 +146,19 @@ class PlantLoop:
         io, command = self.io, self._command
         io.fsm_gate.apply(now, command[MIRROR])
         io.pma_gate.apply(now, command[FORCES])
-        self.core.step(command, self._measurement, self._truth)
+        self.plant.step(command, self._measurement, self._truth)
         io.publish(now, self._measurement, self._truth)
         self.ticks += 1
 
-    def _slack(self, k: int, now: int) -> None:
-        """Work that can wait, one kind per tick, when the next deadline is far enough."""
+    def _background(self, k: int, now: int) -> None:
+        """Work that is not urgent, one kind per tick, after the work of the tick."""
         phase = k % 200
         if phase == 50 or phase == 150:
             self.context.event("progress", tick=self.ticks)
         elif phase == 100:
             self.context.service()
         elif phase % 50 == 25 and self.io.fading() != self._faded:
-            self._report(now)  # said at once, not at the end of the second
+            self._report(now)  # reported at once, not at the end of the second
         elif k == 0:
             self.health.assess(1, time.monotonic_ns(), self.execution)
         elif k % RATE == 0:
@@ -196,7 +196,7 @@ class PlantLoop:
             **({} if lockstep else {"period_max_us": f"{self.period.maximum_us:g}"}),
             **self.execution.summary("execution"),
             **self.io.rejections(),
-            **plant_notes(self.core),
+            **plant_notes(self.plant),
         }
 
     def _report(self, now: int, last: bool = False) -> None:
@@ -220,7 +220,7 @@ class PlantLoop:
         self.context.plot(self._plotted(news))
 
     def _plotted(self, news: tuple[int, int]) -> dict[str, float]:
-        """Figures since the last report: `news` are missed ticks and rejected commands."""
+        """Values since the last report: `news` are missed ticks and rejected commands."""
         return {
             **self.period.window("period"),
             **self.lateness.window("lateness"),

@@ -14,14 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
-from los_testbed.bags.cdr import ENCAPSULATION, Codec, CodecError, HeaderCodec, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.loop.health import OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, HEADER, PROGRESS_TOPIC, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TOPICS
+from pointing_analysis.cdr import ENCAPSULATION, Encoder
+from pointing_analysis.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
 DEPTH = 5000
@@ -129,7 +131,7 @@ class Recorder:
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
         self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
-        self._header = HeaderCodec()
+        self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
         self.bag: BagWriter | None = None
         self.finished = 0
@@ -179,7 +181,7 @@ class Recorder:
     def _another_run(self) -> bool:
         """Whether the plant holds after a run: it was started again, and what comes now is another run.
 
-        One topic is not enough: a message with stamp zero from an intruder must not end the bag.
+        One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag.
         """
         return any(track.first for track in self.tracks) and all(track.held for track in self._from_plant)
 
@@ -208,7 +210,7 @@ class Recorder:
         for track in self.tracks:
             self._write(self.bag, track)
         self._keep_statistics()
-        if not self.simulated:  # wall-clock figures would make two equal runs differ
+        if not self.simulated:  # values of the wall clock would make two equal runs differ
             self._write(self.bag, self.diagnostics)
         self.diagnostics.data, self.diagnostics.received, self.diagnostics.sent = [], [], []
         self.bag.end_chunk()
@@ -269,7 +271,7 @@ class Recorder:
         path = str(self.path) if self.bag is not None else None
         self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
-            raise ValueError("nothing came to be recorded: expected a plant on this domain")
+            raise ValueError("a plant must run on this domain, got no message to record")
 
 
 def _free_name(base: Path) -> Path:

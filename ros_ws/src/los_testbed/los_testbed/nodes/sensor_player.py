@@ -1,4 +1,4 @@
-"""In the place of the plant: publishes the sensors of a bag at their own times and keeps what the nodes answer.
+"""Replaces the plant: publishes the sensors of a bag at their own times and keeps the answers of the nodes.
 
 The stamps are those of the bag, so the answers carry them too and can be compared with the recorded ones tick by tick.
 Nothing that is commanded changes what is sent.
@@ -84,11 +84,13 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
     Raises
     ------
     ValueError
-        No sensors in the bag, a plant on this domain, nobody who listens.
+        No sensors in the bag, a plant on this domain, no node that subscribes.
     """
     missing = [topic.name for topic in SENSORS if topic.name not in run]
     if missing:
-        raise BagError(f"{run.path}: to drive nodes the bag needs {', '.join(missing)}; it has {', '.join(run.topics)}")
+        raise BagError(
+            f"{run.path}: to drive nodes the bag must hold {', '.join(missing)}, got {', '.join(run.topics)}"
+        )
     if domain >= 0:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
@@ -130,7 +132,7 @@ class _Player:
             if self.context.stop:
                 raise KeyboardInterrupt
             behind = wait_until(start_time + stamp - first)
-            if behind >= TICK_NS:  # never caught up by hurrying: the nodes would see another sampling rate
+            if behind >= TICK_NS:  # later ticks are not sent faster: the nodes would see another sampling rate
                 start_time += behind
                 late += 1
             for publisher, codec, rows, values in self._outputs:
@@ -172,10 +174,10 @@ class _Player:
         return ()
 
     def _gave_up(self, timeout: float) -> tuple[str, ...]:
-        """Go on without an answer if somebody listens at all."""
+        """Go on without an answer if a node subscribes to the sensors."""
         node = self.context.node
         if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
-            raise BagError(f"expected a node that listens to {NAMESPACE}/... within {timeout:g} s; there is none")
+            raise BagError(f"a node must subscribe to {NAMESPACE}/... within {timeout:g} s, got none")
         return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
 
     def _drain(self) -> None:

@@ -1,6 +1,6 @@
 """Predicted against measured, for the report: what the model as implemented says of a recorded run, from the bag alone.
 
-Configuration and controllers are those that travel in the bag. The telescope's parameter file does not: its figures
+Configuration and controllers are those in the bag. The telescope's parameter file is not in it: its values
 must still be those of the run, by the hash in the bag.
 """
 
@@ -47,7 +47,7 @@ def predictions(
     Returns
     -------
     list of Prediction or None
-        None where there is nothing to predict: a bag of somebody else, no tones, a telescope that changes during the
+        None where there is nothing to predict: a bag of another program, no tones, a telescope that changes during the
         run, a plant of another kind, a replay. A prediction without tones says in its note why it failed.
     """
     return [_prediction(run, transient, start, stop) for run in runs]

@@ -75,7 +75,7 @@ def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[Sampl
     data = run.attachments.get(f"{name}.json")
     if data is None:
         raise BagError(
-            f"{run.path}: expected the controller {name}.json in the bag; it holds "
+            f"{run.path}: the bag must hold the controller {name}.json, got "
             f"{', '.join(sorted(run.attachments)) or 'no files'}: give --{name.replace('_', '-')} FILE"
         )
     with tempfile.TemporaryDirectory() as folder:
@@ -88,7 +88,7 @@ def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[Sampl
 
 
 def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, loop: str | None = None) -> Controllers:
-    """Controllers as recorded, or others in their place.
+    """Controllers as recorded, or others instead.
 
     Raises
     ------
@@ -100,9 +100,7 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     stage = recorded if loop is None else loop
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
-        raise BagError(
-            f"{where}: expected one of {', '.join(STAGES)}; got {stage!r}" + ("" if loop else ": give --loop")
-        )
+        raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
     fsm, fsm_file = controller_of(run, "k_fsm", k_fsm)
     pma, pma_file = controller_of(run, "k_pma", k_pma)
     chosen, telescope = {"k_fsm": fsm, "k_pma": pma}, telescope_of(run)
@@ -130,7 +128,7 @@ def _completed(telescope: DesignBasis) -> DesignBasis:
 
 
 def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -> replay.Replayed:
-    """Drive the cores with the sensors of the bag.
+    """Step observer and controller on the sensors of the bag.
 
     Raises
     ------

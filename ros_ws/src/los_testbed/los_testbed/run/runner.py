@@ -42,14 +42,14 @@ class RunError(RuntimeError):
 
 @dataclass
 class Results:
-    """What the nodes said at the end.
+    """What the nodes reported at the end.
 
     Attributes
     ----------
-    statistics : last figures of each node
+    statistics : last statistics of each node
     bag : folder of the bag; None if nothing was recorded
-    warnings, failures : what was not permitted; which nodes died, one line each
-    latency : histogram of the plant's latencies, whole microseconds and how often
+    warnings, failures : what was not permitted; which nodes ended unexpectedly, one line each
+    latency : histogram of the plant's latencies, microseconds to counts
     earlier : bags of the same run from before its plant was started again
     interrupted : whether the run was ended before its time
     """
@@ -78,7 +78,7 @@ def check_ros() -> None:
     """
     if importlib.util.find_spec("rclpy") is None:
         raise ValueError(
-            "ROS 2 is not installed: expected rclpy for this mode; install the extra with "
+            "rclpy must be installed for this mode: ROS 2 is not installed; install the extra with "
             "`pip install los-testbed[ros]`, or use --mode inprocess"
         )
 
@@ -123,9 +123,7 @@ def domain_lock(domain: str) -> Iterator[None]:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(handle)
-        raise ValueError(
-            f"another run holds ROS domain {domain} on this machine: expected a free one, see --domain"
-        ) from None
+        raise ValueError(f"--domain must be a ROS domain without another run on this machine, got {domain}") from None
     try:
         yield
     finally:
@@ -143,9 +141,9 @@ def run_alone(name: str, config: RunConfig) -> int:
         No such node, a mode without nodes, or ROS missing.
     """
     if name not in NODES:
-        raise ValueError(f"--only expects one of {', '.join(NODES)}, got {name!r}")
+        raise ValueError(f"--only must be one of {', '.join(NODES)}, got {name!r}")
     if config.mode == "inprocess":
-        raise ValueError("--only expects the mode realtime or lockstep, got inprocess")
+        raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
     check_ros()
     if name == "recorder":
         check_new_bag(Path(config.output))
@@ -277,7 +275,7 @@ class Runner:
             self._selector.register(stream, selectors.EVENT_READ, node)
 
     def _until(self, name: str, kind: str, timeout: float | None) -> None:
-        """Watch everybody until this node said this."""
+        """Watch all nodes until this one reported this event."""
         end = None if timeout is None else time.monotonic() + timeout
         while (name, kind) not in self._seen:
             self._poll(0.1)
@@ -356,7 +354,7 @@ class Runner:
         self._poll(0.02)
 
     def _end_all(self) -> None:
-        """Whatever happened: no process stays behind."""
+        """End all processes that still run."""
         alive = [node for node in self._nodes.values() if node.process.poll() is None]
         for node in alive:
             node.interrupt()

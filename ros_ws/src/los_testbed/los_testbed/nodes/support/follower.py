@@ -20,9 +20,6 @@ WAIT_NS = 50_000_000
 HORIZON_NS = 50_000_000
 """A stamp may be this much ahead of the plant's clock."""
 
-GAP_LIMIT = 50
-"""Longest gap, in ticks, over which a core is stepped on held samples; after a longer one it starts anew."""
-
 Tick = Callable[[int, NDArray[np.float64], int], None]
 
 
@@ -119,10 +116,8 @@ class Follower:
         vector = synchronizer.put(index, data)
         if vector is None:
             return False
-        stamp, gap = synchronizer.stamp, synchronizer.gap
-        if gap > GAP_LIMIT:
-            gap = 0
-        self._tick(stamp, vector, gap)
+        stamp = synchronizer.stamp
+        self._tick(stamp, vector, synchronizer.gap)
         if stamp != HOLD_STAMP:
             self.ticks += 1
         else:  # another run begins, on another clock

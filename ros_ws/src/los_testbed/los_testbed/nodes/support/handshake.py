@@ -1,4 +1,4 @@
-"""Start of a run: one plant per domain, and no tick before everybody listens.
+"""Start of a run: one plant per domain, and no tick before all nodes receive.
 
 Discovery is not symmetric: a reader may be matched on one side and not yet on the other. So the plant
 sends hold ticks (stamp zero: no time has passed) until the commands that answer them have come back,
@@ -26,7 +26,7 @@ HOLD_PERIOD_S = 0.02
 
 
 def refuse_second_plant(context: NodeContext) -> None:
-    """Listen before talking.
+    """Check for another plant before anything is sent.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def refuse_second_plant(context: NodeContext) -> None:
     try:
         while not context.stop:
             if listener.take() is not None:
-                raise ValueError(f"another plant runs on this domain (it sends {name}): expected a free ROS_DOMAIN_ID")
+                raise ValueError(f"ROS_DOMAIN_ID must be a domain without a plant, got one where {name} is sent")
             # a plant that was killed stays in the graph for 20 s: only what is sent counts
             patience = 2 * LISTEN_S if context.node.count_publishers(name) else LISTEN_S
             if time.monotonic() - start_time > patience:
@@ -74,4 +74,6 @@ def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
             return
         if time.monotonic() - start_time > context.config.start_timeout:
             missing = ", ".join(f"{NAMESPACE}/{name}" for name in waiting_for)
-            raise ValueError(f"expected answers within {context.config.start_timeout:g} s, none on {missing}")
+            raise ValueError(
+                f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
+            )

@@ -53,7 +53,7 @@ class LockstepPacer:
     def wait_for_recorder(self, now: int, ahead: int = 0) -> bool:
         """Return when the recorder has all but the last `ahead` [ns] up to `now`; False if the run was stopped.
 
-        A recorder that is silent for the whole start-up time is no longer waited for.
+        A recorder that sends nothing for the start-up time is no longer waited for.
         """
         if not self._context.config.wait_for_recorder:
             return True

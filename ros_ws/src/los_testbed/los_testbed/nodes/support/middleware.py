@@ -1,7 +1,7 @@
 """Settings of the middleware (Fast DDS) for a process; to be chosen before rclpy starts.
 
 Nodes talk UDP, not shared memory: as fast for such small messages (measured), and without its faults. A process that
-is killed while it holds the lock of a segment takes others with it, a writer that meets a new or dead neighbour is held
+is killed while it holds the lock of a segment blocks others, a writer that meets a new or dead reader is held
 up for a third of a second by a health check, and files stay behind in /dev/shm.
 """
 

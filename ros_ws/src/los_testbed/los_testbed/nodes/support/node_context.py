@@ -106,7 +106,7 @@ class NodeContext:
         self._diagnostics.publish(array)
 
     def plot(self, values: Mapping[str, float]) -> None:
-        """Publish figures since the last report on ``~/statistics``.
+        """Publish values since the last report on ``~/statistics``.
 
         The numbers are in ``data``; ``layout.dim[0].label`` holds their names in the same order, with commas.
         """

@@ -10,7 +10,8 @@ from los_testbed.factories import telescope_basis
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
-from los_testbed.topics import FSM_COMMAND, HEADER, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
+from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
+from pointing_analysis.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]

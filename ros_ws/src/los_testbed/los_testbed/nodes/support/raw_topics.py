@@ -15,14 +15,15 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from los_testbed.topics import ACCEL, DEPTH, HEADER, JOINT_STATE, VECTOR3
+from los_testbed.topics import DEPTH
+from pointing_analysis.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
 READER_DEPTH = 200
-"""Messages of an intruder must not push the right ones out of a reader's queue within some ticks."""
+"""Messages that a reader of the loop keeps: a foreign publisher must not push the others out within a few ticks."""
 
 SETTLE_S = 1.0
-"""Readers get this much time for the last messages of a node that leaves; a dead reader costs all of it."""
+"""Time that readers get for the last messages of a node that ends [s]; a reader that is gone costs all of it."""
 
 
 class _NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
@@ -60,8 +61,8 @@ class RawPublisher:
 def settle(publishers: Sequence[RawPublisher]) -> bool:
     """Wait until what these sent last has arrived, at most :data:`SETTLE_S`; whether all of it has.
 
-    A process that leaves at once may be faster than its last messages: readers drop what they did not yet take
-    in when its farewell comes, which travels on another port.
+    Readers drop the messages of a process that they have not yet taken in when they learn that it has left, and they
+    learn that on another port.
     """
     deadline = time.monotonic() + SETTLE_S
     arrived = [publisher.settle(deadline) for publisher in publishers]

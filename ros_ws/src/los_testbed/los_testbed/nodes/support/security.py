@@ -1,7 +1,7 @@
 """Refuse to run unprotected when ROS security was asked for.
 
 The middleware of the Python wheels is built without it, and with the permissive strategy it would run
-open to everybody after one line of warning.
+without protection after one line of warning.
 """
 
 from __future__ import annotations
@@ -27,6 +27,6 @@ def refuse_missing_security() -> None:
         name = Path(library).name
         if name.startswith("librmw_fastrtps_shared_cpp") and _MISSING in Path(library).read_bytes():
             raise ValueError(
-                "ROS_SECURITY_ENABLE is true, but this middleware was built without security: expected a ROS "
-                "installation with SROS 2, or the variable unset"
+                "ROS_SECURITY_ENABLE must be unset with a middleware built without security, got true: use a ROS "
+                "installation with SROS 2"
             )

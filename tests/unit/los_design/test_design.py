@@ -1,4 +1,4 @@
-"""The implemented designs: their problems, their files, their command."""
+"""Stored designs, design problems and the command group."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from titop_plant.interface import LOOP_DELAY
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
-FLOWN = DesignOptions()
+IMPLEMENTED = DesignOptions()
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,14 @@ def parameters():
 
 
 def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
-    """Accelerometer noise through it: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a sketch."""
+    """Accelerometer noise: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a preliminary model."""
     assembled = telescope()
     plant = observer_plant(assembled, parameters)
-    wanted = observer_requirements(parameters, implemented=True)
+    requirements = observer_requirements(parameters, implemented=True)
     structure = observer_structure(plant)
-    problem = Problem([plant({})], wanted, structure)
+    problem = Problem([plant({})], requirements, structure)
     start = kalman_start(structure, assembled, parameters)
-    found = dict(zip((r.name for r in wanted), problem.evaluate(start, gradients=False).values[:, 0]))
+    found = dict(zip((r.name for r in requirements), problem.evaluate(start, gradients=False).values[:, 0]))
     assert 0.85 < found["noise -> APE"] < 1.05
     assert 1.3 < found["noise -> RPE"] < 1.6
     assert found["mirror"] < 1.0
@@ -45,36 +45,38 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
 
 def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
     assembled = telescope()
-    plant = observer_plant(assembled, parameters, **FLOWN.held)
-    wanted = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("RPE", "noise -> RPE")]
+    plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
+    requirements = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("RPE", "noise -> RPE")]
     structure = observer_structure(plant, held_camera=True)
-    problem = Problem([plant({})], wanted, structure, loop_delay=FLOWN.delay)
+    problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
     x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
     pieces = problem.evaluate(x, band=0.01).pieces
     rng = np.random.default_rng(0)
-    for i in range(len(wanted)):
+    for i in range(len(requirements)):
         best = max((p for p in pieces if p.requirement == i), key=lambda p: p.value)
-        # Every entry moves by a random part of itself, uphill: the slope stands out from the peak's rounding.
+        # Every entry changes by a random part of itself, uphill: the slope is then large against rounding of the peak.
         direction = rng.uniform(0.5, 1.0, x.size) * (np.abs(x) + 1e-6) * np.sign(best.gradient)
         h = 1e-4
         ends = [problem.evaluate(x + s * h * direction, gradients=False).values[i, 0] for s in (-1.0, 1.0)]
         assert best.gradient @ direction == pytest.approx((ends[1] - ends[0]) / (2.0 * h), rel=1e-6)
 
 
-def test_a_random_start_is_stable_and_almost_nothing(parameters) -> None:
+def test_a_random_start_is_stable_and_has_a_small_gain(parameters) -> None:
     k_fsm, _ = load_designs("implemented")
-    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=FLOWN.delay, **FLOWN.held)
+    plant = actuator_plant(
+        telescope(), parameters, continuous(k_fsm), loop_delay=IMPLEMENTED.delay, **IMPLEMENTED.hold_delays
+    )
     start = random_start(plant.system, 0)
     assert np.linalg.eigvals(start.A).real.max() < 0.0
     structure = actuator_structure(plant)
     problem = Problem(
-        [plant({})], actuator_requirements(parameters, implemented=True), structure, loop_delay=FLOWN.delay
+        [plant({})], actuator_requirements(parameters, implemented=True), structure, loop_delay=IMPLEMENTED.delay
     )
     assert problem.abscissa(structure.parameters_of(start)) < 0.0
 
 
 @pytest.mark.parametrize("variant", ["implemented", "implemented_nominal", "paper", "paper_nominal"])
-def test_stored_designs_say_that_they_were_made_for_the_reference_telescope(variant: str, parameters) -> None:
+def test_stored_designs_have_the_provenance_of_this_telescope(variant: str, parameters) -> None:
     for system in load_designs(variant):
         assert system.design_basis == design_basis(parameters).to_mapping()
         assert system.provenance["command"].startswith("los-testbed design k-")
@@ -104,10 +106,10 @@ def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:
 
 
 def test_least_noise_problem_minimises_nothing_else(parameters) -> None:
-    wanted = observer_requirements(parameters, implemented=True)
-    changed = {r.name: r for r in least_noise(wanted, 0.4)}
+    requirements = observer_requirements(parameters, implemented=True)
+    changed = {r.name: r for r in least_noise(requirements, 0.4)}
     assert [name for name, r in changed.items() if not r.hard] == ["noise -> RPE"]
-    before = {r.name: r for r in wanted}
+    before = {r.name: r for r in requirements}
     assert changed["RPE"].bound == pytest.approx(0.4 * before["RPE"].bound)
     assert all(changed[name].bound == before[name].bound for name in changed if name != "RPE")
 
@@ -126,7 +128,7 @@ def test_table_as_json(capsys) -> None:
         (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
         (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
         (["trade-off", "--bounds", "0.5,x"], "--bounds expects numbers with commas between them, got '0.5,x'"),
-        (["trade-off", "--bounds", "0.5,-1"], "expected positive bounds on the relative error, got [0.5, -1.0]"),
+        (["trade-off", "--bounds", "0.5,-1"], "levels must be positive bounds on the relative error, got [0.5, -1.0]"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, message, capsys) -> None:

@@ -1,0 +1,228 @@
+"""Designs from end to end with very small effort: what the returned file holds, screening, trade-off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_loop import SmallFamily, small_controllers, small_plant
+
+from fsm_pma_controller.problem import actuator_plant, actuator_requirements
+from los_design import starts, synthesis, trade_off
+from los_design.options import LOOP_DELAY, DesignOptions
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import sampled_loop_metrics, weighted_response
+from los_design.starts import screened, zero_controller
+from los_design.store import continuous, load_designs
+from los_design.trade_off import TradeOffPoint, undominated
+from los_estimator.problem import observer_plant, observer_requirements
+from lti import StateSpace
+from robust_design import certify
+from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
+
+PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
+STATUSES = {"converged", "iterations", "stalled", "infeasible", "wall_limit", "out_of_time", "inaccurate"}
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path) -> None:
+    """Ports, period, provenance; written and read back without a change."""
+    system.require(*PORTS[kind], 1e-3)
+    provenance = system.provenance
+    nominal = " --nominal" if options.nominal else ""
+    assert provenance["command"] == f"los-testbed design {kind}{nominal} --loop-delay 0.0015 --seed {options.seed}"
+    assert (provenance["seed"], provenance["loop_delay"]) == (options.seed, LOOP_DELAY)
+    assert system.design_basis == design_basis(parameters).to_mapping()
+    assert provenance["status"] in STATUSES
+    assert provenance["commit"]
+    system.to_file(tmp_path / "design.json")
+    again = type(system).from_file(tmp_path / "design.json")
+    assert all(np.array_equal(getattr(system, key), getattr(again, key)) for key in "ABCD")
+    assert again.provenance == provenance and again.design_basis == system.design_basis and again.name == system.name
+    assert continuous(again).order == 4
+
+
+def certified(system, plant, measured, requirements, options: DesignOptions, points) -> dict[str, float]:
+    """Worst norms of the continuous controller by the certificate, which shares no code with the tuner."""
+    data = continuous(system).data_at({})
+    K = StateSpace(*data.matrices, tuple(plant.system.output_port(m) for m in measured), data.outputs, "K")
+    found = certify([plant(values) for values in points], K, requirements, options.delay)
+    assert found.stable
+    return dict(zip((r.name for r in requirements), found.values.max(axis=1)))
+
+
+def test_designs_of_the_nominal_model_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
+    """Two iterations each: files fit the runtime, their provenance is whole, their gammas are the certified ones."""
+    monkeypatch.setattr(synthesis, "MAX_NOMINAL_ITERATIONS", 2)
+    assembled, options = telescope(), DesignOptions(nominal=True, seed=3)
+    k_fsm = synthesis.design_observer(assembled, parameters, options)
+    check_file(k_fsm, "k-fsm", options, parameters, tmp_path)
+    plant = observer_plant(assembled, parameters, **options.hold_delays)
+    requirements = observer_requirements(parameters, implemented=True)
+    found = certified(k_fsm, plant, MEASURED, requirements, options, [{}])
+    assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
+    assert not continuous(k_fsm).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
+
+    k_pma = synthesis.design_actuators(assembled, parameters, k_fsm, options)
+    check_file(k_pma, "k-pma", options, parameters, tmp_path)
+    plant = actuator_plant(assembled, parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
+    requirements = actuator_requirements(parameters, implemented=True)
+    found = certified(k_pma, plant, ("accel_Ip",), requirements, options, [{}])
+    assert k_pma.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
+
+    data = control_loop_plant(assembled, parameters).data_at({})
+    for stage in ("fsm", "fsm+pma"):
+        metrics = sampled_loop_metrics(data, k_fsm, k_pma, parameters, loop=stage, frame_ticks=20, noise=False)
+        assert metrics.stable
+
+
+@pytest.mark.slow
+def test_a_robust_observer_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
+    """One round with a small search: active points and worst cases are in the file, the values hold at the points."""
+    monkeypatch.setattr(synthesis, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(synthesis, "MAX_ROUNDS", 1)
+    monkeypatch.setattr(synthesis, "WORST_CASE_SEARCH", {"samples": 2, "climbs": 1, "iterations": 1})
+    monkeypatch.setattr(synthesis, "screened", lambda *_: [{"wheel_1.speed": 200.0}])
+    assembled, options = telescope(), DesignOptions(seed=4)
+    k_fsm = synthesis.design_observer(assembled, parameters, options)
+    check_file(k_fsm, "k-fsm", options, parameters, tmp_path)
+    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
+    active = k_fsm.provenance["active_models"]
+    assert active[:2] == [nominal, {"wheel_1.speed": 200.0}]
+    plant = observer_plant(assembled, parameters, **options.hold_delays)
+    requirements = observer_requirements(parameters, implemented=True)
+    found = certified(k_fsm, plant, MEASURED, requirements, options, active)
+    assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
+    worst = {case["requirement"]: case for case in k_fsm.provenance["worst_cases"]}
+    assert set(worst) == set(found)
+    for name, case in worst.items():
+        at = certified(k_fsm, plant, MEASURED, requirements, options, [case["parameters"]])
+        assert at[name] == pytest.approx(case["value"], rel=5e-3)
+
+
+def test_what_a_design_is_started_with(parameters, monkeypatch) -> None:
+    """A nominal design: one model, two observers to start from; a robust one: the screened points, one start."""
+    calls = []
+
+    def stop(*args, **kwargs):
+        calls.append((args, kwargs))
+        raise InterruptedError
+
+    monkeypatch.setattr(synthesis, "tune", stop)
+    monkeypatch.setattr(synthesis, "tune_robust", stop)
+    monkeypatch.setattr(synthesis, "screened", lambda *args: [{"seed": args[-1]}])
+    k_fsm, _ = load_designs("implemented")
+    for options in (DesignOptions(nominal=True), DesignOptions(seed=5), DesignOptions(loop_delay=0.0)):
+        with pytest.raises(InterruptedError):
+            synthesis.design_observer(telescope(), parameters, options)
+        with pytest.raises(InterruptedError):
+            synthesis.design_actuators(telescope(), parameters, k_fsm, options)
+    observer_nominal, actuators_nominal, observer, actuators, paper, _ = (kwargs for _, kwargs in calls)
+    assert len(observer_nominal["initial"]) == 2 and "active" not in observer_nominal
+    assert not np.array_equal(*observer_nominal["initial"])
+    assert len(observer["initial"]) == len(actuators["initial"]) == len(actuators_nominal["initial"]) == 1
+    assert observer["active"] == actuators["active"] == [{"seed": 5}]
+    assert observer["options"].iterations == 40 and observer_nominal["options"].iterations == 250
+    assert observer["loop_delay"] == pytest.approx(1e-3) and paper["loop_delay"] == 0.0
+    requirements = [args[1 if "active" not in kwargs else 2] for args, kwargs in calls[::2]]
+    assert [len(r) for r in requirements] == [5, 5, 3]
+
+
+def test_options_name_variant_and_delays() -> None:
+    assert DesignOptions().hold_delays == {"camera_period": 0.02, "command_hold": 0.5e-3}
+    assert DesignOptions().delay == pytest.approx(1e-3)
+    paper = DesignOptions(loop_delay=0.0, nominal=True)
+    assert (paper.hold_delays, paper.delay, paper.variant) == ({}, 0.0, "paper_nominal")
+    assert (DesignOptions().variant, DesignOptions(nominal=True).variant) == ("implemented", "implemented_nominal")
+    assert DesignOptions(loop_delay=2e-4).hold_delays["command_hold"] == 2e-4
+
+
+CANDIDATES = [{"stiffness": k} for k in (1.0, 40.0, 64.0, 9.0, 130.0, 70.0)]
+
+
+@pytest.mark.parametrize("with_observer", [False, True])
+def test_screened_points_are_the_worst_in_their_bands(with_observer: bool, parameters, monkeypatch) -> None:
+    """Four corners and two random points, compared one by one in each band."""
+    family = SmallFamily()
+    drawn = []
+
+    def sample_values(rng, count: int):
+        drawn.append((rng.integers(1 << 30), count))
+        return CANDIDATES[4:]
+
+    stand_in = SimpleNamespace(data_at=family.data_at, sample_values=sample_values)
+    monkeypatch.setattr(starts, "control_loop_plant", lambda *_: stand_in)
+    monkeypatch.setattr(starts, "parameter_corners", lambda _: CANDIDATES[:4])
+    k_fsm = small_controllers()[0] if with_observer else None
+    found = screened(None, parameters, k_fsm, 7)
+    assert drawn == [(np.random.default_rng(7).integers(1 << 30), 32)]
+    best = []
+    for low, high in ((50.0, 300.0), (300.0, 430.0), (430.0, 520.0), (520.0, 800.0)):
+        peaks = []
+        for values in CANDIDATES:
+            plant = small_plant(values["stiffness"])
+            pair = k_fsm or zero_controller("k-fsm"), zero_controller("k-pma")
+            loop = sampled_loop(plant, *pair, loop="fsm" if with_observer else "isolator", frame_ticks=20)
+            omega, _, relative = weighted_response(loop, plant, parameters, 50.0)
+            peaks.append(relative[(omega > low) & (omega <= high)].max())
+        best.append(CANDIDATES[int(np.argmax(peaks))])
+    assert len({v["stiffness"] for v in best}) >= 3
+    assert sorted(v["stiffness"] for v in found) == sorted({v["stiffness"] for v in best})
+
+
+@pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])
+def test_a_zero_controller_fits_the_runtime_and_does_nothing(kind: str) -> None:
+    system = zero_controller(kind)
+    system.require(*PORTS[kind], 1e-3)
+    assert system.order == 0 and not system.D.any()
+
+
+def test_one_level_of_the_trade_off(parameters, monkeypatch) -> None:
+    """Two iterations on one model: values are those of the tuner, the stored design comes first, ticks are counted."""
+    monkeypatch.setattr(trade_off, "MAX_ITERATIONS", 2)
+    monkeypatch.setattr(trade_off, "MAX_POINTS", 1)
+    results, ticks, tune = [], [], trade_off.tune
+
+    def recorded(models, requirements, *args, **kwargs):
+        results.append((requirements, kwargs, tune(models, requirements, *args, **kwargs)))
+        return results[-1][2]
+
+    monkeypatch.setattr(trade_off, "tune", recorded)
+    stored, point = trade_off.trade_off([0.5], lambda: ticks.append(1))
+    assert len(ticks) == len(results) == 2
+    assert (stored.bound, stored.status, point.bound) == (None, "stored", 0.5)
+    names = [r.name for r in results[0][0]]
+    candidates = []
+    for requirements, _, result in results:
+        assert [r.name for r in requirements if not r.hard] == ["noise -> RPE"]
+        values = dict(zip(names, result.values.max(axis=1)))
+        # The bound of the relative error is half of 100 mas: 1 is 50 mas.
+        candidates.append((not result.feasible, 100.0 * values["noise -> RPE"], 50.0 * values["RPE"]))
+    best = min(candidates)
+    assert (point.infeasible, point.noise, point.disturbance) == pytest.approx(best, rel=1e-12)
+    if results[0][2].feasible:  # the second one starts from the first
+        assert np.array_equal(results[1][1]["initial"][0], results[0][2].x)
+    plant = observer_plant(telescope(), parameters, **DesignOptions().hold_delays)
+    k_fsm, _ = load_designs("implemented")
+    at = k_fsm.provenance["active_models"][:1]
+    requirements = observer_requirements(parameters, implemented=True)
+    known = certified(k_fsm, plant, MEASURED, requirements, DesignOptions(), at)
+    assert stored.disturbance == pytest.approx(100.0 * known["RPE"], rel=2e-3)
+    assert stored.noise == pytest.approx(100.0 * known["noise -> RPE"], rel=2e-3)
+
+
+def test_undominated_points_are_those_no_other_one_beats() -> None:
+    points = [TradeOffPoint(0.1 * k, d, n, s) for k, (d, n, s) in enumerate([
+        (10.0, 50.0, "converged"), (20.0, 40.0, "converged"), (25.0, 45.0, "converged"), (15.0, 10.0, "infeasible"),
+        (30.0, 30.0, "iterations"), (30.0, 35.0, "converged"),
+    ])]  # fmt: skip
+    assert [(p.disturbance, p.noise) for p in undominated(list(reversed(points)))] == [(10, 50), (20, 40), (30, 30)]
+    assert undominated([replace(points[3])]) == []

@@ -1,0 +1,234 @@
+"""Verification of designs: worst metrics over points, unstable points, the paper's gammas by another computation."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from scipy import integrate, linalg
+from small_loop import SmallFamily, small_controllers, small_plant
+
+from los_design import verification
+from los_design.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics
+from los_design.store import load_designs
+from los_design.verification import ImplementedCheck, check_implemented, check_paper, failures, verification_points
+from lti import SampledSystem, StateSpace
+from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters, parameter_corners
+
+POINTS = [{"stiffness": 0.5}, {"stiffness": 1.7}, {}]
+ARCSEC = 4.84813681109536e-06
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+def metrics(values: dict, parameters, stage: str, **options) -> SampledLoopMetrics:
+    plant = small_plant(values.get("stiffness", 1.0))
+    return sampled_loop_metrics(plant, *small_controllers(), parameters, loop=stage, frame_ticks=20, **options)
+
+
+def test_the_worst_metrics_over_the_points_are_kept(parameters) -> None:
+    ticks = []
+    found = check_implemented(SmallFamily(), parameters, *small_controllers(), iter(POINTS), lambda: ticks.append(1))
+    one = [metrics(v, parameters, "fsm") for v in POINTS]
+    two = [metrics(v, parameters, "fsm+pma") for v in POINTS]
+    expected = [[m.ape for m in one], [m.rpe for m in one], [m.mirror for m in one]]
+    assert found.fsm == [max(row) for row in expected]
+    expected = [[m.ape for m in two], [m.rpe_fine for m in two], [m.force for m in two]]
+    assert [found.pma[0], found.pma[1], found.pma[3]] == [max(row) for row in expected]
+    assert len({max(row) for row in expected}) == 3
+    assert (found.stable, found.count, len(ticks)) == (3, 3, 3)
+    assert found.all_stable and failures({}, {"design": found}) == []
+    for name, values in (
+        ("fsm APE", [m.ape for m in one]),
+        ("fsm RPE", [m.rpe for m in one]),
+        ("pma APE", [m.ape for m in two]),
+        ("pma RPE", [m.rpe_fine for m in two]),
+    ):
+        assert found.worst[name] == POINTS[int(np.argmax(values))]
+        assert np.argmax(values) != 2  # the last point is not the worst: the order of the points matters
+
+
+def test_noise_is_that_of_the_nominal_point_with_both_controllers(parameters) -> None:
+    found = check_implemented(SmallFamily(), parameters, *small_controllers(), POINTS[:2])
+    everything = metrics({}, parameters, "fsm+pma")
+    platform = metrics({}, parameters, "fsm+pma", sensors="platform")
+    assert (found.noise_ape, found.noise_rpe) == (everything.noise_ape, everything.noise_rpe)
+    assert found.pma[2] == pytest.approx(platform.noise_ape / (10.0 * ARCSEC), rel=1e-12)
+    assert platform.noise_ape < 0.99 * everything.noise_ape
+    shown = found.to_mapping()
+    assert shown["noise_ape_arcsec_rms"] == pytest.approx(found.noise_ape / ARCSEC, rel=1e-4)
+    assert shown["noise_rpe_mas_rms"] == pytest.approx(found.noise_rpe / ARCSEC * 1e3, rel=1e-4)
+    assert shown["fsm"] == pytest.approx(found.fsm, rel=1e-4)
+    assert shown["pma"] == pytest.approx(found.pma, rel=1e-4)
+    assert (shown["stable_samples"], shown["samples"]) == (2, 2)
+
+
+def test_an_unstable_point_fails_and_makes_the_metrics_infinite(parameters) -> None:
+    diverging = {"stiffness": -1.0}
+    found = check_implemented(SmallFamily(), parameters, *small_controllers(), [{}, diverging, POINTS[0]])
+    assert (found.stable, found.count, found.all_stable) == (2, 3, False)
+    assert found.fsm == [np.inf] * 3
+    assert [found.pma[0], found.pma[1], found.pma[3]] == [np.inf] * 3
+    assert set(found.worst) == {"fsm APE", "fsm RPE", "pma APE", "pma RPE"}
+    assert all(values == diverging for values in found.worst.values())
+    assert np.isfinite(found.noise_ape)  # the nominal point is stable
+    assert failures({"fsm": [0.5, 0.5, 0.9]}, {"mine": found}) == ["mine: unstable at 1 of 3 points"]
+    shown = json.loads(json.dumps(found.to_mapping(), allow_nan=False))
+    assert shown["fsm"] == ["inf"] * 3 and shown["stable_samples"] == 2
+
+
+@pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
+def test_a_point_counts_as_stable_if_both_stages_are(stage: str, parameters, monkeypatch) -> None:
+    """A radius of exactly 1 is not stable."""
+
+    def one_stage(*args, loop: str, **options) -> SampledLoopMetrics:
+        known = sampled_loop_metrics(*args, loop=loop, **options)
+        return replace(known, radius=1.0) if loop == stage else known
+
+    monkeypatch.setattr(verification, "sampled_loop_metrics", one_stage)
+    found = check_implemented(SmallFamily(), parameters, *small_controllers(), [{}, {}])
+    assert (found.stable, found.count) == (0, 2)
+
+
+def test_an_unstable_nominal_loop_fails_whatever_the_points(parameters) -> None:
+    k_fsm, k_pma = small_controllers()
+    D = k_fsm.D.copy()
+    D[:, 18:20] *= 8.0
+    found = check_implemented(SmallFamily(), parameters, replace(k_fsm, D=D), k_pma, [])
+    assert (found.stable, found.count, found.noise_ape) == (0, 0, np.inf)
+    assert failures({}, {"mine": found}) == ["mine: unstable at the nominal point"]
+
+
+def test_points_are_nominal_all_corners_and_random_ones(parameters) -> None:
+    system = control_loop_plant(telescope(), parameters)
+    points = verification_points(parameters, system, 3)
+    assert points[0] == {}
+    assert points[1:129] == parameter_corners(parameters)
+    assert len({tuple(p.values()) for p in points[1:129]}) == 128
+    assert points[129:] == system.sample_values(np.random.default_rng(0), 3)
+    assert verification_points(parameters, system, 3, seed=1)[129:] != points[129:]
+
+
+def transfer(matrices, omega: np.ndarray) -> np.ndarray:
+    """C (i w - A)^-1 B + D, one solution a frequency."""
+    A, B, C, D = (np.asarray(m) for m in matrices)
+    return np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + D for w in omega])
+
+
+def hand_closed_gains(plant: StateSpace, parameters, pair: tuple[SampledSystem, SampledSystem], omega: np.ndarray):
+    """Gammas at each frequency in the paper's order, shape (k, 7), noise as its density.
+
+    Written from the physical plant: accelerations through the washout, mirror at minus ten times the estimate.
+    """
+    G = transfer((plant.A, plant.B, plant.C, plant.D), omega)
+    k_fsm, k_pma = (transfer([s.provenance["continuous"][k] for k in "ABCD"], omega) for s in pair)
+    washout = np.ones((omega.size, 1, 22), complex)
+    washout[:, 0, :18] = (1j * omega / (1j * omega + 0.1))[:, None]
+    size, window = weight_amplitudes(parameters, omega)[:, None, :], rpe_weight(omega, 0.02)
+    sigma = np.array(parameters["sensors"]["accelerometer_noise"]) * np.sqrt(1e-3)
+    entering = np.concatenate([G[:, :22, 8:], np.broadcast_to(np.eye(22)[:, :6], (omega.size, 22, 6))], axis=2)
+    columns = []
+    for stage, rpe_limit in (("fsm", 0.1 * ARCSEC), ("fsm+pma", 0.04 * ARCSEC)):
+        K = np.zeros((omega.size, 8, 22), complex)
+        K[:, :2] = -10.0 * k_fsm
+        K[:, 2:, :6] = k_pma if stage == "fsm+pma" else 0.0
+        K = K * washout
+        commands = np.linalg.solve(np.eye(8) - K @ G[:, :22, :8], K @ entering)
+        los = G[:, 22:, :8] @ commands
+        los[:, :, :22] += G[:, 22:, 8:]
+        los_gain, mirror, force = (
+            np.linalg.norm(H[:, :, :22] * size, 2, axis=(1, 2)) for H in (los, commands[:, :2], commands[:, 2:])
+        )
+        noise = np.sum(np.abs(los[:, :, 22:] * sigma) ** 2, axis=(1, 2))
+        columns += [los_gain / (10.0 * ARCSEC), window * los_gain / rpe_limit]
+        columns += [mirror / 5.3e-3] if stage == "fsm" else [noise / (10.0 * ARCSEC) ** 2, force / 31.6]
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("variant", ["paper", "paper_nominal"])
+def test_paper_gammas_are_those_of_the_loop_closed_by_hand(variant: str, parameters) -> None:
+    """Worst of two points; peaks on a grid reach the certified norms and do not exceed them."""
+    pair, system = load_designs(variant), control_loop_plant(telescope(), parameters)
+    points = [{"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}, {}]
+    expected = np.zeros((2, 7))
+    for row, values in zip(expected, points):
+        plant = system.data_at(values)
+        poles = linalg.eigvals(plant.A)
+        omega = np.unique(np.r_[np.geomspace(1e-3, 1e4, 200), np.abs(poles[poles.imag > 1e-3])])
+        gains = hand_closed_gains(plant, parameters, pair, omega)
+        row[5] = np.sqrt(integrate.trapezoid(gains[:, 5], omega) / np.pi)
+        for column in (0, 1, 2, 3, 4, 6):
+            k = int(np.clip(gains[:, column].argmax(), 1, omega.size - 2))
+            fine = np.linspace(omega[k - 1], omega[k + 1], 41)
+            row[column] = max(gains[k, column], hand_closed_gains(plant, parameters, pair, fine)[:, column].max())
+    worst = expected.max(axis=0)
+    found = check_paper(telescope(), parameters, *pair, points)
+    gammas = np.r_[found["fsm"], found["pma"]]
+    H_infinity = [0, 1, 2, 3, 4, 6]
+    assert np.all(worst[H_infinity] <= 1.0001 * gammas[H_infinity])
+    assert np.all(worst[H_infinity] >= 0.97 * gammas[H_infinity])  # a grid may miss a sharp peak by a little
+    assert gammas[5] == pytest.approx(worst[5], rel=0.02)
+    assert failures(found, {}) == []
+
+
+def test_an_unstable_paper_design_has_infinite_gammas(parameters) -> None:
+    k_fsm, k_pma = load_designs("paper")
+    matrices = dict(k_fsm.provenance["continuous"])
+    matrices["A"] = (np.array(matrices["A"]) + 1e3 * np.eye(4)).tolist()
+    broken = replace(k_fsm, provenance={**k_fsm.provenance, "continuous": matrices})
+    found = check_paper(telescope(), parameters, broken, k_pma, [{}])
+    assert found["fsm"] == [np.inf] * 3
+    assert failures(found, {}) == ["the paper's problem, fsm: unstable", "the paper's problem, pma: unstable"]
+
+
+def test_published_gammas() -> None:
+    """De la Fuente et al., worst case and nominal, as quoted in docs (tables of FSM and PMA designs)."""
+    assert verification.PAPER_ROBUST == {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
+    assert verification.PAPER_NOMINAL == {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
+
+
+def check(stable: int, count: int, value: float) -> ImplementedCheck:
+    return ImplementedCheck([value] * 3, [value] * 4, 1e-6, 1e-8, {"fsm APE": {}}, stable, count)
+
+
+@pytest.mark.parametrize(
+    ("results", "gamma", "code", "message"),
+    [
+        ([(5, 5), (1, 1), (2, 2)], 0.5, 0, ""),
+        ([(4, 5), (1, 1), (2, 2)], 0.5, 1, "verification failed: robust design: unstable at 1 of 5 points\n"),
+        ([(5, 5), (0, 1), (2, 2)], 0.5, 1,
+         "verification failed: nominal design, nominal model: unstable at 1 of 1 points\n"),
+        ([(5, 5), (1, 1), (1, 2)], 0.5, 1,
+         "verification failed: nominal design, uncertain model: unstable at 1 of 2 points\n"),
+        ([(5, 5), (1, 1), (2, 2)], np.inf, 1, "verification failed: the paper's problem, fsm: unstable\n"),
+    ],
+)  # fmt: skip
+def test_the_command_exits_with_1_and_says_what_is_unstable(
+    results, gamma: float, code: int, message: str, monkeypatch, capsys
+) -> None:
+    answers = iter(check(*r, 0.5 if r[0] == r[1] else np.inf) for r in results)
+    monkeypatch.setattr(verification, "check_implemented", lambda *_: next(answers))
+    monkeypatch.setattr(verification, "check_paper", lambda *_: {"fsm": [gamma] * 3})
+    if code:
+        with pytest.raises(SystemExit) as stop:
+            main(["design", "verify", "--samples", "0", "--json"])
+        assert stop.value.code == code
+    else:
+        assert main(["design", "verify", "--samples", "0", "--json"]) == 0
+    output = capsys.readouterr()
+    assert message in output.err and ("failed" in output.err) == bool(code)
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    shown = json.loads(output.out, parse_constant=refuse)
+    assert len(shown["failures"]) == code
+    assert shown["implemented"]["samples"] == 5
