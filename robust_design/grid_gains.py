@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.batched_linalg import largest_gains, solve
+from lti.batched_linalg import determinants, largest_gains, solve
 from robust_design.gains import singular_slopes
 from robust_design.plant_responses import Arrays, PlantResponses
 
@@ -111,8 +111,4 @@ class GridGains:
         S = np.eye(own.response.shape[1]) - own.response @ self.arrays.P22[finite]
         n = self.order
         shifted = 1j * w[:, None, None] * np.eye(n) - K[:n, :n]
-        return np.asarray(_det(S) * (_det(shifted) if n else 1.0))
-
-
-def _det(M: ComplexArray) -> ComplexArray:
-    return np.asarray(np.linalg.det(M))
+        return np.asarray(determinants(S) * (determinants(shifted) if n else 1.0))
