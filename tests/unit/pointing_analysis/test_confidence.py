@@ -122,10 +122,9 @@ def test_autocorrelation_time_of_hardly_any_samples() -> None:
 @pytest.mark.parametrize("p", [0.0, 1.0, -0.1, 1.1, float("nan")])
 def test_what_is_no_probability_is_refused(p: float) -> None:
     with pytest.raises(ValueError, match="between 0 and 1"):
-        confidence.radial_factor(p)
+        confidence.samples_needed(p, 0.9)
     with pytest.raises(ValueError, match="between 0 and 1"):
         confidence.samples_needed(0.9, p)
-    assert confidence.radial_factor(0.999999) == pytest.approx(stats.rayleigh.isf(1e-6), rel=1e-6)
 
 
 def test_bounds_at_the_ends_of_the_count() -> None:
