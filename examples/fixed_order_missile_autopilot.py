@@ -18,7 +18,7 @@ def main() -> dict[int, TuningResult]:
     results = {}
     for order in (0, 1, 2, 4):
         structure = state_space([("y", 2)], [("u", 1)], order)
-        options = TuningOptions(starts=3, wall_limit=60.0)
+        options = TuningOptions(starts=3, wall_limit=600.0)
         result = tune([plant], [HinfGain("w", "z", name="autopilot")], structure, options=options)
         assert result.certificate is not None
         print(

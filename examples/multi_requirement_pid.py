@@ -58,7 +58,7 @@ def main() -> TuningResult:
         structure,
         initial=[[0.5, 0.05, 0.1]],
         loop_delay=DELAY,
-        options=TuningOptions(starts=1, wall_limit=60.0),
+        options=TuningOptions(starts=1, wall_limit=600.0),
     )
     assert result.certificate is not None
     kp, ki, kd = result.x

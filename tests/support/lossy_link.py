@@ -29,7 +29,8 @@ import time
 from collections.abc import Iterator
 
 from los_testbed.bags.cdr import ENCAPSULATION, stamp_of
-from los_testbed.topics import TICK_NS
+
+from titop_plant.interface import TICK_NS
 
 SIOCETHTOOL = 0x8946
 ETHTOOL_STXCSUM = 0x17

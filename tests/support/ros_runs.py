@@ -5,11 +5,19 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 from los_testbed.config import RunConfig
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
+
+from pointing_analysis.read import Run
+from titop_plant.interface import TICK_NS
+
+PLANT_TOPICS = ("truth/los", "isolator/accel", "m1/accel", "m2/accel", "fsm/strain_gauge")
+"""Topics that the plant sends at every tick."""
 
 PLANT = [sys.executable, str(Path(__file__).with_name("simple_telescope.py"))]
 
@@ -31,6 +39,31 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         **write_controllers(folder),
     }
     return RunConfig.from_mapping({**base, **values})
+
+
+def assert_gaps_are_counted(run: Run, topic: str, node: str, resent: Iterable[int] = ()) -> None:
+    """Each tick between the first and the last sample of a node's topic is in the bag or counted as a gap.
+
+    How many gaps there are depends on the machine: a node of the loop would rather miss a sample than wait for it.
+    Samples with stamps in `resent` were lost on the way to the recorder; one that asks for them too late (the writers
+    keep 100 ticks) goes without.
+    """
+    stamps = run[topic].stamp
+    missing = set(range(int(stamps[0]), int(stamps[-1]), TICK_NS)) - set(stamps.tolist())
+    gaps = int(run.parameters["statistics"][node]["gap_ticks"])
+    assert len(missing - set(resent)) <= gaps <= len(missing), topic
+
+
+def assert_plant_is_recorded(run: Run, ticks: int, frame_ticks: int = 20) -> None:
+    """Every sample that the plant sent is in the bag, and the recorder says so."""
+    stamps = run["truth/los"].stamp
+    assert len(stamps) == ticks
+    assert np.all(np.diff(stamps) == TICK_NS)
+    counted = run.parameters["statistics"]["recorder"]
+    for name in PLANT_TOPICS:
+        assert np.array_equal(run[name].stamp, stamps), name
+        assert f"lost_/telescope/{name}" not in counted
+    assert np.array_equal(run["camera/los"].stamp, stamps[stamps // TICK_NS % frame_ticks == 0])
 
 
 def topic_hashes(bag: Path) -> dict[str, tuple[int, str]]:

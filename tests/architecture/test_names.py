@@ -1,0 +1,108 @@
+"""Names and words: no old name is left, the language is plain, every reason to skip a test has a remedy."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.skip_remedies import REMEDIES, remedy
+
+ROOT = Path(__file__).parents[2]
+CODE = sorted(
+    path
+    for folder in (
+        "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
+        "ros_ws/src", "tests", "benchmarks", "examples", "docs",
+    )
+    for path in (ROOT / folder).rglob("*.py")
+)  # fmt: skip
+TEXTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *CODE])
+LONGEST_FILE = 400
+
+FORMER_NAMES = {
+    "Shell", "judgement", "plant_members", "check_member", "replay_core", "as_flown", "FlownLoop", "flown_norms",
+    "flown_figures", "flown_plant", "ROOMS", "_HOMES", "SampleJoin", "Durations", "PLACES", "_HandsOff",
+    "most_rounds", "MOST_ROUNDS", "begun", "began", "LoopScan", "level_set", "special_structures", "_mate", "_dry",
+    "Scene", "scene", "_hung", "test_house_rules",
+}  # fmt: skip
+"""Identifiers of the left columns of the table of renames that mean nothing else."""
+
+FORMER_NAMES_OF_THE_TUNER = {"place", "places"}
+
+WORDS = re.compile(r"\b(flown|house|room|somebody else)\b", re.IGNORECASE)
+
+
+def identifiers(path: Path) -> Iterator[tuple[str, int]]:
+    """Names that a file defines or uses, with their lines."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            yield node.name, node.lineno
+        elif isinstance(node, ast.Name):
+            yield node.id, node.lineno
+        elif isinstance(node, ast.Attribute):
+            yield node.attr, node.lineno
+        elif isinstance(node, ast.arg):
+            yield node.arg, node.lineno
+        elif isinstance(node, ast.alias):
+            yield from ((part, node.lineno) for part in (node.asname or node.name).split("."))
+        elif isinstance(node, ast.keyword) and node.arg:
+            yield node.arg, node.value.lineno
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", CODE, ids=relative)
+def test_files_are_short(path: Path) -> None:
+    """Tests, benchmarks, examples and scripts of the documentation as well."""
+    assert len(path.read_text("utf-8").splitlines()) < LONGEST_FILE
+
+
+def test_no_former_name_is_left() -> None:
+    found = [
+        f"{relative(path)}:{line}: {name}"
+        for path in CODE
+        for name, line in identifiers(path)
+        if name in FORMER_NAMES or (name in FORMER_NAMES_OF_THE_TUNER and "robust_design" in path.parts)
+    ]
+    assert not found
+    assert not [relative(path) for path in CODE if path.stem in FORMER_NAMES]
+
+
+def test_words_are_those_of_the_field() -> None:
+    """Quotations stand between backticks."""
+    found = [
+        f"{relative(path)}:{number}: {line.strip()}"
+        for path in TEXTS
+        if path != Path(__file__)
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1)
+        if WORDS.search(re.sub("`[^`]*`", "", line))
+    ]
+    assert not found
+
+
+def skip_reasons(path: Path) -> Iterator[str]:
+    """Reasons in calls of pytest.skip, skipif and importorskip; what is filled in at run time is left out."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+            continue
+        given = {k.arg: k.value for k in node.keywords}
+        if node.func.attr in ("skip", "skipif"):
+            reason = given.get("reason", node.args[0] if node.args else None)
+            parts = reason.values if isinstance(reason, ast.JoinedStr) else [reason]
+            yield " ".join(str(p.value) for p in parts if isinstance(p, ast.Constant))
+        elif node.func.attr == "importorskip" and "reason" not in given and isinstance(node.args[0], ast.Constant):
+            yield f"could not import '{node.args[0].value}"
+
+
+def test_every_reason_to_skip_has_a_remedy() -> None:
+    assert not list(skip_reasons(Path(__file__)))
+    reasons = {reason for path in (ROOT / "tests").rglob("test_*.py") for reason in skip_reasons(path)}
+    assert len(reasons) > 5
+    assert not [reason for reason in reasons if remedy(reason) is None]
+    unused = [part for part in REMEDIES if not any(part in reason for reason in reasons)]
+    assert set(unused) <= {"extra nastran", "could not import 'mcap_ros2", "could not import 'rosbags"}
