@@ -31,7 +31,7 @@ ROS_PACKAGE = "ros_ws/src/los_testbed"
 TESTS: dict[str, tuple[str, ...]] = {
     "lti": ("tests/unit/lti",),
     "lti/interconnection.py": ("tests/unit/lti/test_interconnection.py", "tests/properties/test_lft_laws.py"),
-    "lti/norms.py": ("tests/unit/robust_design/test_norms_unit.py", "tests/published/test_norms.py"),
+    "lti/norms.py": ("tests/unit/lti/test_norms_unit.py", "tests/published/test_norms.py"),
     "titop_plant": ("tests/unit/titop_plant",),
     "titop_plant/sampled_plant.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
@@ -133,11 +133,9 @@ class Finder(ast.NodeVisitor):
                 self.visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        """Defaults and body; not decorators and annotations."""
         self._visit_all(*node.args.defaults, *node.args.kw_defaults, *node.body)
 
     def visit_ClassDef(self, node: ast.ClassDef) -> None:
-        """The body alone."""
         self._visit_all(*node.body)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
@@ -236,8 +234,8 @@ def tests_of(module: str) -> tuple[str, ...]:
 
 def run_tests(tree: Path, paths: list[str], limit: float) -> tuple[bool, float]:
     """Whether the tests pass in a tree within the limit [s], and the seconds they took."""
-    env = {**os.environ, "PYTHONPATH": f"{tree}:{tree / ROS_PACKAGE}", "PYTHONDONTWRITEBYTECODE": "1"}
-    env.setdefault("OPENBLAS_NUM_THREADS", "1")
+    env = {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    env["PYTHONPATH"] = f"{tree}:{tree / ROS_PACKAGE}"
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not slow",
                "--doctest-modules", *paths]  # fmt: skip
     begin = time.monotonic()
@@ -288,8 +286,8 @@ def main() -> int:
         old = source.encode()[mutation.start : mutation.stop].decode()
         row = {"kind": mutation.kind, "line": mutation.line, "old": old, "new": mutation.new}
         survivors += [] if killed else [row]
+        text = f"{mutation.line}: {mutation.kind}: {' '.join(old.split())}  ->  {' '.join(mutation.new.split())}"
         if not args.json:
-            text = f"{mutation.line}: {mutation.kind}: {' '.join(old.split())}  ->  {' '.join(mutation.new.split())}"
             print(f"{'killed  ' if killed else 'SURVIVED'} {module}:{text}", flush=True)
     result = {"module": module, "seed": args.seed, "possible": len(everything), "mutations": len(chosen),
               "killed": len(chosen) - len(survivors), "survivors": survivors}  # fmt: skip

@@ -42,7 +42,7 @@ def design_observer(telescope: Telescope, parameters: Parameters, options: Desig
         hash, seed, status, tuned values and the continuous controller.
     """
     plant = observer_plant(telescope, parameters, **options.hold_delays)
-    structure = observer_structure(plant, held_camera=options.implemented)
+    structure = observer_structure(plant, camera_hold=options.implemented)
     leads = dict.fromkeys((options.loop_delay, 0.0) if options.nominal else (options.loop_delay,))
     starts = [kalman_start(structure, telescope, parameters, lead=lead) for lead in leads]
     requirements = observer_requirements(parameters, implemented=options.implemented)

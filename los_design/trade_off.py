@@ -87,7 +87,7 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     parameters = load_parameters()
     design = DesignOptions()
     plant = observer_plant(telescope(), parameters, **design.hold_delays)
-    structure = observer_structure(plant, held_camera=True)
+    structure = observer_structure(plant, camera_hold=True)
     stored = SampledSystem.from_file(design_file("k-fsm"))
     points = stored.provenance.get("active_models", [{}])[:MAX_POINTS]
     models = [plant(values) for values in points]

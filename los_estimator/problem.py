@@ -108,19 +108,19 @@ def observer_requirements(parameters: Parameters, *, implemented: bool) -> tuple
     return paper + noise if implemented else paper
 
 
-def observer_structure(plant: ObserverPlant, *, order: int = ORDER, held_camera: bool = False) -> AffineStructure:
+def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold: bool = False) -> AffineStructure:
     """State space of fixed order from the 22 measurements to the estimate.
 
     Parameters
     ----------
     plant : ObserverPlant
     order : int
-    held_camera : bool
+    camera_hold : bool
         No direct path from the camera to the estimate: the steps of a value that is held between frames would
         excite the mirror at the frame rate. Otherwise all entries are free.
     """
     free = state_space([plant.system.output_port(name) for name in MEASURED], [ESTIMATE], order)
-    if not held_camera:
+    if not camera_hold:
         return free
     return free.with_fixed({(order + i, order + j): 0.0 for i in range(2) for j in range(CAMERA.start, CAMERA.stop)})
 

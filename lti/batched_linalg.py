@@ -7,6 +7,7 @@ loops written in C, which ``scipy.linalg`` does in Python only. At a thousand fr
 from __future__ import annotations
 
 import numpy as np
+from numpy.linalg import det as _det
 from numpy.linalg import eigh as _eigh
 from numpy.linalg import eigvalsh as _eigvalsh
 from numpy.linalg import solve as _solve
@@ -22,6 +23,11 @@ def solve(M: ComplexArray, X: ComplexArray) -> ComplexArray:
     if M.shape[1] == 1:
         return np.asarray(X / M)
     return np.asarray(_solve(M, X))
+
+
+def determinants(M: ComplexArray) -> ComplexArray:
+    """Determinant of each matrix of the stack `M` (N, k, k)."""
+    return np.asarray(_det(M), dtype=complex)
 
 
 def largest_gains(T: ComplexArray) -> FloatArray:

@@ -20,7 +20,7 @@ ComplexArray = NDArray[np.complex128]
 sl: Any = scipy.linalg
 
 MAX_NEWTON_STEPS = 3
-NEWTON_CONVERGED = 1e-9  # relative change of the eigenvectors; the next change would be its square
+NEWTON_CONVERGED = 1e-9
 APART = 1e-6  # relative distance of eigenvalues below which their eigenvectors are left as they are
 EPS = float(np.finfo(float).eps)
 
@@ -81,22 +81,25 @@ def modes(A: FloatArray) -> Modes:
     return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), sl.lapack.dgetrf(vectors)[:2])
 
 
-def corrected_modes(A: FloatArray, found: Modes) -> Modes:
+def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
     """The modes `found` of `A` with all digits that the matrix holds.
 
     With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
     once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
-    their size are left as they are. Where the eigenvectors are no basis, `found` is returned.
+    their size are left as they are. The steps end where the relative change of the eigenvectors is below `converged`;
+    its square is the error that is left. Where the eigenvectors are no basis, `found` is returned.
     """
     if found.reciprocal_condition < EPS:
         return found
     A, best = np.asfortranarray(A), found
     for _ in range(MAX_NEWTON_STEPS):
         poles_step, vectors_step = _newton_step(A, best)
+        # a real pole stays real: an imaginary part of rounding would make half a pair of it
+        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
         if not (np.isfinite(change) and change < 0.01):
             return found
-        if change < NEWTON_CONVERGED:
+        if change < converged:
             return replace(best, poles=best.poles + poles_step, low=vectors_step)
         best = replace(best, poles=best.poles + poles_step, vectors=best.vectors + vectors_step)
     return best
@@ -158,6 +161,7 @@ def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]
     turn = np.where(apart, columns / np.where(apart, gap, 1.0), 0.0)
     shift = np.zeros(n, dtype=complex)
     shift[heads] = columns[heads, np.arange(len(heads))]
+    shift[first[poles.imag[first] <= APART * size[first]]] = 0.0  # a pair must stay one
     shift[first + 1] = shift[first].conj()
     x, y = turn[first], turn[first + 1]
     turn[first], turn[first + 1] = x + y, 1j * (x - y)

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from lti.compensated import halves, matrix_product, two_sum
-from lti.eigenvectors import EPS, balanced, complex_columns, complex_rows, corrected_modes, modes
+from lti.eigenvectors import EPS, NEWTON_CONVERGED, balanced, complex_columns, complex_rows, corrected_modes, modes
 from lti.ports import FloatArray, port_slices
 from lti.state_space_model import StateSpace
 
@@ -82,7 +82,7 @@ class FrequencyResponse:
         a, b, c = balanced(a, b, c)
         found = modes(a)
         if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
-            found = corrected_modes(a, found)
+            found = corrected_modes(a, found, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
         if found.reciprocal_condition * MAX_CONDITION >= 1.0:
             left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
             form = cls(found.poles, left, right, d, None)

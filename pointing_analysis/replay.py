@@ -173,7 +173,7 @@ def replay(
     total = 2 * len(stamp)
     estimate = np.zeros((len(stamp), 2))
     estimator.reset()
-    step = GapStepper(estimator.step, measurement.shape[1], CAMERA)
+    step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
     for i, gap in enumerate(_gaps(stamp, given.period)):
         step(measurement[i], gap, estimate[i])
         if i % 1000 == 0:

@@ -10,6 +10,7 @@ from robust_design.decentralised import Decentralised
 from robust_design.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 from robust_design.robust import RobustResult, tune_robust
 from robust_design.stable_state_space import StableStateSpace
+from robust_design.status import TuningStatus
 from robust_design.structures import AffineStructure, Structure, controller, gain, pid, state_space
 from robust_design.tuner import TuningOptions, TuningResult, tune
 from robust_design.worst_case import WorstCase, WorstCaseOptions, worst_case
@@ -28,6 +29,7 @@ __all__ = [
     "Structure",
     "TuningOptions",
     "TuningResult",
+    "TuningStatus",
     "WorstCase",
     "WorstCaseOptions",
     "certify",

@@ -77,5 +77,8 @@ class LagrangianCurvature:
         if dy < POWELL * dBd:
             y = y + (POWELL * dBd - dy) / (dBd - dy) * (Bd - y)
             dy = float(d @ y)
+        if not dy > 1e-300:
+            return
         B = self.B + np.outer(y, y) / dy - np.outer(Bd, Bd) / dBd
-        self.B = 0.5 * (B + B.T)
+        if np.all(np.isfinite(B)):
+            self.B = 0.5 * (B + B.T)

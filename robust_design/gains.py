@@ -37,16 +37,23 @@ class LoopGains:
     Parameters
     ----------
     plant : PlantResponses
-        Of the model, with H-infinity requirements only.
+    which : tuple of int
+        Numbers of the H-infinity requirements among those of the plant.
     """
 
-    def __init__(self, plant: PlantResponses) -> None:
-        self._plant = plant
-        self._grid = plant.arrays(plant.grid())
+    def __init__(self, plant: PlantResponses, which: tuple[int, ...]) -> None:
+        self.plant, self._which = plant, which
+        self.grid = plant.arrays(plant.grid())
+
+    def add(self, omega: FloatArray) -> None:
+        """Add frequencies [rad/s] to the grid."""
+        new = np.setdiff1d(omega[np.isfinite(omega) & (omega > 0.0)], self.grid.omega)
+        if len(new):
+            self.grid = self.grid.merged(self.plant.arrays(new))
 
     def _gains(self, K: FloatArray, order: int, omega: FloatArray, i: int) -> FloatArray:
         """Exact gains of requirement i at the frequencies `omega` (N,)."""
-        response, _, _ = self._plant.closed(self._plant.arrays(omega), self._plant.controller(K, order, omega), (i,))
+        response, _, _ = self.plant.closed(self.plant.arrays(omega, (i,)), self.plant.controller(K, order, omega), (i,))
         return gains_above(response[i], 0.0)
 
     def peaks(
@@ -76,13 +83,13 @@ class LoopGains:
         max_peaks : int
             Largest number of peaks for a requirement.
         """
-        which = tuple(range(len(self._plant.requirements)))
-        sets = [self._grid]
-        extra = unresolved(self._grid.omega, closed_loop_poles)
+        which = self._which
+        sets = [self.grid]
+        extra = unresolved(self.grid.omega, closed_loop_poles)
         if len(extra):
-            sets.append(self._plant.arrays(extra))
+            sets.append(self.plant.arrays(extra, which))
         responses = [
-            self._plant.closed(arrays, self._plant.controller(gain_matrix, order, arrays.omega), which)[0]
+            self.plant.closed(arrays, self.plant.controller(gain_matrix, order, arrays.omega), which)[0]
             for arrays in sets
         ]
         omega = np.concatenate([arrays.omega for arrays in sets])
@@ -143,7 +150,7 @@ class LoopGains:
     ) -> list[Peak]:
         if not gradients:
             return [Peak(float(v), float(w), None) for v, w in zip(value, omega)]
-        s, rows, columns = singular_slopes(self._plant, self._plant.arrays(omega), K, order, i)
+        s, rows, columns = singular_slopes(self.plant, self.plant.arrays(omega, (i,)), K, order, i)
         return sorted(
             (
                 Peak(float(s[j, k]), float(omega[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))

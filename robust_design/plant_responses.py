@@ -32,13 +32,26 @@ GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain change
 
 @dataclass(frozen=True)
 class Arrays:
-    """Responses of the plant at N frequencies [rad/s]; P11, P12 and P21 for each requirement."""
+    """Responses of the plant at N frequencies [rad/s]; P11, P12 and P21 by the number of the requirement."""
 
     omega: FloatArray
-    P11: tuple[ComplexArray, ...]
-    P12: tuple[ComplexArray, ...]
-    P21: tuple[ComplexArray, ...]
+    P11: dict[int, ComplexArray]
+    P12: dict[int, ComplexArray]
+    P21: dict[int, ComplexArray]
     P22: ComplexArray
+
+    def at(self, index: NDArray[np.intp]) -> Arrays:
+        """The same at some of the frequencies."""
+        first, second, third = ({i: P[index] for i, P in part.items()} for part in (self.P11, self.P12, self.P21))
+        return Arrays(self.omega[index], first, second, third, self.P22[index])
+
+    def merged(self, other: Arrays) -> Arrays:
+        """The frequencies of both, ascending."""
+        omega = np.concatenate([self.omega, other.omega])
+        index = np.argsort(omega, kind="stable")
+        pairs = ((self.P11, other.P11), (self.P12, other.P12), (self.P21, other.P21))
+        first, second, third = ({i: np.concatenate([a[i], b[i]])[index] for i in a} for a, b in pairs)
+        return Arrays(omega[index], first, second, third, np.concatenate([self.P22, other.P22])[index])
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,10 @@ class PlantResponses:
         self._F = prefeedback(model.A, model.B[:, cu], model.C[ry], D[nz:, nw:])
         plant = applied(model.A, model.B[:, columns], model.C[rows], D, nz, nw, self._F)
         self._response = FrequencyResponse.of(*plant)
+        sizes = np.abs(self._response.poles)
+        self._slowest = float(sizes[sizes > 1e-9].min(initial=np.inf))
+        if not np.isfinite(self._slowest):
+            self._slowest = 1.0
         self._columns = [_positions(cw, model.input_indices(r.inputs)) for r in requirements]
         self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
         self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
@@ -111,35 +128,34 @@ class PlantResponses:
 
     def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
         """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
-        poles = self._response.poles
-        fixed = poles.imag[(np.abs(poles.real) < 1e-2 * MIN_DISTANCE * np.abs(poles)) & (poles.imag > 0)]
-        for w in fixed:
-            omega = np.where(np.abs(omega - w) < MIN_DISTANCE * w, w * (1.0 + MIN_DISTANCE), omega)
+        for w in self._response.on_axis:
+            distance = MIN_DISTANCE * (w if w > self._slowest else self._slowest)
+            omega = np.where(np.abs(omega - w) < distance, w + distance, omega)
         return omega
 
-    def arrays(self, omega: FloatArray) -> Arrays:
-        """Responses of the plant at the frequencies `omega` (N,)."""
+    def arrays(self, omega: FloatArray, which: tuple[int, ...] | None = None) -> Arrays:
+        """Responses of the plant at the frequencies `omega` (N,) for the requirements `which` (all of them if None)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            P = self._response.at(omega)
+            P = self._response.at(self._apart_from_poles(omega))
         nz, nw = self._split
-        P11: list[ComplexArray] = []
-        P12: list[ComplexArray] = []
-        P21: list[ComplexArray] = []
-        for i, (w_in, w_out, scale) in enumerate(self._weights):
+        P11: dict[int, ComplexArray] = {}
+        P12: dict[int, ComplexArray] = {}
+        P21: dict[int, ComplexArray] = {}
+        shared: dict[int, ComplexArray] = {}
+        for i in range(len(self.requirements)) if which is None else which:
+            w_in, w_out, scale = self._weights[i]
             rows, columns = self._rows[i], self._columns[i]
-            first = P[:, rows][:, :, columns] * scale
-            second = P[:, rows, nw:] * scale
-            third = P[:, nz:][:, :, columns]
+            P11[i], P12[i] = P[:, rows][:, :, columns] * scale, P[:, rows, nw:] * scale
             if w_out is not None:
                 W = w_out.at(omega)
-                first, second = W @ first, W @ second
+                P11[i], P12[i] = W @ P11[i], W @ P12[i]
             if w_in is not None:
-                W = w_in.at(omega)
-                first, third = first @ W, third @ W
-            P11.append(first)
-            P12.append(second)
-            P21.append(third if i == self.groups.index(self.groups[i]) else P21[self.groups.index(self.groups[i])])
-        return Arrays(omega, tuple(P11), tuple(P12), tuple(P21), P[:, nz:, nw:])
+                P11[i] = P11[i] @ w_in.at(omega)
+            if self.groups[i] not in shared:
+                third = P[:, nz:][:, :, columns]
+                shared[self.groups[i]] = third if w_in is None else third @ w_in.at(omega)
+            P21[i] = shared[self.groups[i]]
+        return Arrays(omega, P11, P12, P21, P[:, nz:, nw:])
 
     def controller(self, K: FloatArray, order: int, omega: FloatArray, *, factors: bool = False) -> Controller:
         """Response of the controller with its delay, as the plant after its pre-feedback sees it."""

@@ -20,6 +20,7 @@ UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
 SUFFICIENT = 2e-3  # damping ratio that is enough for every pole
 SIZES = np.geomspace(1e-6, 1e6, 25)  # of F, relative to 1 / gain of the plant
 DIRECTIONS = 4
+MAX_CONDITION = 1e3  # of I - F D22
 
 
 def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) -> FloatArray:
@@ -42,7 +43,8 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
     for size in SIZES:
         for F in (sign * d * size / gain for d in directions for sign in (1.0, -1.0)):
             inner = np.eye(len(F)) - F @ D22
-            if np.linalg.cond(inner) > 1e3:
+            values = sl.svdvals(inner)
+            if values[0] > MAX_CONDITION * values[-1]:
                 continue
             damping = _least_damping(sl.eigvals(A + B2 @ sl.solve(inner, F @ C2)), scale)
             if damping > most_damped:

@@ -49,6 +49,8 @@ class Evaluation:
         Everything active or nearly so.
     barriers : tuple of (margin, gradient)
         Real parts [rad/s] of the closed-loop poles that reach the axis soonest, with their gradients.
+    poles : tuple of ndarray, complex
+        Closed-loop poles of every model [rad/s]; empty where a loop is unstable.
     """
 
     abscissa: float
@@ -56,6 +58,7 @@ class Evaluation:
     peak_frequencies: FloatArray
     pieces: tuple[Piece, ...]
     barriers: tuple[tuple[float, FloatArray], ...] = ()
+    poles: tuple[ComplexArray, ...] = ()
 
 
 class Problem:
@@ -100,12 +103,13 @@ class Problem:
         self.min_decay = min_decay
         self.models: tuple[StateSpace, ...] = ()
         self._bare: list[ExtendedPlant] = []
-        self._gains: list[LoopGains | None] = []
+        self.gains: list[LoopGains] = []
         self._variances: list[dict[int, ExtendedPlant]] = []
         self._measurements = tuple(p.name for p in structure.inputs)
         self._commands = tuple(p.name for p in structure.outputs)
-        self._hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
-        self._h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
+        self.hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
+        self.h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
+        self.gain_numbers = self.hinf + self.h2
         for model in models:
             self.add_model(model)
 
@@ -127,7 +131,7 @@ class Problem:
         order = self.structure.order
         bare = extended_plant(model, self._measurements, self._commands, order, **common)
         variances = {}
-        for i in self._h2:
+        for i in self.h2:
             r = self.requirements[i]
             assert isinstance(r, H2Gain)
             variances[i] = extended_plant(
@@ -143,12 +147,12 @@ class Problem:
                 **common,
             )
             self._refuse_feedthrough(variances[i], r.name)
-        gains = [self.requirements[i] for i in self._hinf]
-        self._gains.append(
-            LoopGains(PlantResponses(model, self._measurements, self._commands, tuple(gains), self.loop_delay))  # type: ignore[arg-type]
-            if gains
-            else None
+        gains: Any = tuple(self.requirements[i] for i in self.gain_numbers)
+        loop = LoopGains(
+            PlantResponses(model, self._measurements, self._commands, gains, self.loop_delay),
+            tuple(range(len(self.hinf))),
         )
+        self.gains.append(loop)
         self._bare.append(bare)
         self._variances.append(variances)
         self.models = (*self.models, model)
@@ -165,6 +169,21 @@ class Problem:
         """Largest real part of the closed-loop poles over all models [rad/s]."""
         K = self.structure.gain_matrix(x)
         return max(spectrum(plant.closed(K), derivatives=False).abscissa for plant in self._bare)
+
+    def order(self, k: int) -> int:
+        """Order of the closed loop of model k."""
+        return len(self._bare[k].A)
+
+    def abscissa_of(self, k: int, K: FloatArray) -> float:
+        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s]."""
+        return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
+
+    def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
+        """Pieces of the pole requirements of all models."""
+        pieces: list[Piece] = []
+        for k, plant in enumerate(self._bare):
+            pieces += self._pole_pieces(x, K, k, spectrum(plant.closed(K), derivatives=True), band, True)
+        return pieces
 
     def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
         """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
@@ -206,15 +225,21 @@ class Problem:
         kept = _active(pieces, band) if gradients else ()
         pairs = [pair for s in spectra for pair in s.barriers()]
         barriers = tuple((real + self.min_decay, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
-        return Evaluation(max(s.abscissa for s in spectra), values, frequencies, tuple(kept), barriers)
+        return Evaluation(
+            max(s.abscissa for s in spectra),
+            values,
+            frequencies,
+            tuple(kept),
+            barriers,
+            tuple(s.poles for s in spectra),
+        )
 
     def _gain_pieces(
         self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
     ) -> list[Piece]:
-        loop = self._gains[k]
-        if loop is None:
+        if not self.hinf:
             return []
-        found = loop.peaks(
+        found = self.gains[k].peaks(
             K,
             self.structure.order,
             closed_loop_poles=own.poles,
@@ -222,7 +247,7 @@ class Problem:
             gradients=gradients,
         )
         pieces = []
-        for i, peaks in zip(self._hinf, found):
+        for i, peaks in zip(self.hinf, found):
             for peak in peaks:
                 g = _pulled(self.structure, x, peak.gradient)
                 pieces.append(Piece(peak.value, g, self.requirements[i].hard, i, k, peak.omega))

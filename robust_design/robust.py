@@ -18,9 +18,10 @@ from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.problem import Problem
 from robust_design.requirements import Requirement
+from robust_design.single_start import tune_from
 from robust_design.starts import start_checked, starts_of
 from robust_design.structures import Structure
-from robust_design.tuner import TuningOptions, TuningResult, result_of, tune, tune_from
+from robust_design.tuner import TuningOptions, TuningResult, limits_of, result_of, tune
 from robust_design.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
 
 FloatArray = NDArray[np.float64]
@@ -176,7 +177,8 @@ class _Rounds:
             )
         start_time = time.monotonic()
         jobs = starts_of([before.x], 0, self.options.seed, problem)
-        runs = [tune_from(problem, x, seed, self.options, start_time + left) for x, seed in jobs]
+        limits = limits_of(self.options, start_time + left)
+        runs = [tune_from(problem, x, seed, limits, self.options.band) for x, seed in jobs]
         return result_of(problem, runs, time.monotonic() - start_time)
 
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:

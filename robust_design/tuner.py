@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,31 +17,19 @@ from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
-from robust_design.descent import Descent, DescentOptions, StopReason, minimise
-from robust_design.pieces import OracleResult
-from robust_design.problem import MIN_DECAY, Evaluation, Problem, worst_values
+from robust_design.descent import DescentOptions
+from robust_design.problem import MIN_DECAY, Problem, worst_values
 from robust_design.requirements import Requirement
-from robust_design.starts import lowered_gain, start_checked, starts_of
+from robust_design.single_start import FEASIBLE, StartResult, tune_from
+from robust_design.start_runner import run_starts
+from robust_design.starts import start_checked, starts_of
+from robust_design.status import TuningStatus
 from robust_design.structures import Structure, controller
 
 FloatArray = NDArray[np.float64]
 
-ADVICE = {
-    "converged": "stationary point; other starts may find a better one",
-    "stalled": "no further progress, certificate above tolerance: try other starts or another form of the structure",
-    "iterations": "still improving when the iterations ran out: allow more",
-    "target": "the target value was reached",
-    "not_stabilised": (
-        "no start made every model stable: raise the order, give a stabilising start, use more starts, or check that "
-        "the commands and measurements reach the unstable poles"
-    ),
-    "infeasible": (
-        "a hard requirement stays above 1: make it soft to see what is reachable, relax its bound, or raise the order"
-    ),
-    "out_of_time": "the wall limit was reached; the best point so far is given: allow more time or start from it",
-    "interrupted": "stopped by the user; the best point so far is given",
-}
-FEASIBLE = 1e-6
+AGREEMENT = 1e-3  # of tuned values and certificate
+MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
 @dataclass(frozen=True)
@@ -53,7 +39,7 @@ class TuningOptions:
     Parameters
     ----------
     starts : int
-        Random starts beside the given ones.
+        Random starts beside the given ones: all are screened in short rounds, the best are carried on.
     seed : int
         Same seed, same result bit for bit (as long as the wall limit is not what ends the run).
     wall_limit : float
@@ -72,7 +58,7 @@ class TuningOptions:
         Show a progress line.
     """
 
-    starts: int = 3
+    starts: int = 24
     seed: int = 0
     wall_limit: float = 600.0
     workers: int = 1
@@ -100,9 +86,7 @@ class TuningResult:
 
     Parameters
     ----------
-    status : str
-        ``converged``, ``target``, ``stalled``, ``iterations``, ``not_stabilised``, ``infeasible``, ``out_of_time`` or
-        ``interrupted``.
+    status : TuningStatus
     advice : str
         What to do about it.
     controller : StateSpace
@@ -127,7 +111,7 @@ class TuningResult:
         Final worst soft value of every start (infinite: not stabilised or not feasible).
     """
 
-    status: str
+    status: TuningStatus
     advice: str
     controller: StateSpace
     x: FloatArray
@@ -148,20 +132,6 @@ class TuningResult:
     def feasible(self) -> bool:
         """All hard requirements met."""
         return self.hard <= 1.0 + FEASIBLE
-
-
-@dataclass(frozen=True)
-class Run:
-    """Outcome of one start."""
-
-    status: str
-    x: FloatArray
-    soft: float
-    hard: float
-    abscissa: float
-    stationarity: float
-    evaluations: int
-    iterations: int
 
 
 def tune(
@@ -211,7 +181,7 @@ def tune(
     >>> from robust_design.requirements import HinfGain
     >>> result = tune([plant], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)],
     ...               gain([("y", 1)], [("u", 1)]))
-    >>> result.status, round(result.controller.D.item(), 4), round(result.soft, 4)
+    >>> str(result.status), round(result.controller.D.item(), 4), round(result.soft, 4)
     ('converged', -4.0, 0.2)
     """
     options = options or TuningOptions()
@@ -224,141 +194,59 @@ def tune(
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
-        if options.workers == 1 or len(jobs) == 1:
-            runs = _serial(problem, jobs, options, deadline, progress)
-        else:
-            runs = _parallel(problem, jobs, options, deadline, progress)
-    return result_of(problem, runs, time.monotonic() - start_time)
-
-
-def tune_from(problem: Problem, x0: FloatArray, seed: int, options: TuningOptions, deadline: float) -> Run:
-    """One start: stabilise, then descend (used by :func:`tune` and by the robust outer loop)."""
-    rng = np.random.default_rng(seed)
-    stable, first = _stabilise(problem, x0, rng, options, deadline)
-    if stable.result.objective >= -problem.min_decay:
-        status = {"deadline": "out_of_time", "interrupted": "interrupted"}.get(stable.reason, "not_stabilised")
-        return Run(
-            status, stable.x, np.inf, np.inf, stable.result.objective, stable.stationarity, stable.evaluations, first
+        runs = run_starts(
+            problem, jobs, len(given), limits_of(options, deadline), options.band, options.workers, progress
         )
-    found = minimise(
-        lambda x: _oracle_result(problem, problem.evaluate(x, band=options.band)),
-        stable.x,
-        DescentOptions(options.iterations, options.tolerance, target=options.target, deadline=deadline),
-        rng,
-    )
-    soft, hard = found.result.objective, found.result.constraint + 1.0
-    return Run(
-        _status(found, hard),
-        found.x,
-        soft,
-        hard,
-        problem.abscissa(found.x),
-        found.stationarity,
-        stable.evaluations + found.evaluations,
-        first + found.iterations,
-    )
+        runs = [*runs, *_refined(problem, runs, options, deadline)]
+        return result_of(problem, runs, time.monotonic() - start_time)
 
 
-def _stabilise(
-    problem: Problem, x0: FloatArray, rng: np.random.Generator, options: TuningOptions, deadline: float
-) -> tuple[Descent, int]:
-    """Descend on the spectral abscissa until every model is stable with some margin; at last lower the gain."""
-    worst, _ = problem.stability_pieces(x0, 0.0)
-    band = max(0.3 * abs(worst), 1e-3)
-    if worst < -problem.min_decay:
-        return Descent(x0, OracleResult(worst, -np.inf, ()), StopReason.TARGET, 0.0, 0, 1), 0
-
-    def oracle(x: FloatArray) -> OracleResult:
-        value, pieces = problem.stability_pieces(x, band)
-        return OracleResult(value, -np.inf, tuple(pieces))
-
-    target = min(-0.1 * worst, -2.0 * problem.min_decay)
-    limits = DescentOptions(min(options.iterations, 120), 1e-5, target=target, deadline=deadline)
-    found = minimise(oracle, x0, limits, rng)
-    if found.result.objective >= -problem.min_decay and found.reason not in (
-        StopReason.DEADLINE,
-        StopReason.INTERRUPTED,
-    ):
-        lowered = lowered_gain(problem, x0)
-        if lowered is not None:
-            result = OracleResult(problem.abscissa(lowered), -np.inf, ())
-            return Descent(lowered, result, StopReason.TARGET, 0.0, 0, found.evaluations), found.iterations
-    return found, found.iterations
+def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:
+    """Limits of one start."""
+    return DescentOptions(options.iterations, options.tolerance, target=options.target, deadline=deadline)
 
 
-def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:
-    soft, hard = worst_values(problem, evaluation)
-    if not np.isfinite(soft) and soft < 0:
-        soft = 0.0  # only hard requirements: any feasible point is optimal
-    return OracleResult(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)
-
-
-def _status(found: Descent, hard: float) -> str:
-    if found.reason in ("interrupted", "deadline"):
-        return "interrupted" if found.reason == "interrupted" else "out_of_time"
-    if hard > 1.0 + FEASIBLE:
-        return "infeasible"
-    return {"stationary": "converged", "nearly stationary": "converged"}.get(found.reason, found.reason)
-
-
-def _serial(
-    problem: Problem, jobs: list[tuple[FloatArray, int]], options: TuningOptions, deadline: float, progress: Progress
-) -> list[Run]:
-    runs: list[Run] = []
-    for x, seed in jobs:
-        runs.append(tune_from(problem, x, seed, options, deadline))
-        progress.report(len(runs), len(jobs), best=min(runs, key=_rank).soft)
-        if runs[-1].status in ("interrupted", "target") or time.monotonic() > deadline:
+def _refined(
+    problem: Problem, runs: Sequence[StartResult], options: TuningOptions, deadline: float
+) -> list[StartResult]:
+    """Further runs from the best point, on grids refined at the peaks of the certificate that the tuner had missed."""
+    added: list[StartResult] = []
+    for _ in range(MAX_REFINEMENTS):
+        best = added[-1] if added else min(runs, key=lambda run: run.rank)
+        if best.rank[0] == 2 or time.monotonic() > deadline:
             break
-    return runs
+        found = problem.evaluate(best.x, gradients=False)
+        K = controller(problem.structure, best.x)
+        certificate = certify(problem.models, K, problem.requirements, problem.loop_delay)
+        if _agree(certificate, found.values) or not np.all(np.isfinite(certificate.values)):
+            break
+        for k, loop in enumerate(problem.gains):
+            loop.add(certificate.peak_frequencies[list(problem.hinf), k])
+        added.append(tune_from(problem, best.x, options.seed, limits_of(options, deadline), options.band))
+    return added
 
 
-def _parallel(
-    problem: Problem, jobs: list[tuple[FloatArray, int]], options: TuningOptions, deadline: float, progress: Progress
-) -> list[Run]:
-    runs: dict[int, Run] = {}
-    left = deadline - time.monotonic()
-    pool = ProcessPoolExecutor(min(options.workers, len(jobs)), mp_context=get_context("spawn"))
-    with pool:
-        futures = {pool.submit(_remote, problem, x, seed, options, left): i for i, (x, seed) in enumerate(jobs)}
-        try:
-            for future in as_completed(futures):
-                runs[futures[future]] = future.result()
-                progress.report(len(runs), len(jobs), best=min(runs.values(), key=_rank).soft)
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            x = jobs[0][0]
-            none = Run("interrupted", x, np.inf, np.inf, problem.abscissa(x), np.inf, 0, 0)
-            best = min(runs.values(), key=_rank, default=none)
-            return [replace(best, status="interrupted")]
-    return [runs[i] for i in sorted(runs)]
+def _agree(certificate: Certificate, values: FloatArray) -> bool:
+    known = np.isfinite(values)
+    scale = np.maximum(np.abs(values[known]), 1e-6 * float(np.abs(values[known]).max(initial=0.0))) + 1e-9
+    low, high = certificate.values[known] - values[known], certificate.upper[known] - values[known]
+    return bool(np.all(np.maximum(np.abs(low), np.abs(high)) <= AGREEMENT * scale))
 
 
-def _remote(problem: Problem, x: FloatArray, seed: int, options: TuningOptions, left: float) -> Run:
-    with one_thread():
-        return tune_from(problem, x, seed, options, time.monotonic() + left)
-
-
-def _rank(run: Run) -> tuple[int, float]:
-    if not np.isfinite(run.soft):
-        return 2, run.abscissa
-    return (1, run.hard) if run.hard > 1.0 + FEASIBLE else (0, run.soft)
-
-
-def result_of(problem: Problem, runs: Sequence[Run], seconds: float) -> TuningResult:
+def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
     """Best of several starts, certified."""
-    best = min(runs, key=_rank)
+    best = min(runs, key=lambda run: run.rank)
     found = problem.evaluate(best.x, gradients=False)
     soft, hard = worst_values(problem, found)
     K = controller(problem.structure, best.x)
     stable = found.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.requirements, problem.loop_delay) if stable else None
-    status, advice = best.status, ADVICE[best.status]
-    if certificate is not None and np.any(certificate.values > found.values * 1.002 + 1e-9):
-        advice += "; the certificate is above the tuned value somewhere: start again from this point"
+    status = best.status
+    if certificate is not None and not _agree(certificate, found.values):
+        status = TuningStatus.INACCURATE
     return TuningResult(
         status,
-        advice,
+        status.advice,
         K,
         best.x,
         soft,

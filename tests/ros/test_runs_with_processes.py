@@ -131,7 +131,7 @@ def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path):
 
     results = Runner(config, meanwhile, {"plant": PLANT}).run()
     assert outcome[0].returncode == 2
-    assert "another plant runs on this domain" in outcome[0].stderr
+    assert "ROS_DOMAIN_ID must be a domain without a plant" in outcome[0].stderr
     assert outcome[0].stderr.count("\n") == 1
     run = Run.open(results.bag)
     assert run["truth/los"].integrity.conflicts == 0

@@ -47,7 +47,7 @@ def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None
     assembled = telescope()
     plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
     requirements = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("RPE", "noise -> RPE")]
-    structure = observer_structure(plant, held_camera=True)
+    structure = observer_structure(plant, camera_hold=True)
     problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
     x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
     pieces = problem.evaluate(x, band=0.01).pieces
@@ -127,7 +127,7 @@ def test_table_as_json(capsys) -> None:
         (["k-fsm", "--loop-delay", "-1"], "--loop-delay must not be negative, got -1.0"),
         (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
         (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
-        (["trade-off", "--bounds", "0.5,x"], "--bounds expects numbers with commas between them, got '0.5,x'"),
+        (["trade-off", "--bounds", "0.5,x"], "--bounds must be numbers with commas between them, got '0.5,x'"),
         (["trade-off", "--bounds", "0.5,-1"], "levels must be positive bounds on the relative error, got [0.5, -1.0]"),
     ],
 )

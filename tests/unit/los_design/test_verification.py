@@ -73,14 +73,15 @@ def test_noise_is_that_of_the_nominal_point_with_both_controllers(parameters) ->
 
 def test_an_unstable_point_fails_and_makes_the_metrics_infinite(parameters) -> None:
     diverging = {"stiffness": -1.0}
-    found = check_implemented(SmallFamily(), parameters, *small_controllers(), [{}, diverging, POINTS[0]])
-    assert (found.stable, found.count, found.all_stable) == (2, 3, False)
+    points = [{}, diverging, POINTS[0], {"stiffness": -2.0}]
+    found = check_implemented(SmallFamily(), parameters, *small_controllers(), points)
+    assert (found.stable, found.count, found.all_stable) == (2, 4, False)
     assert found.fsm == [np.inf] * 3
     assert [found.pma[0], found.pma[1], found.pma[3]] == [np.inf] * 3
     assert set(found.worst) == {"fsm APE", "fsm RPE", "pma APE", "pma RPE"}
-    assert all(values == diverging for values in found.worst.values())
+    assert all(values == diverging for values in found.worst.values())  # the first of the unstable ones
     assert np.isfinite(found.noise_ape)  # the nominal point is stable
-    assert failures({"fsm": [0.5, 0.5, 0.9]}, {"mine": found}) == ["mine: unstable at 1 of 3 points"]
+    assert failures({"fsm": [0.5, 0.5, 0.9]}, {"mine": found}) == ["mine: unstable at 2 of 4 points"]
     shown = json.loads(json.dumps(found.to_mapping(), allow_nan=False))
     assert shown["fsm"] == ["inf"] * 3 and shown["stable_samples"] == 2
 

@@ -103,7 +103,7 @@ def test_files_that_are_not_there(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(3)})
     refused(call, tmp_path / "none", words=["none", "no such bag"])
     refused(call, bag, "--requirements", tmp_path / "none.toml", "--output", "r.html", words=["none.toml"])
-    refused(call, bag, "--output", call.here / "no" / "r.html", words=["existing folder"])
+    refused(call, bag, "--output", call.here / "no" / "r.html", words=["must exist"])
 
 
 def test_not_a_bag(call, tmp_path) -> None:
@@ -126,7 +126,7 @@ def test_zero_length_run(call, tmp_path) -> None:
 def test_only_start_up(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(0.8)})
     refused(call, bag, words=["longer than its start-up transient", "0.8 s"])
-    refused(call, bag, "--transient", "-1", words=["transient of zero or more"])
+    refused(call, bag, "--transient", "-1", words=["transient must be zero or more"])
 
 
 def test_mixed_sample_rates(call, tmp_path) -> None:
@@ -165,7 +165,7 @@ def test_a_window_longer_than_the_run_is_not_judged(call, tmp_path) -> None:
     assert code == 0
     found = json.loads(out.splitlines()[-1])["runs"][0]["requirements"][0]
     assert found["status"] == "not judged"
-    assert "longer than the window" in found["note"]
+    assert "at least as long as the window" in found["note"]
     assert found["quantile"] is None
 
 

@@ -23,7 +23,7 @@ def test_what_is_not_permitted_is_named_and_not_an_error():
 
 
 def test_the_resending_thread_has_a_lower_priority_than_the_other_threads():
-    """At the same priority, on the same processor, a polling thread would keep the others from running."""
+    """At the same priority, on the same processor, a polling thread would block the others of its process."""
     code = (
         "import os, threading, time\n"
         "from los_testbed.loop.scheduling import become_real_time\n"

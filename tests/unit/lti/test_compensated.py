@@ -82,3 +82,17 @@ def test_equal_poles_keep_their_vectors() -> None:
     """No correction divides by the distance of equal eigenvalues."""
     poles, V = eigenpairs(-2.0 * np.eye(3))
     assert poles.tolist() == [-2.0, -2.0, -2.0] and np.array_equal(V, np.eye(3))
+
+
+def test_pairs_next_to_the_real_axis_stay_pairs() -> None:
+    """A double real pole: rounding makes it a pair or two real poles; no correction may mix the two forms."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T = np.eye(6) + 0.3 * rng.normal(size=(6, 6))
+        A = T @ np.diag([-1.0, -1.0, -2.0, -2.0, -50.0, -3.0]) @ np.linalg.inv(T)
+        A[0, 1] += 1e-13 * rng.normal()
+        found = corrected_modes(A, modes(A))
+        first = np.flatnonzero(found.poles.imag > 0)
+        assert np.array_equal(found.poles[first + 1], found.poles[first].conj())
+        assert np.count_nonzero(found.poles.imag < 0) == len(first)
+        np.testing.assert_allclose(np.sort(found.poles.real), [-50, -3, -2, -2, -1, -1], rtol=1e-6)

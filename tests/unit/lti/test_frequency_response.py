@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 import scipy.linalg
+from oracles.accurate_response import extended_response
 
 from lti import Port, StateSpace, state_space
 from lti.batched_linalg import largest_gains, singular_values
@@ -67,6 +68,23 @@ def test_largest_gain_is_the_first_singular_value(shape: tuple[int, int]) -> Non
     expected = np.array([scipy.linalg.svdvals(h) for h in H])
     np.testing.assert_allclose(singular_values(H), expected, rtol=1e-12)
     np.testing.assert_allclose(largest_gains(H), expected[:, 0], rtol=1e-12)
+
+
+def test_cancelling_modes_keep_their_digits() -> None:
+    """A free chain of masses, forces between neighbours: the slow modes cancel. Against extended precision."""
+    n = 5
+    k = np.geomspace(1e2, 1e5, n)
+    K = np.diag(np.append(k[1:], 0.0) + k) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -1e-5 * K - 1e-2 * np.eye(n)]])
+    inner = np.zeros((2 * n, 2))
+    inner[2 * n - 3 : 2 * n - 1, 0], inner[2 * n - 2 :, 1] = (1.0, -1.0), (1.0, -1.0)
+    C = np.eye(2 * n)[:1]
+    system = StateSpace(A, inner, C, np.zeros((1, 2)), (Port("f", 1), Port("g", 1)), (Port("y", 1),))
+    omega = np.geomspace(1e-3, 1e3, 25)
+    truth = extended_response(*system.matrices, omega)
+    assert FrequencyResponse.of(*system.matrices).modal
+    found = frequency_response(system, omega)
+    assert np.max(np.abs(found - truth) / np.abs(truth)) < 1e-9
 
 
 def test_real_poles_pairs_and_feedthrough_add_up() -> None:

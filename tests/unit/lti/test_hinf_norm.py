@@ -183,6 +183,8 @@ def test_h2_of_known_systems() -> None:
     two = sum_of(oscillator(3.0, 0.02), oscillator(7.0, 0.5))
     assert h2_norm(*two) ** 2 == pytest.approx(3.0 / 0.08 + 7.0 / 2.0, rel=1e-10)
     assert h2_norm([[-0.5]], [[1.0]], [[3.0]], [[4.0]], dt=0.1) ** 2 == pytest.approx(9 / 0.75 + 16)
+    assert h2_norm([[-8.0]], [[1.0]], [[1.0]], [[0.0]]) == pytest.approx(0.25)
+    assert h2_norm([[0.0]], [[0.5]], [[0.5]], [[0.0]], dt=1.0) == pytest.approx(0.25)
     assert h2_norm([[-1.0]], [[1.0]], [[1.0]], [[1e-9]]) == np.inf
     assert h2_norm([[-1e-9]], [[1.0]], [[1.0]], [[0.0]]) ** 2 == pytest.approx(0.5e9)
     assert h2_norm([[0.0]], [[1.0]], [[1.0]], [[0.0]]) == np.inf
@@ -232,6 +234,14 @@ def test_crossings_of_the_level_are_answered() -> None:
     square = np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / level**2])
     low, high = np.sort(np.sqrt(square.real))
     assert found.frequencies == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
+
+
+def test_crossings_with_feedthrough() -> None:
+    """|2 + 1 / (jw + 1)|^2 = (9 + 4 w^2) / (1 + w^2); the second input does nothing."""
+    A, B, C, D = -np.eye(1), np.array([[1.0, 0.0]]), np.eye(1), np.array([[2.0, 0.0]])
+    for system in ((A, B, C, D), (A, C, B.T, D.T)):
+        found = hamiltonian_test(*system, 2.5)
+        assert found.frequencies == pytest.approx([np.sqrt(2.75 / 2.25)], rel=1e-7)
 
 
 def test_level_below_the_feedthrough_points_to_infinity() -> None:

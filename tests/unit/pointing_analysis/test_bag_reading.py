@@ -265,7 +265,7 @@ def test_not_a_bag(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="an MCAP file must begin with"):
         Run.open(file)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(BagError, match="found none"):
+    with pytest.raises(BagError, match=r"must hold \.mcap files, got none"):
         Run.open(tmp_path / "folder")
     empty = tmp_path / "empty.mcap"
     empty.write_bytes(b"")
@@ -321,7 +321,7 @@ def test_irregular_stamps_and_clock_jump(tmp_path: Path) -> None:
     stamps = 10**9 + 10**6 * np.arange(1000)
     stamps[500:] += 10**15
     run = Run.open(write_bag(tmp_path / "b", {"truth/los": np.zeros((1000, 2))}, stamps={"truth/los": stamps}))
-    with pytest.raises(BagError, match="clock jumped"):
+    with pytest.raises(BagError, match="clock was stepped"):
         on_grid(run["truth/los"])
 
 

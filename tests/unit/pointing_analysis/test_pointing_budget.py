@@ -37,8 +37,8 @@ def test_level_holds_the_stated_share_of_a_mixed_sum() -> None:
     [
         (lambda: contribution("a", -1.0), "zero or more"),
         (lambda: contribution("a", [np.nan, 1, 1]), "zero or more"),
-        (lambda: combine([contribution("a", 1.0)], "XYZ"), "index APE or RPE"),
-        (lambda: combine([]), "number of axes; got none"),
+        (lambda: combine([contribution("a", 1.0)], "XYZ"), "index must be APE or RPE"),
+        (lambda: combine([]), "number of axes, got none"),
         (lambda: combine([contribution("a", 1.0), contribution("b", [1.0, 2.0])]), "number of axes"),
     ],
 )

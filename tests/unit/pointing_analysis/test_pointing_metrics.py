@@ -151,7 +151,7 @@ def test_reproducibility_of_two_observations() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda e: metrics.windows(e, DT, 2.0), "longer than the window"),
+        (lambda e: metrics.windows(e, DT, 2.0), "at least as long as the window"),
         (lambda e: metrics.windows(e, DT, 0.0205), "whole number"),
         (lambda e: metrics.windows(e, DT, 0.0), "whole number"),
         (lambda e: metrics.windows(e, 0.0, 0.02), "whole number"),
@@ -174,7 +174,7 @@ def test_transient_is_dropped_explicitly(tmp_path) -> None:
     assert performance_error(run, transient=0.0).values[0, 0] == 1.0
     with pytest.raises(ValueError, match="longer than its start-up transient"):
         performance_error(run, transient=3.0)
-    with pytest.raises(ValueError, match="transient of zero or more"):
+    with pytest.raises(ValueError, match="transient must be zero or more"):
         performance_error(run, transient=-1.0)
 
 

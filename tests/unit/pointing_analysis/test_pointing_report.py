@@ -227,7 +227,7 @@ def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
 def test_bad_input(stages, tmp_path) -> None:
     with pytest.raises(ValueError, match="at least one run"):
         write_report([], tmp_path / "x.html")
-    with pytest.raises(ValueError, match="existing folder"):
+    with pytest.raises(ValueError, match="folder of the report must exist"):
         write_report([Run.open(stages[0])], tmp_path / "no" / "x.html")
     blind = Run.open(write_bag(tmp_path / "blind", {"los_estimate": np.zeros((100, 2))}))
     with pytest.raises(ValueError, match="truth/los"):

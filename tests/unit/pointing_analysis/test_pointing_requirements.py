@@ -49,15 +49,15 @@ def test_text_form(text: str, expected: tuple) -> None:
     ("text", "message"),
     [
         ("RPE below 40 mas", "requirement must read like"),
-        ("prob(|XPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", "index one of APE.*got 'XPE'"),
-        ("prob(|RPE| < 40 mas) >= 0.997 at 95 % confidence", r"1 times in RPE\(...\); got 0"),
-        ("prob(|APE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", r"0 times in APE\(...\); got 1"),
-        ("prob(|RPE(20)| < 40 mas) >= 0.997 at 95 % confidence", "time such as '20 ms'; got '20'"),
-        ("prob(|APE| < 40 parsec) >= 0.997 at 95 % confidence", "unit one of"),
-        ("prob(|APE| < 40 mas) >= 99.7 at 95 % confidence", "probability between 0 and 1"),
-        ("prob(|APE| < 40 mas) >= 0.997 at 95 confidence", "confidence between 0 and 1"),
-        ("prob(|APE| < 0 mas) >= 0.997 at 95 % confidence", "positive limit"),
-        ("prob(|APE| < 40 mas) >= 0.997 at 95 % confidence, hopeful", "interpretation one of"),
+        ("prob(|XPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", "index must be one of APE.*got 'XPE'"),
+        ("prob(|RPE| < 40 mas) >= 0.997 at 95 % confidence", r"RPE\(...\) must have 1 times, got 0"),
+        ("prob(|APE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", r"APE\(...\) must have 0 times, got 1"),
+        ("prob(|RPE(20)| < 40 mas) >= 0.997 at 95 % confidence", "time must read like '20 ms', got '20'"),
+        ("prob(|APE| < 40 parsec) >= 0.997 at 95 % confidence", "unit must be one of"),
+        ("prob(|APE| < 40 mas) >= 99.7 at 95 % confidence", "probability must be between 0 and 1"),
+        ("prob(|APE| < 40 mas) >= 0.997 at 95 confidence", "confidence must be between 0 and 1"),
+        ("prob(|APE| < 0 mas) >= 0.997 at 95 % confidence", "limit must be positive, got 0"),
+        ("prob(|APE| < 40 mas) >= 0.997 at 95 % confidence, hopeful", "interpretation must be one of"),
     ],
 )
 def test_text_that_cannot_be_understood(text: str, message: str) -> None:
@@ -77,7 +77,7 @@ def test_files(tmp_path) -> None:
         ("x = [", "must be TOML or YAML"),
         ("a = 1", "a list 'requirement'"),
         ("requirement = [1]", "whose entries have a 'text'"),
-        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "the keys text, name, loop"),
+        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be of text, name, loop"),
     ):
         toml.write_text(content)
         with pytest.raises(RequirementError, match=message):
@@ -203,14 +203,14 @@ def test_reproducibility_needs_two_runs(tmp_path) -> None:
     assert judge(requirement, runs[:2]).status == "compliant"
     assert judge(requirement, runs).status == "not compliant"  # 9 mas between the first and the last
     alone = judge(requirement, runs[:1])
-    assert (alone.status, "needs several runs; got 1" in alone.note) == ("not judged", True)
+    assert (alone.status, "needs several runs, got 1" in alone.note) == ("not judged", True)
 
 
 def test_what_cannot_be_judged_says_why(noise_run, tmp_path) -> None:
     run = noise_run(1.0, 1.0)
     ask = "prob(|{}| < 1 mas) >= 0.9 at 90 % confidence".format
     for text, message in (
-        (ask("RPE(5 s)"), "longer than the window"),
+        (ask("RPE(5 s)"), "at least as long as the window"),
         (ask("RPE(20.5 ms)"), "whole number"),
         (ask("AKE"), "must hold the topic los_estimate"),
         (ask("PDE(1 s, 1 s)"), "window"),
@@ -285,7 +285,7 @@ def test_nan_in_the_truth_is_no_zero(tmp_path) -> None:
     assert s.windows_skipped == 1
     assert any("10 messages with NaN" in p for p in s.problems)
     blank = Run.open(write_bag(tmp_path / "blank", {"truth/los": np.full((3000, 2), np.nan)}))
-    with pytest.raises(ValueError, match="every sample is missing or NaN"):
+    with pytest.raises(ValueError, match="must have finite samples"):
         summarise(blank)
 
 

@@ -142,3 +142,20 @@ def test_runners_up_have_their_peaks_elsewhere() -> None:
     value, parameters = found.others[0]
     assert 0.85 < value / found.value < 1.0
     assert parameters["fast"] == 1.0 and parameters["slow"] < 1.0
+
+
+def test_runner_up_beside_a_peak_at_infinite_frequency() -> None:
+    """A direct path whose gain is reached at infinity, beside a resonance: no warning, both are reported."""
+
+    def build(p: Mapping[str, float]) -> StateSpace:
+        A = [[0.0, 1.0], [-1.0, -0.1]]
+        D = [[p["through"], 0.0], [0.0, 0.0]]
+        return StateSpace(
+            A, [[0, 0], [0.1 * p["mode"], 0]], [[1, 0], [0, 0]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+        )
+
+    none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
+    box = {"through": (0.0, 2.0), "mode": (0.0, 1.5)}
+    with np.errstate(all="raise"):
+        (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=4, climbs=0))
+    assert found.value > 2.0 and np.isfinite(found.value)

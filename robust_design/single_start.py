@@ -1,0 +1,232 @@
+"""One start: stabilise, descend smoothly, finish by the bundle method, confirm the point in another metric."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robust_design.descent import Descent, DescentOptions, StopReason, minimise
+from robust_design.pieces import Oracle, OracleResult
+from robust_design.problem import Evaluation, Problem, worst_values
+from robust_design.smooth_objective import SmoothObjective
+from robust_design.smooth_phase import NEGLIGIBLE, smooth_phase
+from robust_design.starts import lowered_gain
+from robust_design.status import TuningStatus
+
+FloatArray = NDArray[np.float64]
+
+FEASIBLE = 1e-6
+STABILISING_STEPS = 120
+SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
+MAX_CYCLES = 4  # of smooth phase and bundle method
+VISIBLE = 1e-3  # relative decrease that refutes optimality
+ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
+RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
+
+
+@dataclass(frozen=True)
+class StartResult:
+    """Outcome of one start."""
+
+    status: TuningStatus
+    x: FloatArray
+    soft: float
+    hard: float
+    abscissa: float
+    stationarity: float
+    evaluations: int
+    iterations: int
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Sorts from the best to the worst: feasible ones by value, then by violation, then by instability."""
+        if not np.isfinite(self.hard) and self.hard > 0:
+            return 2, self.abscissa
+        return (1, self.hard) if self.hard > 1.0 + FEASIBLE else (0, self.soft)
+
+
+def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) -> StartResult:
+    """Stabilise and descend for a short round of the smooth phase."""
+    stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
+    if stable.result.objective >= -problem.min_decay:
+        return _unstable(stable, steps)
+    found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
+    soft, hard = worst_values(problem, problem.evaluate(found.x, gradients=False))
+    count = stable.evaluations + found.evaluations
+    status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
+    if soft < limits.target and hard <= 1.0 + FEASIBLE:
+        status = TuningStatus.TARGET
+    return StartResult(status, found.x, soft, hard, problem.abscissa(found.x), np.inf, count, steps)
+
+
+def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
+    """One start to its end.
+
+    Parameters
+    ----------
+    problem : Problem
+    x0 : ndarray, shape (size,)
+    seed : int
+    limits : DescentOptions
+        Of the whole start.
+    band : float
+        Peaks above this fraction of the largest enter the quadratic programs.
+    """
+    rng = np.random.default_rng(seed)
+    stable, steps = stabilise(problem, x0, rng, limits)
+    if stable.result.objective >= -problem.min_decay:
+        return _unstable(stable, steps)
+
+    def oracle(x: FloatArray) -> OracleResult:
+        return _oracle_result(problem, problem.evaluate(x, band=band))
+
+    run = _Run(problem, oracle, limits, rng, stable.x, stable.evaluations)
+    try:
+        status = run.to_the_end()
+    except KeyboardInterrupt:
+        status = TuningStatus.INTERRUPTED
+    soft, hard = worst_values(problem, problem.evaluate(run.x, gradients=False))
+    abscissa = problem.abscissa(run.x)
+    return StartResult(status, run.x, soft, hard, abscissa, run.stationarity, run.evaluations, steps + run.steps)
+
+
+class _Run:
+    """Cycles of smooth phase and bundle method from a stable point."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        oracle: Oracle,
+        limits: DescentOptions,
+        rng: np.random.Generator,
+        x: FloatArray,
+        evaluations: int,
+    ) -> None:
+        self._problem, self._oracle, self._limits, self._rng = problem, oracle, limits, rng
+        self.x, self.evaluations, self.steps, self.stationarity = x, evaluations, 0, np.inf
+
+    def to_the_end(self) -> TuningStatus:
+        """Cycles until the point is confirmed or a limit is reached; the status."""
+        limits, problem = self._limits, self._problem
+        first = _merit(problem, self.x)
+        self._smooth(SMOOTH_EVALUATIONS)
+        if _merit(problem, self.x) <= NEGLIGIBLE * first:
+            return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
+        confirmed = False
+        limits = replace(limits, target=max(limits.target, NEGLIGIBLE * first))
+        for _ in range(MAX_CYCLES):
+            left = max(limits.iterations - self.steps, 1)
+            found = minimise(self._oracle, self.x, replace(limits, iterations=left), self._rng)
+            self.x, self.stationarity = found.x, found.stationarity
+            self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
+            if found.reason in ENDS or self.steps >= limits.iterations:
+                break
+            confirmed = self._confirmed()
+            if confirmed or time.monotonic() > limits.deadline:
+                break
+        if found.reason is StopReason.TARGET and self._limits.target < limits.target:
+            return TuningStatus.ITERATIONS
+        moved = _merit(problem, self.x) < first * (1.0 - VISIBLE)
+        return _status(found, found.result.constraint + 1.0, confirmed, moved, time.monotonic() > limits.deadline)
+
+    def _smooth(self, evaluations: int) -> None:
+        smooth = smooth_phase(self._problem, self.x, evaluations, self._limits.deadline, self._limits.target)
+        self.x, self.evaluations = smooth.x, self.evaluations + smooth.evaluations
+
+    def _confirmed(self) -> bool:
+        """Whether neither a smooth phase nor random directions lower the value; the point moves if they do."""
+        value, before = _merit(self._problem, self.x), self.x
+        self._smooth(CONFIRMING_EVALUATIONS)
+        if _lower(self._problem, self.x, value) is not None:
+            return False
+        self.x = before
+        better = _random_directions(self._problem, self.x, value, self._rng)
+        self.evaluations += RANDOM_DIRECTIONS
+        if better is not None:
+            self.x = better
+        return better is None
+
+
+def _merit(problem: Problem, x: FloatArray) -> float:
+    soft, hard = worst_values(problem, problem.evaluate(x, gradients=False))
+    return hard if hard > 1.0 + FEASIBLE else max(soft, 0.0)
+
+
+def _lower(problem: Problem, x: FloatArray, value: float) -> FloatArray | None:
+    """The point `x` if it is visibly better than `value`."""
+    return x if _merit(problem, x) < value * (1.0 - VISIBLE) else None
+
+
+def _random_directions(problem: Problem, x: FloatArray, value: float, rng: np.random.Generator) -> FloatArray | None:
+    """A point visibly below `value` among random ones around `x`, or None."""
+    objective = SmoothObjective(problem, x, problem.evaluate(x, gradients=False))
+    metric = objective.metric(x)
+    here = objective.value(x)
+    for _ in range(RANDOM_DIRECTIONS):
+        u = rng.standard_normal(len(x))
+        point = x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
+        if objective.value(point) < here - VISIBLE and _lower(problem, point, value) is not None:
+            return point
+    return None
+
+
+def _unstable(stable: Descent, steps: int) -> StartResult:
+    status = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}.get(
+        stable.reason, TuningStatus.NOT_STABILISED
+    )
+    return StartResult(
+        status, stable.x, np.inf, np.inf, stable.result.objective, stable.stationarity, stable.evaluations, steps
+    )
+
+
+def _status(found: Descent, hard: float, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
+    early = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}
+    if found.reason in early:
+        return early[found.reason]
+    if late and not confirmed:
+        return TuningStatus.OUT_OF_TIME
+    if hard > 1.0 + FEASIBLE:
+        return TuningStatus.INFEASIBLE
+    if found.reason is StopReason.TARGET:
+        return TuningStatus.TARGET
+    stationary = found.reason in (StopReason.STATIONARY, StopReason.NEARLY_STATIONARY)
+    if stationary and confirmed:
+        return TuningStatus.CONVERGED
+    return TuningStatus.ITERATIONS if moved and found.reason is StopReason.ITERATIONS else TuningStatus.STALLED
+
+
+def stabilise(
+    problem: Problem, x0: FloatArray, rng: np.random.Generator, limits: DescentOptions
+) -> tuple[Descent, int]:
+    """Descend on the spectral abscissa until every model is stable with some margin; at last lower the gain."""
+    worst, _ = problem.stability_pieces(x0, 0.0)
+    band = max(0.3 * abs(worst), 1e-3)
+    if worst < -problem.min_decay:
+        return Descent(x0, OracleResult(worst, -np.inf, ()), StopReason.TARGET, 0.0, 0, 1), 0
+
+    def oracle(x: FloatArray) -> OracleResult:
+        value, pieces = problem.stability_pieces(x, band)
+        return OracleResult(value, -np.inf, tuple(pieces))
+
+    target = min(-0.1 * worst, -2.0 * problem.min_decay)
+    own = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
+    found = minimise(oracle, x0, own, rng)
+    if found.result.objective >= -problem.min_decay and found.reason not in (
+        StopReason.DEADLINE,
+        StopReason.INTERRUPTED,
+    ):
+        lowered = lowered_gain(problem, x0)
+        if lowered is not None:
+            result = OracleResult(problem.abscissa(lowered), -np.inf, ())
+            return Descent(lowered, result, StopReason.TARGET, 0.0, 0, found.evaluations), found.iterations
+    return found, found.iterations
+
+
+def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:
+    soft, hard = worst_values(problem, evaluation)
+    if not np.isfinite(soft) and soft < 0:
+        soft = 0.0  # only hard requirements: any feasible point is optimal
+    return OracleResult(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)

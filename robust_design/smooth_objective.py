@@ -1,0 +1,239 @@
+"""Smooth approximation of a tuning problem on a fixed grid: the p-norm of all gains, and its Gauss-Newton metric."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robust_design.gains import unresolved
+from robust_design.grid_gains import GridGains
+from robust_design.metric import Metric, metric_of
+from robust_design.problem import Evaluation, Problem
+from robust_design.structures import Structure
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+NEGLIGIBLE = 14.0  # entries below exp(-14) of the largest weight are left out
+PENALTY = 20.0  # of the squared logarithm of a violated hard requirement
+METRIC_POWER = 4.0  # weights of the Gauss-Newton matrix: this power of value over largest value
+EXACT_STABILITY_ORDER = 60  # up to this order the poles are computed at every evaluation
+LARGEST_TURN = 2.0  # [rad] between neighbouring frequencies that the encirclement count trusts
+MAX_SLOPES = 20  # slopes of one requirement and model in the metric
+SAME_H2 = 1e-6  # H2 norms that agree this well over the models are computed for one model only
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Values (m,) of one requirement at one model, at m frequencies or one."""
+
+    requirement: int
+    model: int
+    values: FloatArray
+    gradients: tuple[FloatArray, ...] = ()
+
+
+class SmoothObjective:
+    """``log ||soft values||_p + penalty (log ||hard values||_p)_+^2`` with gradient, on a grid fixed at `x`.
+
+    Parameters
+    ----------
+    problem : Problem
+    x : ndarray, shape (size,)
+        Stable point at which the grid is refined.
+    found : Evaluation
+        Exact values there.
+    """
+
+    def __init__(
+        self, problem: Problem, x: FloatArray, found: Evaluation, extra: tuple[FloatArray, ...] | None = None
+    ) -> None:
+        self._problem = problem
+        self.power = 40.0
+        self.evaluations = 0
+        K = problem.structure.gain_matrix(x)
+        self._has_poles = any(i not in problem.gain_numbers for i in range(len(problem.requirements)))
+        self._hinf = tuple(range(len(problem.hinf)))
+        self._h2 = tuple(range(len(problem.hinf), len(problem.gain_numbers)))
+        self.extra: list[FloatArray] = []
+        self._grids = [self._grid(k, found, extra[k] if extra else np.zeros(0)) for k in range(len(problem.models))]
+        self._h2_models = [0] if _same(found.values[list(problem.h2)]) else list(range(len(self._grids)))
+        for k in self._h2_models:
+            _, norms = self._grids[k].gains(K)
+            for i, norm in norms.items():
+                exact = found.values[problem.gain_numbers[i], k]
+                self._grids[k].calibration[i] = float(exact / norm) if norm > 0.0 else 1.0
+        self._reference = [None if self._small(k) else grid.return_determinant(K) for k, grid in enumerate(self._grids)]
+
+    def _grid(self, k: int, found: Evaluation, more: FloatArray) -> GridGains:
+        loop = self._problem.gains[k]
+        peaks = np.unique(found.peak_frequencies[list(self._problem.hinf), k]) if self._problem.hinf else np.zeros(0)
+        extra = np.concatenate([unresolved(loop.grid.omega, found.poles[k]), peaks[np.isfinite(peaks)], more])
+        extra = np.setdiff1d(extra, loop.grid.omega)
+        self.extra.append(extra)
+        arrays = loop.grid.merged(loop.plant.arrays(extra)) if len(extra) else loop.grid
+        return GridGains(loop.plant, arrays, self._problem.structure.order, self._hinf, self._h2)
+
+    def _small(self, k: int) -> bool:
+        return self._problem.order(k) <= EXACT_STABILITY_ORDER
+
+    def stable(self, x: FloatArray) -> bool:
+        """All models stable: by the poles of small loops, by counting encirclements on the grid for large ones."""
+        K = self._problem.structure.gain_matrix(x)
+        for k, grid in enumerate(self._grids):
+            reference = self._reference[k]
+            if reference is None:
+                if self._problem.abscissa_of(k, K) >= -self._problem.min_decay:
+                    return False
+                continue
+            turns = np.diff(np.angle(grid.return_determinant(K) / reference))
+            turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
+            if np.abs(turns).max(initial=0.0) > LARGEST_TURN:
+                if self._problem.abscissa_of(k, K) >= -self._problem.min_decay:
+                    return False
+            elif abs(float(turns.sum())) > np.pi:
+                return False
+        return True
+
+    def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Value and gradient (size,); infinite and zero where a loop is unstable."""
+        self.evaluations += 1
+        if not self.stable(x):
+            return np.inf, np.zeros(len(x))
+        K = self._problem.structure.gain_matrix(x)
+        entries = self._entries(x, K)
+        hard = np.array([r.hard for r in self._problem.requirements])
+        value, gradient = 0.0, np.asarray(np.zeros(len(x)), dtype=float)
+        soft_entries = [e for e in entries if not hard[e.requirement]]
+        if soft_entries:
+            value, gradient = self._log_norm(x, K, soft_entries)
+        hard_entries = [e for e in entries if hard[e.requirement]]
+        if hard_entries:
+            excess, slope = self._log_norm(x, K, hard_entries)
+            if excess > 0.0:
+                value, gradient = value + PENALTY * excess**2, gradient + 2.0 * PENALTY * excess * slope
+        return value, gradient
+
+    def value(self, x: FloatArray) -> float:
+        """Largest value instead of the p-norm, without gradient."""
+        if not self.stable(x):
+            return np.inf
+        entries = self._entries(x, self._problem.structure.gain_matrix(x))
+        norms = {False: -np.inf, True: -np.inf}
+        for e in entries:
+            hard = self._problem.requirements[e.requirement].hard
+            norms[hard] = max(norms[hard], float(np.log(max(float(e.values.max()), 1e-300))))
+        soft = norms[False] if np.isfinite(norms[False]) else 0.0
+        return soft + PENALTY * max(norms[True], 0.0) ** 2
+
+    def _entries(self, x: FloatArray, K: FloatArray) -> list[_Entry]:
+        entries = []
+        for k, grid in enumerate(self._grids):
+            gains, norms = grid.gains(K, h2=k in self._h2_models)
+            entries += [_Entry(self._problem.gain_numbers[i], k, v) for i, v in gains.items()]
+            entries += [_Entry(self._problem.gain_numbers[i], k, np.array([v])) for i, v in norms.items()]
+        if self._has_poles:
+            for piece in self._problem.pole_pieces(x, K):
+                entries.append(_Entry(piece.requirement, piece.model, np.array([piece.value]), (piece.gradient,)))
+        return entries
+
+    def _log_norm(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry]) -> tuple[float, FloatArray]:
+        p, structure = self.power, self._problem.structure
+        logs = [np.log(np.maximum(e.values, 1e-300)) for e in entries]
+        top = max(float(v.max(initial=-np.inf)) for v in logs)
+        total = sum(float(np.sum(np.exp(p * (v - top)))) for v in logs)
+        gradient = np.zeros(len(x))
+        for entry, v in zip(entries, logs):
+            index = np.flatnonzero(p * (v - top) > -NEGLIGIBLE)
+            if len(index) == 0:
+                continue
+            weights = np.exp(p * (v[index] - top)) / total / entry.values[index]
+            if entry.gradients:
+                gradient += weights[0] * entry.gradients[0]
+                continue
+            grid, i = self._grids[entry.model], self._problem.gain_numbers.index(entry.requirement)
+            if i in self._h2:
+                slope = weights[0] * grid.h2_gradient(K, i)
+            else:
+                slope = grid.weighted_gradient(K, i, weights, index)
+            gradient += structure.pullback(x, slope)
+        return top + np.log(total) / p, gradient
+
+    def metric(self, x: FloatArray) -> Metric:
+        """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains."""
+        structure = self._problem.structure
+        K = structure.gain_matrix(x)
+        entries = self._entries(x, K)
+        top = max(float(e.values.max()) for e in entries)
+        J = _jacobian(structure, x)
+        matrix = np.zeros((K.size, K.size))
+        poles = np.zeros((len(x), len(x)))
+        for entry in entries:
+            size = float(entry.values.max())
+            if size < 1e-3 * top:
+                continue
+            if entry.gradients:
+                poles += np.outer(entry.gradients[0], entry.gradients[0]) / max(size, 1e-3 * top) ** 2
+                continue
+            grid, i = self._grids[entry.model], self._problem.gain_numbers.index(entry.requirement)
+            if i in self._h2:
+                weights = grid.widths / np.pi * grid.calibration.get(i, 1.0) ** 2 / size**2
+                weights = weights * (size / top) ** METRIC_POWER
+            else:
+                relative = entry.values / top
+                weights = np.where(relative > 1e-3, relative**METRIC_POWER, 0.0)
+                weights = weights / weights.sum() / size**2 * (size / top) ** METRIC_POWER
+            matrix += grid.gauss_newton(K, i, weights).reshape(K.size, K.size)
+        return metric_of(J.T @ matrix @ J + poles + self._spread_of_slopes(x, K, entries))
+
+    def _spread_of_slopes(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry]) -> FloatArray:
+        """Curvature of the p-norm from the relative slopes that it averages: ``p sum_e w_e g_e g_e'``."""
+        p = self.power
+        total: FloatArray = np.zeros((len(x), len(x)))
+        for hard in (False, True):
+            own = [e for e in entries if self._problem.requirements[e.requirement].hard is hard]
+            if not own:
+                continue
+            top = float(np.log(max(1e-300, *(float(e.values.max()) for e in own))))
+            weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in own]
+            sum_of_weights = sum(float(w.sum()) for w in weights)
+            for e, w in zip(own, weights):
+                index = np.argsort(-w)[:MAX_SLOPES]
+                index = index[w[index] > 1e-4 * sum_of_weights]
+                if len(index) == 0:
+                    continue
+                G = self._relative_slopes(x, K, e, index) * np.sqrt(p * w[index] / sum_of_weights)[:, None]
+                total = total + np.asarray(G.T @ G, dtype=float)
+        return total
+
+    def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: NDArray[np.intp]) -> FloatArray:
+        if e.gradients:
+            return np.asarray(e.gradients[0][None] / e.values[0])
+        grid, i = self._grids[e.model], self._problem.gain_numbers.index(e.requirement)
+        if i in self._h2:
+            slopes = [grid.h2_gradient(K, i)]
+        else:
+            slopes = [g for _, g in grid.peak_gradients(K, i, index)]
+        pulled = [self._problem.structure.pullback(x, g) / e.values[j] for j, g in zip(index, slopes)]
+        return np.asarray(np.array(pulled), dtype=float)
+
+
+def _jacobian(structure: Structure, x: FloatArray) -> FloatArray:
+    """Derivative of the gain matrix's entries (row by row) with respect to the parameters."""
+    shape = structure.gain_matrix(x).shape
+    unit = np.zeros(shape)
+    rows = []
+    for index in np.ndindex(shape):
+        unit[index] = 1.0
+        rows.append(structure.pullback(x, unit))
+        unit[index] = 0.0
+    return np.array(rows)
+
+
+def _same(values: FloatArray) -> bool:
+    if values.size == 0:
+        return True
+    return bool(np.all(np.ptp(values, axis=1) <= SAME_H2 * np.abs(values).max(axis=1)))

@@ -1,0 +1,46 @@
+"""Outcome of a tuning run."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class TuningStatus(str, Enum):
+    """Why a tuning run ended and what it promises; :attr:`advice` says what to do."""
+
+    CONVERGED = "converged"
+    TARGET = "target"
+    STALLED = "stalled"
+    INACCURATE = "inaccurate"
+    ITERATIONS = "iterations"
+    NOT_STABILISED = "not_stabilised"
+    INFEASIBLE = "infeasible"
+    OUT_OF_TIME = "out_of_time"
+    INTERRUPTED = "interrupted"
+
+    def __str__(self) -> str:
+        return self.value
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return _ADVICE[self.value]
+
+
+_ADVICE = {
+    "converged": "local minimum confirmed by certificate, random directions and a second metric; other starts may find "
+    "a better one",
+    "stalled": "no further progress, optimality not confirmed: try other starts or another form of the structure",
+    "inaccurate": "tuned value and certificate differ by more than 0.1 %: trust the certificate",
+    "iterations": "still improving when the iterations ran out: allow more",
+    "target": "the target value was reached",
+    "not_stabilised": (
+        "no start made every model stable: raise the order, give a stabilising start, use more starts, or check that "
+        "the commands and measurements reach the unstable poles"
+    ),
+    "infeasible": (
+        "a hard requirement stays above 1: make it soft to see what is reachable, relax its bound, or raise the order"
+    ),
+    "out_of_time": "the wall limit was reached; the best point so far is given: allow more time or start from it",
+    "interrupted": "stopped by the user; the best point so far is given",
+}
