@@ -94,6 +94,8 @@ def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVE
     A, best = np.asfortranarray(A), found
     for _ in range(MAX_NEWTON_STEPS):
         poles_step, vectors_step = _newton_step(A, best)
+        # a real pole stays real: an imaginary part of rounding would make half a pair of it
+        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
         if not (np.isfinite(change) and change < 0.01):
             return found

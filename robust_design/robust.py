@@ -156,6 +156,8 @@ class _Rounds:
                 if not new:
                     status = tuning.status if tuning.status in ("infeasible", "out_of_time") else "converged"
                     break
+                if number + 1 == max_rounds:
+                    break  # what is found now is a worst case, but was never tuned on
                 for parameters in new:
                     chosen.append(parameters)
                     problem.add_model(self.build(parameters).renamed(_label(parameters)))

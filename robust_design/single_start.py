@@ -21,6 +21,7 @@ FloatArray = NDArray[np.float64]
 FEASIBLE = 1e-6
 STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
+EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
 MAX_CYCLES = 4  # of smooth phase and bundle method
 VISIBLE = 1e-3  # relative decrease that refutes optimality
 ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
@@ -112,7 +113,7 @@ class _Run:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, problem = self._limits, self._problem
         first = _merit(problem, self.x)
-        self._smooth(SMOOTH_EVALUATIONS)
+        self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
         if _merit(problem, self.x) <= NEGLIGIBLE * first:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
         confirmed = False

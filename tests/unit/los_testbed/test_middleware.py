@@ -5,11 +5,10 @@ from xml.etree import ElementTree
 
 import pytest
 from los_testbed.nodes.support.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
-from los_testbed.topics import DEPTH
 
 TRANSPORT = (
     "transport_descriptors", "userTransports", "useBuiltinTransports", "metatrafficUnicastLocatorList",
-    "initialPeersList", "listenSocketBufferSize",
+    "initialPeersList",
 )  # fmt: skip
 """Settings of the transport: the profile for this machine alone has one of its own."""
 
@@ -59,15 +58,3 @@ def test_the_two_profiles_differ_only_in_where_they_look():
 
     assert settings(LOCALHOST_PROFILE) == settings(NETWORK_PROFILE)
     assert len(settings(NETWORK_PROFILE)) > 20
-
-
-def test_both_profiles_ask_for_the_same_receive_buffer():
-    """Enough for the nine samples of each of the 100 ticks that a writer keeps."""
-
-    def size(path, name):
-        return int(next(e.text for e in ElementTree.parse(path).iter() if e.tag.endswith(name)))
-
-    buffer = size(NETWORK_PROFILE, "listenSocketBufferSize")
-    assert buffer == size(LOCALHOST_PROFILE, "receiveBufferSize")
-    of_a_packet = 768  # what the kernel counts for a packet of up to 256 bytes
-    assert buffer > 9 * DEPTH * of_a_packet
