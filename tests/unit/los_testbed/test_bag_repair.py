@@ -63,6 +63,7 @@ def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(b
     truth = Run.open(tmp_path / "new")["truth/los"]
     assert len(truth) == 3000
     assert truth.integrity.missing == 1000
+    assert truth.integrity.gaps == ((0.999, 1000),)
 
 
 def test_what_is_no_bag_is_refused(tmp_path, bag):

@@ -220,7 +220,7 @@ def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
     assert "none:" not in part
     runs = [Run.open(bag) for bag in stages]
     assert "Predicted" not in render(runs[:1]) and "Predicted" not in render(runs[:1], predictions=[None])
-    with pytest.raises(ValueError, match="one prediction for each of 2 runs"):
+    with pytest.raises(ValueError, match="one for each of the 2 runs, got 1"):
         render(runs[:2], predictions=[None])
 
 
