@@ -230,7 +230,7 @@ def test_spectrum_skips_segments_with_holes() -> None:
     e[5000] = np.nan
     s = spectra.psd(e, DT, segment=1.0)
     assert (s.segments, s.skipped) == (17, 2)
-    with pytest.raises(ValueError, match="segment of 0.9 s without missing samples"):
+    with pytest.raises(ValueError, match=r"segment of 0\.9 s without missing samples"):
         spectra.psd(e[4500:5400], DT, segment=1.0)
     with pytest.raises(ValueError, match="8 samples"):
         spectra.psd(e[:5], DT)

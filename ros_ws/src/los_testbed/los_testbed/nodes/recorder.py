@@ -30,6 +30,8 @@ DEPTH = 5000
 PERIOD_S = 0.01
 QUIET_S = 0.2
 CHUNK_S = 1.0
+MAX_DISORDER = 1000
+"""Periods that a sample may come after a later one and still count."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,6 +61,7 @@ class Track:
         self.first = 0
         self.last = 0
         self.distinct = 0
+        self._missing: set[int] = set()
 
     def drain(self) -> int:
         """Take everything that waits; the number of samples taken."""
@@ -93,14 +96,28 @@ class Track:
     def _note(self, messages: list[bytes]) -> None:
         for message in messages:
             stamp = stamp_of(message) if len(message) >= 12 else 0
-            if stamp > self.last and stamp % self.period_ns == 0:
+            if stamp <= 0 or stamp % self.period_ns:
+                continue
+            if stamp > self.last:
+                if self.last and stamp - self.last > self.period_ns:
+                    self._note_gap(stamp)
                 self.first = self.first or stamp
                 self.last = stamp
                 self.distinct += 1
+            elif stamp in self._missing:  # out of order, not lost
+                self._missing.remove(stamp)
+                self.distinct += 1
+
+    def _note_gap(self, stamp: int) -> None:
+        """The periods between the last sample and this one may still come, out of order."""
+        oldest = stamp - MAX_DISORDER * self.period_ns
+        self._missing = {old for old in self._missing if old > oldest}
+        self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
 
     def begin_again(self) -> None:
         """Another run begins: what is known of the last one is forgotten."""
         self.first = self.last = self.distinct = self.unreadable = 0
+        self._missing.clear()
 
     def lost(self, first: int, last: int) -> int:
         """Samples that should lie in this span of stamps and did not come."""
