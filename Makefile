@@ -53,8 +53,9 @@ stages: $(READY)
 	$(BIN)/los-testbed stages
 
 reference-bag: $(READY)
-	rm -rf bags/reference
-	$(BIN)/los-testbed run --mode inprocess --duration 4.5 --seed 1 --output bags/reference --no-report
+	rm -rf build/reference
+	$(BIN)/los-testbed run --mode inprocess --duration 4.5 --seed 1 --output build/reference --no-report
+	rm -rf bags/reference && mv build/reference bags/reference
 
 report-picture: $(READY)
 	rm -rf build/stages
