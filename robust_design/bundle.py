@@ -10,7 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from robust_design.metric import Metric
-from robust_design.pieces import Oracle, OracleResult
+from robust_design.pieces import HARD_TARGET, Oracle, OracleResult
 
 FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
@@ -82,14 +82,14 @@ class Bundle:
         """Offsets (m,) and gradients (m, n) in the metric of the progress function's pieces at `x`."""
         f, c = result.objective, max(result.constraint, 0.0)
         level = max(abs(f), c) if np.isfinite(f) else 1.0
-        offsets = [(p.value - 1.0 - c) if p.hard else (p.value - f - c) for p in result.pieces]
+        offsets = [(p.value - HARD_TARGET - c) if p.hard else (p.value - f - c) for p in result.pieces]
         gradients = [p.gradient for p in result.pieces]
         for margin, slope in result.barriers:
             offsets.append(-USED_MARGIN * level)
             gradients.append(slope * (level / max(-margin, 1e-300)))
         for plane in (*self.planes, *self.sampled):
             shift = metric.coordinates(x - plane.point)
-            here = plane.value + plane.gradient @ (x - plane.point) - ((1.0 + c) if plane.hard else (f + c))
+            here = plane.value + plane.gradient @ (x - plane.point) - ((HARD_TARGET + c) if plane.hard else (f + c))
             curved = PLANE_CURVATURE * (abs(f) if np.isfinite(f) else 1.0) * float(shift @ shift)
             offsets.append(min(float(here), 0.0) - curved)
             gradients.append(plane.gradient)

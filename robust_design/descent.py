@@ -101,7 +101,9 @@ def minimise(
     rng: np.random.Generator,
     metric: MetricSource = diagonal_metric,
 ) -> Descent:
-    """Minimise the largest soft piece subject to the hard pieces being at most 1, from `x0` (n,), inside the domain.
+    """Minimise the largest soft piece from `x0` (n,), inside the domain.
+
+    The hard pieces are to be at most :data:`robust_design.pieces.HARD_TARGET`.
 
     Parameters
     ----------

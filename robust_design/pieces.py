@@ -12,6 +12,10 @@ FloatArray = NDArray[np.float64]
 
 PEAK_DISTANCE = 0.1  # relative distance of frequencies up to which two peaks count as the same one
 
+HARD_TARGET = 1.0 - 1e-5
+"""Value that the descent asks of hard requirements: it ends within a few millionths of it, on either side, and the
+requirement itself, at most 1, is then met."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -47,7 +51,7 @@ class OracleResult:
     objective : float
         Largest soft value; infinite outside the domain (an unstable loop).
     constraint : float
-        Largest hard value minus 1; minus infinity without constraints.
+        Largest hard value minus :data:`HARD_TARGET`; minus infinity without constraints.
     pieces : tuple of Piece
     barriers : tuple of (margin, gradient)
         Margins to the boundary of the domain (negative inside, 0 on it) with gradients (n,): they bound the step.

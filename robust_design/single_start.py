@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robust_design.descent import Descent, DescentOptions, StopReason, minimise
-from robust_design.pieces import Oracle, OracleResult
+from robust_design.pieces import HARD_TARGET, Oracle, OracleResult
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.smooth_objective import SmoothObjective
 from robust_design.smooth_phase import NEGLIGIBLE, smooth_phase
@@ -131,7 +131,9 @@ class _Run:
         if found.reason is StopReason.TARGET and self._limits.target < limits.target:
             return TuningStatus.ITERATIONS
         moved = _merit(problem, self.x) < first * (1.0 - VISIBLE)
-        return _status(found, found.result.constraint + 1.0, confirmed, moved, time.monotonic() > limits.deadline)
+        return _status(
+            found, found.result.constraint + HARD_TARGET, confirmed, moved, time.monotonic() > limits.deadline
+        )
 
     def _smooth(self, evaluations: int) -> None:
         smooth = smooth_phase(self._problem, self.x, evaluations, self._limits.deadline, self._limits.target)
@@ -230,4 +232,4 @@ def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:
     soft, hard = worst_values(problem, evaluation)
     if not np.isfinite(soft) and soft < 0:
         soft = 0.0  # only hard requirements: any feasible point is optimal
-    return OracleResult(soft, hard - 1.0, evaluation.pieces, evaluation.barriers)
+    return OracleResult(soft, hard - HARD_TARGET, evaluation.pieces, evaluation.barriers)

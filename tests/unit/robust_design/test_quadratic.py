@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robust_design.descent import DescentOptions, minimise
-from robust_design.pieces import OracleResult, Piece
+from robust_design.pieces import HARD_TARGET, OracleResult, Piece
 from robust_design.simplex_qp import simplex_minimum
 
 
@@ -42,7 +42,7 @@ def constrained(x: np.ndarray) -> OracleResult:
         piece(root * abs(x[0]), [root * np.sign(x[0]), 0.0], 5, True),
         piece(2 * x[1], [0.0, 2.0], 6, True),
     ]
-    return OracleResult(free.objective, max(p.value for p in hard) - 1.0, (*free.pieces, *hard))
+    return OracleResult(free.objective, max(p.value for p in hard) - HARD_TARGET, (*free.pieces, *hard))
 
 
 def test_descends_a_curved_kink() -> None:
@@ -55,7 +55,7 @@ def test_descends_a_curved_kink() -> None:
 def test_constrained_minimum_from_infeasible_and_feasible_starts(start: list[float]) -> None:
     found = minimise(constrained, np.array(start), DescentOptions(), np.random.default_rng(0))
     assert found.result.constraint <= 1e-7
-    assert found.result.objective == pytest.approx((1 - np.sqrt(0.5)) ** 2, abs=1e-6)
+    assert found.result.objective == pytest.approx((1 - HARD_TARGET * np.sqrt(0.5)) ** 2, abs=1e-6)
 
 
 def test_largest_of_many_squares() -> None:
