@@ -77,8 +77,12 @@ def quasi_newton(
 
 
 def _updated(H: FloatArray | None, s: FloatArray, y: FloatArray) -> FloatArray | None:
+    size = float(sl.norm(s))
+    if size < np.finfo(float).tiny:
+        return H
+    s, y = s / size, y / size  # the update is the same, and the products of short steps do not underflow
     sy = float(s @ y)
-    if sy <= 1e-14 * float(sl.norm(s) * sl.norm(y)):
+    if not sy > 1e-14 * float(sl.norm(y)):
         return H
     if H is None:
         H = np.eye(len(s)) * (sy / float(y @ y))
