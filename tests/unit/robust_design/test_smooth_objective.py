@@ -12,7 +12,7 @@ from robust_design.metric import metric_of
 from robust_design.plant_responses import PlantResponses
 from robust_design.prefeedback import prefeedback
 from robust_design.problem import Problem
-from robust_design.quasi_newton import quasi_newton
+from robust_design.quasi_newton import _updated, quasi_newton
 from robust_design.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from robust_design.smooth_objective import SmoothObjective
 from robust_design.structures import controller, gain, state_space
@@ -99,3 +99,10 @@ def test_prefeedback_moves_undamped_poles_and_leaves_the_closed_loop() -> None:
     loop = close_loop(plant, controller(K, x), ["w"], ["z"])
     expected = [direct_response(*loop.matrices, w) for w in omega]
     assert np.abs(T - np.array(expected)).max() < 1e-9
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-97, 1e-170])
+def test_the_quasi_newton_update_maps_the_gradient_change_to_the_step_of_any_length(size: float) -> None:
+    step, change = np.array([1.0, 2.0]), np.array([3.0, 1.0])
+    H = _updated(np.eye(2), size * step, size * change)
+    assert H is not None and H @ change == pytest.approx(step)
