@@ -307,3 +307,137 @@ def test_reported_gain_is_that_of_a_refined_solution() -> None:
     norm = hinf_norm(*structure())
     gain = scipy.linalg.svdvals(refined_response(*structure(), norm.omega))[0]
     assert norm.value == pytest.approx(gain, rel=1e-13)
+
+
+EVERY = ["auto", *CERTIFICATES]
+EPS = np.finfo(float).eps
+
+
+@pytest.mark.parametrize("certificate", EVERY)
+@pytest.mark.parametrize("pole", [-4.0, -0.25, -0.5 + 2.0j])
+def test_equal_parts_of_opposite_sign_leave_a_bound_of_the_rounding_of_their_terms(
+    pole: complex, certificate: str
+) -> None:
+    """100 roundings of the sum of the modal terms, each a residue over the distance of the pole."""
+    size, a, w = abs(pole), abs(np.real(pole)), np.imag(pole)
+    part = np.array([[-a, w], [-w, -a]]) if w else np.array([[-a]])
+    terms = 2.0 * (0.5 / a + 0.5 / (size + w) if w else 1.0 / a)
+    first = np.eye(len(part))[:1]
+    norm = hinf_norm(
+        scipy.linalg.block_diag(part, part),
+        np.hstack([first, first]).T,
+        np.hstack([first, -first]),
+        [[0.0]],
+        certificate=certificate,
+    )
+    assert norm.value == 0.0 and norm.upper == pytest.approx(100.0 * EPS * terms, rel=1e-9)
+
+
+@pytest.mark.parametrize("certificate", EVERY)
+@pytest.mark.parametrize("modal", [True, False])
+def test_part_that_is_driven_beside_one_that_is_observed_has_norm_zero(modal: bool, certificate: str) -> None:
+    """In modal form, and in Schur form where both parts have a triple pole."""
+    part = -np.eye(3) + np.diag([1.0, 1.0], 1) if not modal else np.diag([-1.0, -2.0, -3.0])
+    system = scipy.linalg.block_diag(part, part - modal * np.eye(3)), np.eye(6)[:, 2:3], np.eye(6)[3:4], np.zeros((1, 1))
+    assert FrequencyResponse.of(*system).modal == modal
+    norm = hinf_norm(*system, certificate=certificate)
+    assert norm.value == 0.0 and norm.upper < 1e-12
+
+
+def test_smallest_gains_of_a_schur_form_are_as_exact_as_large_ones() -> None:
+    """k / (s + 1)^3 has the norm k."""
+    A, B, C = -np.eye(3) + np.diag([1.0, 1.0], 1), np.eye(3)[:, 2:], np.eye(3)[:1]
+    for gain in (1e-20, 1e-15, 1.0, 1e20):
+        norm = hinf_norm(A, gain * B, C, [[0.0]])
+        assert norm.certificate == "hamiltonian" and norm.value == pytest.approx(gain, rel=1e-9)
+        assert norm.upper == pytest.approx(gain * (1 + 1e-7), rel=1e-9)
+
+
+def test_gain_that_the_level_test_sees_by_rounding_is_part_of_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The modal form claims 2 where a direct solution has 0.1: the bound is 2 (1 + rtol), the value stays."""
+    lag = [[-1.0]], [[1.0]], [[1.0]], [[0.0]]
+    search = lti.norms._best_peak
+
+    def best_peak(response: FrequencyResponse, seeds: np.ndarray, rtol: float) -> tuple[float, float]:
+        return (2.0, 10.0) if list(seeds) == [10.0] else search(response, seeds, rtol)
+
+    claimed = lti.hinf_level_test.LevelTest(False, True, np.array([10.0]))
+    monkeypatch.setattr(lti.norms, "_level_test", lambda *_: claimed)
+    monkeypatch.setattr(lti.norms, "_best_peak", best_peak)
+    norm = hinf_norm(*lag, rtol=1e-2)
+    assert norm.value == pytest.approx(1.0, rel=1e-9) and norm.omega == 0.0
+    assert norm.upper == pytest.approx(2.0 * 1.01, rel=1e-9)
+
+
+@pytest.mark.parametrize(("error", "certificate"), [(5e-5, "interval"), (1.5e-4, "hamiltonian")])
+def test_modal_form_is_believed_up_to_a_tenth_of_the_tolerance(
+    error: float, certificate: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = FrequencyResponse.of
+    monkeypatch.setattr(
+        lti.norms.FrequencyResponse, "of", lambda A, B, C, D, **options: honest(A, B * (1 + error), C, D, **options)
+    )
+    norm = hinf_norm(*structure(0.0), rtol=1e-3)
+    assert norm.certificate == certificate
+    monkeypatch.undo()
+    exact = hinf_norm(*structure(0.0)).value
+    assert norm.value <= exact * (1 + 1e-6) and exact <= norm.upper
+
+
+def test_pole_counts_as_on_the_circle_within_four_roundings_per_state() -> None:
+    for states, roundings, outside in ((1, 2, True), (1, 8, False), (2, 6, True), (2, 12, False), (1, 0, True)):
+        A = np.diag([1.0 - roundings * EPS, 0.5][:states])
+        norm = hinf_norm(A, np.eye(states), np.eye(states), np.zeros((states, states)), dt=1.0)
+        assert (norm.certificate == "unstable") == outside
+
+
+def test_lyapunov_solution_near_the_largest_number_is_scaled() -> None:
+    """-1e-150 p + 1e145 = 0: LAPACK answers with a scale factor below one."""
+    assert schur_lyapunov(np.array([[-0.5e-150]]), np.array([[1e145]])) == pytest.approx(1e295, rel=1e-9)
+
+
+@pytest.mark.parametrize("w", [1e-9, 1.0, 1e6])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-7])
+@pytest.mark.parametrize("offset", [-1.0, 1.0])
+def test_search_reaches_a_peak_one_pole_distance_away(w: float, rtol: float, offset: float) -> None:
+    zeta = 1e-3
+    response = FrequencyResponse.of(*oscillator(w, zeta))
+    value, omega = lti.norms._best_peak(response, np.array([0.0, w * (1.0 + offset * zeta), np.inf]), rtol)
+    exact = 0.5 / zeta / np.sqrt(1.0 - zeta**2)
+    assert exact * (1.0 - 0.1 * rtol) <= value <= exact * (1.0 + 1e-9)
+    assert omega == pytest.approx(w * np.sqrt(1.0 - 2.0 * zeta**2), rel=zeta * np.sqrt(rtol))
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_value_is_reached_and_a_dense_grid_stays_below_the_upper_side(seed: int, dt: float | None) -> None:
+    """Random systems of three states, two inputs and two outputs with feedthrough; both certificates."""
+    rng = np.random.default_rng(seed)
+    A, B, C, D = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), rng.normal(size=(2, 2))
+    A = A - (0.2 + spectral_abscissa(A)) * np.eye(3) if dt is None else 0.9 * A / abs(np.linalg.eigvals(A)).max()
+    grid = np.tan(np.linspace(0.0, 0.5 * np.pi, 4001)[:-1]) if dt is None else np.linspace(0.0, np.pi / dt, 4001)
+
+    def gains(w: np.ndarray) -> np.ndarray:
+        points = 1j * w if dt is None else np.exp(1j * w * dt)
+        return np.linalg.svd(C @ np.linalg.solve(points[:, None, None] * np.eye(3) - A, B) + D, compute_uv=False)[:, 0]
+
+    largest = max(gains(grid).max(), np.linalg.norm(D, 2) if dt is None else 0.0)
+    norms = [hinf_norm(A, B, C, D, dt=dt, rtol=1e-6, certificate=name) for name in CERTIFICATES]
+    for norm, name in zip(norms, CERTIFICATES):
+        assert norm.certificate == name
+        assert largest * (1 - 1e-9) <= norm.upper <= norm.value * (1 + 1.01e-6)
+        assert largest == pytest.approx(norm.value, rel=1e-4)
+        if np.isfinite(norm.omega):
+            assert gains(np.array([norm.omega]))[0] == pytest.approx(norm.value, rel=1e-9)
+    assert norms[0].value == pytest.approx(norms[1].value, rel=1e-6)
+
+
+def test_h2_with_several_inputs_and_outputs() -> None:
+    """diag(1 / (s + a_i)) between mixing matrices: the squared norm is the sum of m_ij n_ij / (a_i + a_j)."""
+    rng = np.random.default_rng(2)
+    a, B, C = np.array([0.1, 3.0, 40.0]), rng.normal(size=(3, 4)), rng.normal(size=(2, 3))
+    expected = np.sum((B @ B.T) * (C.T @ C) / (a[:, None] + a))
+    assert h2_norm(*mixed((-np.diag(a), B, C, np.zeros((2, 4))))) ** 2 == pytest.approx(expected, rel=1e-9)
+    z, D = np.array([0.9, -0.5, 0.1]), rng.normal(size=(2, 4))
+    expected = np.sum((B @ B.T) * (C.T @ C) / (1.0 - z[:, None] * z)) + np.sum(D**2)
+    assert h2_norm(*mixed((np.diag(z), B, C, D)), dt=0.1) ** 2 == pytest.approx(expected, rel=1e-9)
