@@ -192,8 +192,8 @@ def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certi
     test = "interval" if response.modal and certificate != "hamiltonian" else "hamiltonian"
     seeds, terms = _seeds(response)
     value, omega = _best_peak(response, seeds, rtol)
-    if test == "hamiltonian" and value == 0.0:  # at every seed: the test needs a level above zero
-        terms = max(terms, float(sl.norm(system[1]) * sl.norm(system[2]) / np.abs(response.poles.real).min()))
+    if test == "hamiltonian" and value == terms == 0.0:  # this test needs a level above zero
+        terms = float(sl.norm(system[1]) * sl.norm(system[2]) / np.abs(response.poles.real).min())
     noise = CANCELLATION * EPS * terms
     for _ in range(MAX_ROUNDS):
         modal_value, value = value, _direct_gain(system, omega)
