@@ -613,3 +613,13 @@ def test_number_of_intervals_does_not_grow_with_the_sharpness_of_the_peak(
     for peak in (30.0 * np.sqrt(1.0 - 2.0 * zeta**2), None):
         below, looked, computed = covered(response, level, peak, monkeypatch)
         assert below and 60 < looked < 200 and 5 < computed < 100
+
+
+@pytest.mark.parametrize("factor", [1e-15, 1.0, 1e15])
+def test_hamiltonian_answers_alike_in_every_unit_of_time(factor: float) -> None:
+    A, B, C, D = oscillator(factor, 0.1)
+    peak = 5.0 / np.sqrt(0.99)
+    assert hamiltonian_test(A, B, C, D, peak * (1 + 1e-6)).below
+    found = hamiltonian_test(A, B, C, D, 2.0)
+    low, high = np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
+    assert found.frequencies / factor == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
