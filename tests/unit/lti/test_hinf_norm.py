@@ -623,3 +623,20 @@ def test_hamiltonian_answers_alike_in_every_unit_of_time(factor: float) -> None:
     found = hamiltonian_test(A, B, C, D, 2.0)
     low, high = np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
     assert found.frequencies / factor == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
+
+
+@pytest.mark.parametrize(("first", "last"), [(2.96, 3.16), (2.78, 2.98), (2.87, 3.07)])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_interval_is_covered_from_end_to_end(first: float, last: float, inverse: bool) -> None:
+    """The peak at 2.97 rad/s is near its left end, its right end or in its middle; beside it the gain is lower."""
+    form = FrequencyResponse.of(*oscillator(3.0, 0.1))
+    peak, residue, products = 5.0 / np.sqrt(0.99), form.residue_norms, lti.hinf_level_test._residue_products(form)
+
+    def below(level: float, low: float, high: float) -> bool:
+        ends = np.array([[1.0 / high, 1.0 / low]] if inverse else [[low, high]])
+        outcome = lti.hinf_level_test._cover(form, products, residue, level, ends, inverse)
+        assert outcome.decided
+        return outcome.below
+
+    assert below(peak * (1 + 1e-6), first, last) and not below(peak * (1 - 1e-3), first, last)
+    assert below(peak * (1 - 1e-3), 3.1, 3.4) and below(peak * (1 - 1e-3), 2.5, 2.8)
