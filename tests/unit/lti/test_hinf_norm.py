@@ -640,3 +640,13 @@ def test_interval_is_covered_from_end_to_end(first: float, last: float, inverse:
 
     assert below(peak * (1 + 1e-6), first, last) and not below(peak * (1 - 1e-3), first, last)
     assert below(peak * (1 - 1e-3), 3.1, 3.4) and below(peak * (1 - 1e-3), 2.5, 2.8)
+
+
+def test_interval_that_cannot_be_halved_is_left_undecided() -> None:
+    """Two neighbouring numbers beside a pole that is closer to the axis than they are to each other."""
+    poles = np.array([-1e-20 + 1j, -1e-20 - 1j])
+    form = FrequencyResponse(poles, np.ones((1, 2)), np.ones((2, 1)), np.zeros((1, 1)), None)
+    products = lti.hinf_level_test._residue_products(form)
+    ends = np.array([[1.0, np.nextafter(1.0, 2.0)]])
+    outcome = lti.hinf_level_test._cover(form, products, form.residue_norms, 1.0, ends, False)
+    assert (outcome.below, outcome.decided, len(outcome.frequencies)) == (False, False, 0)
