@@ -650,3 +650,14 @@ def test_interval_that_cannot_be_halved_is_left_undecided() -> None:
     ends = np.array([[1.0, np.nextafter(1.0, 2.0)]])
     outcome = lti.hinf_level_test._cover(form, products, form.residue_norms, 1.0, ends, False)
     assert (outcome.below, outcome.decided, len(outcome.frequencies)) == (False, False, 0)
+
+
+def test_middles_stand_between_neighbouring_crossings() -> None:
+    """Two peaks: four crossings and the three middles; at the level of the feedthrough infinity is the answer."""
+    found = hamiltonian_test(*sum_of(oscillator(1.0, 0.1), oscillator(10.0, 0.1)), 2.0).frequencies
+    low, high = np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
+    crossings = np.array([low, high, 10.0 * low, 10.0 * high])
+    assert found[::2] == pytest.approx(crossings, rel=1e-6)
+    assert found[1::2] == pytest.approx(0.5 * (crossings[:-1] + crossings[1:]), rel=1e-6)
+    one = np.eye(1)
+    assert hamiltonian_test(-one, one, one, one, 1.0).frequencies.tolist() == [np.inf]
