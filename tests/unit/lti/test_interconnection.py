@@ -214,6 +214,15 @@ def test_inverting_some_channels_solves_for_their_inputs(make) -> None:
     assert turned.occurrences() == system.occurrences()
 
 
+@pytest.mark.parametrize(("kept_in", "kept_out"), [(1, 3), (3, 1)])
+def test_inverting_a_channel_beside_kept_ports_of_different_number(make, kept_in: int, kept_out: int) -> None:
+    system = make(np.random.default_rng(20), 3, {"a": 2, "c": kept_in}, {"p": 2, "q": kept_out}, ("k", "m"))
+    turned = invert(system, {"a": "p"})
+    u = np.random.default_rng(21).standard_normal(2 + kept_in)
+    y = response(system) @ u
+    np.testing.assert_allclose(response(turned) @ np.r_[y[:2], u[2:]], np.r_[u[:2], y[2:]], rtol=1e-10, atol=1e-12)
+
+
 def test_channels_of_different_size_are_not_inverted(make) -> None:
     system = make(np.random.default_rng(18), 1, {"u": 2}, {"y": 1}, ())
     with pytest.raises(ValueError, match="must be square"):
