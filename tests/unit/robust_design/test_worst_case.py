@@ -71,28 +71,6 @@ def test_poles_over_the_box() -> None:
     assert found[0].value == pytest.approx(1.8, rel=1e-6) and found[0].parameters["b"] == pytest.approx(1.0)
 
 
-def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
-    """1 / (s - pole), pole in [-1, 1]: the effort |k / (k - pole)| <= 1.25 binds at pole 1 only, k >= 5."""
-
-    def build(p: Mapping[str, float]) -> StateSpace:
-        D = np.zeros((4, 2))
-        D[1, 1] = D[2, 1] = 1.0
-        C = [[1.0], [0.0], [0.0], [1.0]]
-        outputs = [("z", 1), ("effort", 1), ("cost", 1), ("y", 1)]
-        return StateSpace([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], outputs)
-
-    needs = [HinfGain("w", "z", bound=0.25, hard=True), HinfGain("w", "effort", name="effort")]
-    result = tune_robust(
-        build, {"pole": (-1.0, 1.0)}, needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=2)
-    )
-    assert result.status == "converged"
-    # the gain 1 / (k - 1) <= 1/4 asks for k >= 5; the effort k / (k - 1) falls with k, at the pole 1
-    assert -result.controller.D.item() >= 5.0 * (1 - 1e-4)
-    assert {round(a["pole"], 6) for a in result.active} >= {0.0, 1.0}
-    assert len(result.rounds) >= 2
-    assert all(w.value <= max(1.0, result.tuning.soft) * 1.01 for w in result.worst)
-
-
 @pytest.mark.parametrize(
     ("box", "message"), [({}, "box of parameters is empty"), ({"a": (1.0, 0.0)}, "'a': expected finite bounds")]
 )
@@ -106,26 +84,6 @@ def test_same_seed_same_answer() -> None:
     options = WorstCaseOptions(samples=5, climbs=1, seed=3)
     first, again = (worst_case(oscillator, box, OPEN, [HinfGain("w", "z")], options=options) for _ in range(2))
     assert first == again
-
-
-def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
-    """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
-
-    def build(p: Mapping[str, float]) -> StateSpace:
-        A = [[0, 1], [-1, -0.05]]
-        B = [[0, 0], [1, 1]]
-        C = [[1.0, 0.0], [p["mix"], 1.0]]
-        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-
-    box = {"mix": (-2.0, 2.0)}
-    structure = gain([("y", 1)], [("u", 1)])
-    result = tune_robust(
-        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=2)
-    )
-    assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
-    assert result.status == "converged"
-    assert all(np.isfinite(w.value) for w in result.worst)
-    assert result.worst[0].value <= result.tuning.soft * 1.01
 
 
 def test_runners_up_have_their_peaks_elsewhere() -> None:
@@ -211,7 +169,6 @@ class Recorder:
 
 
 GAIN = HinfGain("w", "z")
-BOX = {"a": (2.0, 5.0), "b": (-3.0, -1.0), "c": (0.0, 0.5)}
 ONLY_POINTS = WorstCaseOptions(samples=0, climbs=0)
 
 
@@ -606,3 +563,45 @@ def test_plant_with_a_pole_at_the_frequency_of_the_peak_is_climbed() -> None:
     (found,) = worst_case(lambda p: first_order(bump(p), 0.0), box, unity, [GAIN], options=options)
     assert found.omega == 0.0
     assert found.value == pytest.approx(1.0, rel=1e-6) and found.sampled < 0.95
+
+
+def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
+    """1 / (s - pole), pole in [-1, 1]: the effort |k / (k - pole)| <= 1.25 binds at pole 1 only, k >= 5."""
+
+    def build(p: Mapping[str, float]) -> StateSpace:
+        D = np.zeros((4, 2))
+        D[1, 1] = D[2, 1] = 1.0
+        C = [[1.0], [0.0], [0.0], [1.0]]
+        outputs = [("z", 1), ("effort", 1), ("cost", 1), ("y", 1)]
+        return StateSpace([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], outputs)
+
+    needs = [HinfGain("w", "z", bound=0.25, hard=True), HinfGain("w", "effort", name="effort")]
+    result = tune_robust(
+        build, {"pole": (-1.0, 1.0)}, needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=2)
+    )
+    assert result.status == "converged"
+    # the gain 1 / (k - 1) <= 1/4 asks for k >= 5; the effort k / (k - 1) falls with k, at the pole 1
+    assert -result.controller.D.item() >= 5.0 * (1 - 1e-4)
+    assert {round(a["pole"], 6) for a in result.active} >= {0.0, 1.0}
+    assert len(result.rounds) >= 2
+    assert all(w.value <= max(1.0, result.tuning.soft) * 1.01 for w in result.worst)
+
+
+def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
+    """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
+
+    def build(p: Mapping[str, float]) -> StateSpace:
+        A = [[0, 1], [-1, -0.05]]
+        B = [[0, 0], [1, 1]]
+        C = [[1.0, 0.0], [p["mix"], 1.0]]
+        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+
+    box = {"mix": (-2.0, 2.0)}
+    structure = gain([("y", 1)], [("u", 1)])
+    result = tune_robust(
+        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=2)
+    )
+    assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
+    assert result.status == "converged"
+    assert all(np.isfinite(w.value) for w in result.worst)
+    assert result.worst[0].value <= result.tuning.soft * 1.01
