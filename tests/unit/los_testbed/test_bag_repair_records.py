@@ -217,3 +217,10 @@ def test_a_folder_must_hold_one_file(tmp_path: Path) -> None:
     (tmp_path / "deep" / "z.mcap").mkdir(parents=True)
     with pytest.raises(ValueError, match="must be a bag folder"):
         repair_bag(tmp_path / "deep", tmp_path / "newer")
+
+
+def test_lengths_of_four_bytes_are_read_whole(tmp_path: Path) -> None:
+    long = "x" * ((1 << 24) + 5)
+    _, file = repaired(tmp_path, metadata("long", {"a": long, "b": "after"}), metadata("next", {"c": "d"}))
+    found = tables(file)
+    assert len(found["long"]["a"]) == len(long) and found["long"]["b"] == "after" and found["next"] == {"c": "d"}
