@@ -59,7 +59,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     "pointing_analysis/requirements.py": ("tests/unit/pointing_analysis/test_pointing_requirements.py",),
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
     f"{ROS_PACKAGE}/los_testbed/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
-    f"{ROS_PACKAGE}/los_testbed/bags/repair.py": ("tests/unit/los_testbed/test_bag_repair.py",),
+    f"{ROS_PACKAGE}/los_testbed/bags/repair.py": (
+        "tests/unit/los_testbed/test_bag_repair_records.py",
+        "tests/unit/los_testbed/test_bag_repair.py",
+    ),
 }
 """Tests of a folder or file; the longest path that fits a module counts. Its doctests always run too."""
 

@@ -278,7 +278,8 @@ class _Search:
         model = self._build(self._parameters(point))
         if isinstance(r, HinfGain):
             K = controller_response(gain_matrix_of(self._controller), self._controller.order, np.array([omega]))[0]
-            return gain_at(model, self._controller, r, omega, K, self._delay)
+            with suppress(ValueError):  # the plant may have a pole at this frequency that the loop moves away
+                return gain_at(model, self._controller, r, omega, K, self._delay)
         return float(ClosedLoopEvaluator(model, self._controller, self._delay).values([r])[0][0])
 
 

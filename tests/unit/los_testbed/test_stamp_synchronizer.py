@@ -228,3 +228,19 @@ def test_a_hold_needs_every_part_and_forgets_ticks_under_way():
     assert not synchronizer.waiting
     assert synchronizer.put(2, sample(5 * MS, 2.0)) is None  # its other part came before the hold
     assert synchronizer.waiting
+
+
+def test_a_message_that_ends_after_its_stamp_is_judged_by_its_stamp_first():
+    synchronizer = make()
+    complete(synchronizer, 5)
+    for stamp in (7 * MS + 1, 4 * MS, 7 * MS):
+        assert synchronizer.put(0, sample(stamp, 1.0)[:12]) is None
+    assert synchronizer.put(0, sample(7 * MS, 1.0)[:11]) is None
+    assert dict(synchronizer.rejected) == {"off_grid": 1, "late": 1, "size": 2}
+
+
+def test_a_negative_stamp_is_refused():
+    synchronizer = make()
+    before_the_epoch = sample(5 * MS, 1.0)[:4] + (-1).to_bytes(4, "little", signed=True) + sample(5 * MS, 1.0)[8:]
+    assert synchronizer.put(0, before_the_epoch) is None
+    assert sum(synchronizer.rejected.values()) == 1 and not synchronizer.waiting

@@ -194,3 +194,10 @@ def test_quantile_takes_95_percent_and_the_effective_number_by_default() -> None
     assert found.effective < 300
     empty = confidence.quantile([np.nan], 0.5)
     assert math.isnan(empty.value) and math.isnan(empty.lower) and (empty.upper, empty.effective) == (math.inf, 0.0)
+
+
+@pytest.mark.parametrize("scale", [2.0**-80, 2.0**-30, 2.0**40])
+def test_effective_number_does_not_depend_on_the_unit(scale: float) -> None:
+    x = 1.0 + 0.1 * lfilter([1], [1, -0.5], np.random.default_rng(5).standard_normal(500))
+    assert confidence.effective_number(scale * x) == pytest.approx(confidence.effective_number(x), rel=1e-9)
+    assert confidence.effective_number(np.full(500, 0.1 * scale)) == pytest.approx(1.0)

@@ -1,0 +1,226 @@
+"""Repair of bags whose records are laid out here byte by byte, as the MCAP specification says."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+import zstandard
+from los_testbed.bags.repair import RepairResult, repair_bag
+from los_testbed.topics import DIAGNOSTICS_TOPIC, TOPICS
+from mcap.reader import make_reader
+
+MAGIC = b"\x89MCAP0\r\n"
+FIRST, SECOND = TOPICS[0].path, TOPICS[1].path
+
+
+def record(code: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", code, len(body)) + body
+
+
+def text(content: str) -> bytes:
+    return struct.pack("<I", len(content.encode())) + content.encode()
+
+
+HEADER = record(1, text("ros2") + text("test"))
+END = record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
+
+
+def channel(number: int, topic: str) -> bytes:
+    return record(4, struct.pack("<HH", number, 1) + text(topic) + text("cdr") + struct.pack("<I", 0))
+
+
+def message(number: int, log: int, data: bytes, publish: int | None = None) -> bytes:
+    return record(5, struct.pack("<HIQQ", number, 7, log, log if publish is None else publish) + data)
+
+
+def chunk(content: bytes, compression: str = "zstd", checksum: int | None = None) -> bytes:
+    packed = zstandard.compress(content) if compression == "zstd" else content
+    checksum = zlib.crc32(content) if checksum is None else checksum
+    head = struct.pack("<QQQI", 1, 2, len(content), checksum)
+    return record(6, head + text(compression) + struct.pack("<Q", len(packed)) + packed)
+
+
+def metadata(name: str, table: dict[str, str]) -> bytes:
+    pairs = b"".join(text(key) + text(value) for key, value in table.items())
+    return record(12, text(name) + struct.pack("<I", len(pairs)) + pairs)
+
+
+def attachment(name: str, media_type: str, data: bytes) -> bytes:
+    head = struct.pack("<QQ", 3, 4) + text(name) + text(media_type) + struct.pack("<Q", len(data))
+    return record(9, head + data + struct.pack("<I", 0x01020304))
+
+
+def repaired(tmp_path: Path, *records: bytes, end: bytes = END) -> tuple[RepairResult, Path]:
+    source = tmp_path / "old.mcap"
+    source.write_bytes(MAGIC + HEADER + b"".join(records) + end)
+    return repair_bag(source, tmp_path / "new"), tmp_path / "new" / "new_0.mcap"
+
+
+def messages(file: Path) -> list[tuple[str, int, int, bytes]]:
+    """Topic, log time, publish time and bytes of all messages, topic by topic in their order in the file."""
+    with file.open("rb") as stream:
+        found = list(make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False))
+    return sorted(((c.topic, m.log_time, m.publish_time, m.data) for _, c, m in found), key=lambda row: row[0])
+
+
+def tables(file: Path) -> dict[str, dict[str, str]]:
+    with file.open("rb") as stream:
+        return {m.name: m.metadata for m in make_reader(stream).iter_metadata()}
+
+
+def test_tables_and_files_are_copied_and_the_description_is_written_anew(tmp_path: Path) -> None:
+    parameters = {"seed": "1", "empty": "", "": "no key", "unit": "µrad"}
+    result, file = repaired(
+        tmp_path,
+        metadata("parameters", parameters),
+        metadata("nothing", {}),
+        metadata("rosbag2", {"serialized_metadata": "old"}),
+        attachment("a.toml", "text/plain", b"abc"),
+        attachment("empty", "", b""),
+    )
+    found = tables(file)
+    assert found["parameters"] == parameters and found["nothing"] == {}
+    assert "old" not in found["rosbag2"]["serialized_metadata"] and set(found) == {"parameters", "nothing", "rosbag2"}
+    with file.open("rb") as stream:
+        files = {a.name: (a.media_type, a.data) for a in make_reader(stream).iter_attachments()}
+    assert files == {"a.toml": ("text/plain", b"abc"), "empty": ("", b"")}
+    assert (result.messages, result.chunks, result.damaged, result.cut_at, result.last_stamp) == (0, 0, [], None, 0)
+
+
+def test_a_table_repeated_later_replaces_the_earlier_one(tmp_path: Path) -> None:
+    _, file = repaired(tmp_path, metadata("a", {"x": "1"}), metadata("a", {"y": "2"}))
+    assert tables(file)["a"] == {"y": "2"}
+
+
+def test_messages_keep_times_bytes_and_order_whatever_their_lengths(tmp_path: Path) -> None:
+    """Three lengths in runs of one, two and three, of two topics, interleaved."""
+    rows = [(10, 12, b"a"), (20, 19, b"bb"), (30, 31, b"cc"), (40, 40, b"ddd"), (45, 46, b"eee"), (50, 52, b"fff"),
+            (60, 61, b"g")]  # fmt: skip
+    content = channel(3, FIRST) + channel(300, SECOND)
+    for log, publish, data in rows:
+        content += message(3, log, data, publish) + message(300, log + 1, data * 2, publish)
+    result, file = repaired(tmp_path, chunk(content))
+    expected = [(FIRST, *row) for row in rows] + [(SECOND, log + 1, publish, data * 2) for log, publish, data in rows]
+    assert messages(file) == sorted(expected, key=lambda row: row[0])
+    assert result == RepairResult(messages=14, chunks=1, damaged=[], cut_at=None, last_stamp=61)
+
+
+def test_last_stamp_is_the_newest_of_all_topics_and_chunks(tmp_path: Path) -> None:
+    first = channel(1, FIRST) + message(1, 70, b"a") + message(1, 90, b"b")
+    second = channel(2, SECOND) + message(2, 80, b"a") + message(1, 85, b"c")
+    result, file = repaired(tmp_path, chunk(first), chunk(second))
+    assert (result.last_stamp, result.messages, result.chunks) == (90, 4, 2)
+    assert {(m[0], m[1]) for m in messages(file)} == {(FIRST, 70), (FIRST, 90), (FIRST, 85), (SECOND, 80)}
+
+
+def test_channels_of_an_earlier_chunk_hold_for_later_ones_and_unknown_ones_are_left_out(tmp_path: Path) -> None:
+    result, file = repaired(
+        tmp_path,
+        chunk(channel(1, FIRST) + channel(2, "/other") + channel(258, DIAGNOSTICS_TOPIC) + message(1, 5, b"a")),
+        chunk(message(1, 6, b"b") + message(2, 7, b"no topic of ours") + message(9, 8, b"no channel")),
+        chunk(message(258, 9, b"diagnosis")),
+    )
+    expected = [(DIAGNOSTICS_TOPIC, 9, 9, b"diagnosis"), (FIRST, 5, 5, b"a"), (FIRST, 6, 6, b"b")]
+    assert sorted(messages(file)) == sorted(expected)
+    assert (result.messages, result.chunks, result.last_stamp) == (3, 3, 9)
+
+
+def test_chunks_without_compression_and_without_checksum_are_read(tmp_path: Path) -> None:
+    content = channel(1, FIRST)
+    result, file = repaired(
+        tmp_path,
+        chunk(content + message(1, 5, b"a"), compression=""),
+        chunk(message(1, 6, b"b"), checksum=0),
+        chunk(message(1, 7, b"c"), compression="", checksum=0),
+    )
+    assert [m[1:] for m in messages(file)] == [(5, 5, b"a"), (6, 6, b"b"), (7, 7, b"c")]
+    assert result.damaged == [] and result.chunks == 3
+
+
+def test_damaged_chunks_are_named_by_offset_and_kind_and_the_next_is_copied(tmp_path: Path) -> None:
+    good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
+    torn = bytearray(chunk(message(1, 6, b"b")))
+    torn[9 + 28 + 4 + 4 + 8] ^= 0xFF  # magic number of zstd
+    wrong = chunk(message(1, 7, b"c"), checksum=12345)
+    result, file = repaired(tmp_path, good, bytes(torn), wrong, chunk(message(1, 8, b"d")))
+    start = len(MAGIC + HEADER + good)
+    assert [offset for offset, _ in result.damaged] == [start, start + len(torn)]
+    assert "decompressed" in result.damaged[0][1] and "checksum" in result.damaged[1][1]
+    assert [m[1] for m in messages(file)] == [5, 8]
+    assert (result.chunks, result.messages, result.last_stamp) == (2, 2, 8)
+
+
+@pytest.mark.parametrize("size", [1, 7, 8, 9, 10, 30, -1])
+def test_a_record_that_is_cut_off_is_named_by_its_offset(tmp_path: Path, size: int) -> None:
+    good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
+    cut = chunk(message(1, 6, b"b"))[:size]
+    result, file = repaired(tmp_path, good, end=cut)
+    assert result.cut_at == len(MAGIC + HEADER + good)
+    assert [m[1] for m in messages(file)] == [5] and result.chunks == 1
+
+
+@pytest.mark.parametrize("end", [b"", MAGIC, MAGIC + b"more", END])
+def test_a_file_that_ends_after_a_record_is_not_cut(tmp_path: Path, end: bytes) -> None:
+    result, file = repaired(tmp_path, chunk(channel(1, FIRST) + message(1, 5, b"a")), end=end)
+    assert result.cut_at is None and [m[1] for m in messages(file)] == [5]
+
+
+def test_an_empty_record_at_the_end_is_whole(tmp_path: Path) -> None:
+    result, _ = repaired(tmp_path, end=record(15, b""))
+    assert result.cut_at is None
+
+
+@pytest.mark.parametrize("length", [(1 << 31) + 1, 1 << 62, (1 << 64) - 1])
+def test_an_absurd_length_counts_as_the_end(tmp_path: Path, length: int) -> None:
+    good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
+    result, file = repaired(tmp_path, good, struct.pack("<BQ", 6, length), end=good)
+    assert result.cut_at == len(MAGIC + HEADER + good) and [m[1] for m in messages(file)] == [5]
+
+
+def test_other_records_are_passed_over(tmp_path: Path) -> None:
+    """Schema, index and unknown records carry nothing that is copied, within a chunk and outside."""
+    others = [record(code, bytes(40)) for code in (3, 7, 8, 10, 11, 13, 14, 200)]
+    content = channel(1, FIRST) + b"".join(others) + message(1, 5, b"a")
+    result, file = repaired(tmp_path, *others, chunk(content), *others)
+    assert messages(file) == [(FIRST, 5, 5, b"a")] and result.chunks == 1 and set(tables(file)) == {"rosbag2"}
+
+
+def test_the_last_record_of_a_chunk_may_be_cut(tmp_path: Path) -> None:
+    content = channel(1, FIRST) + message(1, 5, b"a") + message(1, 6, b"b")[:-1]
+    result, file = repaired(tmp_path, chunk(content))
+    assert [m[1] for m in messages(file)] == [5] and result.cut_at is None
+
+
+def test_the_beginning_must_be_that_of_a_bag(tmp_path: Path) -> None:
+    for begin in (b"", MAGIC[:7], MAGIC[:7] + b"x", b"x" + MAGIC):
+        (tmp_path / "old.mcap").write_bytes(begin + HEADER)
+        with pytest.raises(ValueError, match="must be an MCAP file"):
+            repair_bag(tmp_path / "old.mcap", tmp_path / "new")
+        assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_must_hold_one_file(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    data = MAGIC + HEADER + chunk(channel(1, FIRST) + message(1, 5, b"a")) + END
+    with pytest.raises(ValueError, match="got 0"):
+        repair_bag(folder, tmp_path / "new")
+    (folder / "x.mcap").write_bytes(data)
+    (folder / "x.txt").write_text("other")
+    assert repair_bag(folder, tmp_path / "new").messages == 1
+    (folder / "y.mcap").write_bytes(data)
+    with pytest.raises(ValueError, match="got 2"):
+        repair_bag(folder, tmp_path / "newer")
+    (tmp_path / "deep" / "z.mcap").mkdir(parents=True)
+    with pytest.raises(ValueError, match="must be a bag folder"):
+        repair_bag(tmp_path / "deep", tmp_path / "newer")
+
+
+def test_lengths_of_four_bytes_are_read_whole(tmp_path: Path) -> None:
+    long = "x" * ((1 << 24) + 5)
+    _, file = repaired(tmp_path, metadata("long", {"a": long, "b": "after"}), metadata("next", {"c": "d"}))
+    found = tables(file)
+    assert len(found["long"]["a"]) == len(long) and found["long"]["b"] == "after" and found["next"] == {"c": "d"}
