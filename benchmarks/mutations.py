@@ -31,7 +31,12 @@ ROS_PACKAGE = "ros_ws/src/los_testbed"
 TESTS: dict[str, tuple[str, ...]] = {
     "lti": ("tests/unit/lti",),
     "lti/interconnection.py": ("tests/unit/lti/test_interconnection.py", "tests/properties/test_lft_laws.py"),
-    "lti/norms.py": ("tests/unit/lti/test_norms_unit.py", "tests/published/test_norms.py"),
+    "lti/norms.py": (
+        "tests/unit/lti/test_hinf_norm.py",
+        "tests/unit/lti/test_hinf_level_test.py",
+        "tests/unit/lti/test_norms_unit.py",
+        "tests/published/test_norms.py",
+    ),
     "titop_plant": ("tests/unit/titop_plant",),
     "titop_plant/sampled_plant.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
@@ -43,7 +48,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "titop_plant/blocks": ("tests/unit/titop_plant/test_blocks.py",),
     "robust_design": ("tests/unit/robust_design",),
-    "robust_design/worst_case.py": ("tests/unit/robust_design/test_worst_case.py",),
+    "robust_design/worst_case.py": (
+        "tests/unit/robust_design/test_worst_case.py",
+        "tests/unit/robust_design/test_worst_case_climbs.py",
+    ),
     "los_estimator": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "fsm_pma_controller": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "los_design": ("tests/unit/los_design",),
