@@ -52,7 +52,7 @@ HIGHEST = 3000.0
 
 
 @dataclass(frozen=True)
-class Figure:
+class LoopMetric:
     """A gain of the implemented loop that has a limit.
 
     Parameters
@@ -79,27 +79,27 @@ class Figure:
     disturbed: bool = True
 
 
-def figures_of(parameters: Parameters, stage: str) -> dict[str, Figure]:
-    """Figures of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
+def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Metrics of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
 
     The limit of slow and fast tones is 100 mas without the proof-mass actuators, 40 mas with them; that of a
     sensitivity is 2.
     """
     weights = parameters["weights"]
     rpe = weights["rpe_limit_fine"] if stage in FORCE_STAGES else weights["rpe_limit"]
-    los = Figure("APE", LOS, DISTURBANCE_IN, weights["ape_limit"])
+    los = LoopMetric("APE", LOS, DISTURBANCE_IN, weights["ape_limit"])
     found = [
         los,
         replace(los, name="slow", limit=rpe, band=(1e-2, BAND_EDGE), relative=True),
         replace(los, name="fast", limit=rpe, band=(BAND_EDGE, HIGHEST), relative=True),
     ]
     if stage in MIRROR_STAGES:
-        found.append(Figure("mirror", MIRROR_OUT, DISTURBANCE_IN, parameters["fsm"]["authority"]))
-        found.append(Figure("sensitivity, mirror", MIRROR_OUT, MIRROR_IN, MAX_SENSITIVITY, disturbed=False))
+        found.append(LoopMetric("mirror", MIRROR_OUT, DISTURBANCE_IN, parameters["fsm"]["authority"]))
+        found.append(LoopMetric("sensitivity, mirror", MIRROR_OUT, MIRROR_IN, MAX_SENSITIVITY, disturbed=False))
     if stage in FORCE_STAGES:
-        found.append(Figure("force", FORCE_OUT, DISTURBANCE_IN, parameters["pma"]["authority"]))
-        found.append(Figure("sensitivity, forces", FORCE_OUT, FORCE_IN, MAX_SENSITIVITY, disturbed=False))
-    return {figure.name: figure for figure in found}
+        found.append(LoopMetric("force", FORCE_OUT, DISTURBANCE_IN, parameters["pma"]["authority"]))
+        found.append(LoopMetric("sensitivity, forces", FORCE_OUT, FORCE_IN, MAX_SENSITIVITY, disturbed=False))
+    return {metric.name: metric for metric in found}
 
 
 @dataclass(frozen=True)
@@ -210,56 +210,56 @@ class ImplementedLoop:
         rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
         return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:])
 
-    def gain(self, closed: ClosedAt, figure: Figure, point: FloatArray) -> tuple[float, FloatArray]:
+    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray]:
         """Normalised gain and its gradient over the unit cube, shape (7,)."""
-        value, left, right, delta = self._singular(closed, figure, point)
+        value, left, right, delta = self._singular(closed, metric, point)
         M = closed.M
         loop = linalg.lu_factor(np.eye(len(M)) - M * delta, check_finite=False)
-        z = linalg.lu_solve(loop, closed.T21[:, figure.columns] @ right)
+        z = linalg.lu_solve(loop, closed.T21[:, metric.columns] @ right)
         # row vector l (I - Delta M)^-1 with l = u^H T12:  l + l Delta (I - M Delta)^-1 M
-        row = left.conj() @ closed.T12[figure.rows]
+        row = left.conj() @ closed.T12[metric.rows]
         row = row + linalg.lu_solve(loop, row * delta, trans=1) @ M
-        slope = self.scale(figure, closed.omega) * np.real(row * z)
+        slope = self.scale(metric, closed.omega) * np.real(row * z)
         gradient = np.bincount(self._channel, slope, minlength=len(self.names)) * self._width
         return value, np.asarray(gradient)
 
     def singular_vectors(
-        self, closed: ClosedAt, figure: Figure, point: FloatArray
+        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
     ) -> tuple[float, ComplexArray, ComplexArray]:
         """Normalised gain with its left and right singular vectors."""
-        return self._singular(closed, figure, point)[:3]
+        return self._singular(closed, metric, point)[:3]
 
     def _singular(
-        self, closed: ClosedAt, figure: Figure, point: FloatArray
+        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
     ) -> tuple[float, ComplexArray, ComplexArray, FloatArray]:
         delta = self.delta(point)
-        T = self.responses(closed, figure, delta[None])[0]
+        T = self.responses(closed, metric, delta[None])[0]
         U, s, Vh = linalg.svd(T, full_matrices=False)
-        return float(s[0]) * self.scale(figure, closed.omega), U[:, 0], Vh[0].conj(), delta
+        return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj(), delta
 
-    def responses(self, closed: ClosedAt, figure: Figure, delta: FloatArray) -> ComplexArray:
-        """Responses of a figure for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
-        T12, T21, T11 = closed.T12[figure.rows], closed.T21[:, figure.columns], closed.T11[figure.rows, figure.columns]
+    def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
+        """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
+        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
         loop = np.eye(len(closed.M)) - closed.M * delta[:, None, :]
         z = np.linalg.solve(loop, np.broadcast_to(T21, (len(delta), *T21.shape)))
         return np.asarray(T11 + (T12 * delta[:, None, :]) @ z)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
-        whole = Figure("sensitivity", slice(2, 10), slice(22, 30), 1.0, disturbed=False)
+        whole = LoopMetric("sensitivity", slice(2, 10), slice(22, 30), 1.0, disturbed=False)
         return self.responses(closed, whole, self.delta(points))
 
-    def scale(self, figure: Figure, omega: float) -> float:
+    def scale(self, metric: LoopMetric, omega: float) -> float:
         """Weight of the relative error, where it applies, over the limit."""
         weight = 1.0
-        if figure.relative:
+        if metric.relative:
             weight = float(rpe_weight(omega, self.parameters["weights"]["rpe_window"]))
-        return weight / figure.limit
+        return weight / metric.limit
 
-    def gains(self, closed: ClosedAt, figure: Figure, points: FloatArray) -> FloatArray:
+    def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:
         """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
-        T = self.responses(closed, figure, self.delta(points))
-        return np.asarray(np.linalg.norm(T, ord=2, axis=(1, 2)) * self.scale(figure, closed.omega))
+        T = self.responses(closed, metric, self.delta(points))
+        return np.asarray(np.linalg.norm(T, ord=2, axis=(1, 2)) * self.scale(metric, closed.omega))
 
 
 def _sampled_response(system: SampledSystem, z: complex) -> ComplexArray:

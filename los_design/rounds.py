@@ -1,7 +1,7 @@
 """Design in rounds: tune on a few models, search the implemented loop for worse parameters, add them, repeat.
 
 The scheme of :func:`robust_design.tune_robust` with another search: that of :mod:`los_design.worst_points`, on the
-sampled loop itself. What is added are the worst points of the bands of every figure that exceed its bound.
+sampled loop itself. What is added are the worst points of the bands of every metric that exceed its bound.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Outcome:
         ``converged``, ``rounds`` (worse points were still found in the last round), or the tuner's where it failed.
     tuning : TuningResult
     worst : dict of str to WorstPoint
-        Worst point of every figure by the last search.
+        Worst point of every metric by the last search.
     active : list of dict
         Parameter points of the models.
     """

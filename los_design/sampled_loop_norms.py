@@ -234,6 +234,25 @@ def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: Com
     return np.asarray((rows @ (right @ vectors) * factor[:, None, :]) @ drive)
 
 
+def noise_metrics(
+    plant: StateSpace,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    parameters: Parameters,
+    *,
+    loop: str,
+    frame_ticks: int,
+    sensors: str | None = None,
+) -> tuple[float, float]:
+    """Line of sight due to sensor noise [rad rms, both axes], plain and as relative error; infinite if unstable.
+
+    The arguments are those of :func:`sampled_loop_metrics`.
+    """
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    return _noise(closed, parameters, sensors) if closed.spectral_radius() < 1.0 else (np.inf, np.inf)
+
+
 def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
     """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
     table: Any = parameters["sensors"]

@@ -1,8 +1,8 @@
 """Worst case of the implemented loop: joint ascent over the logarithm of the frequency and all uncertain parameters.
 
-A search of one figure has three steps, in each of the frequency bands :data:`BANDS`, so that no peak hides another:
+A search of one metric has three steps, in each of the frequency bands :data:`BANDS`, so that no peak hides another:
 
-1. **Screening.** At every frequency of a grid the figure is computed at random corners and random points of the box.
+1. **Screening.** At every frequency of a grid the metric is computed at random corners and random points of the box.
 2. **Ascent.** From the best screened pairs the logarithm of the gain is maximised over log frequency and parameters
    (L-BFGS-B in the unit cube), with the gradient of the singular value (:mod:`los_design.implemented_loop`).
 3. **Confirmation.** The best point of each band is computed again on the sampled plant by the periodic solution
@@ -23,10 +23,11 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from los_design.implemented_loop import HIGHEST, Figure, ImplementedLoop, figures_of
+from los_design.implemented_loop import HIGHEST, LoopMetric, ImplementedLoop, loop_metrics
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_gains
 from lti import SampledSystem, UncertainSystem
+from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
@@ -36,6 +37,8 @@ ComplexArray = NDArray[np.complex128]
 BANDS = (1e-2, 0.2, 1.0, 4.0, 12.0, 35.0, BAND_EDGE, 130.0, 200.0, 300.0, 380.0, 450.0, 560.0, 640.0, 740.0, 1000.0,
          1600.0, HIGHEST)  # fmt: skip
 """Edges of the frequency bands of a search [rad/s]."""
+
+WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 
 STEP = 1e-6
 """Step of log frequency for the slope."""
@@ -55,7 +58,7 @@ class SearchOptions:
     points : int
         Parameter points for each of them: half of them corners.
     ascents : int
-        For each figure, over all its bands.
+        For each metric, over all its bands.
     iterations : int
         Most steps of an ascent.
     seed : int
@@ -75,11 +78,11 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class WorstPoint:
-    """Largest value found for one figure of one stage, in one band.
+    """Largest value found for one metric of one stage, in one band.
 
     Parameters
     ----------
-    stage, figure : str
+    stage, requirement : str
     gamma : float
         Value over the limit, by the periodic solution; of a sensitivity by the frequency response.
     limit : float
@@ -94,13 +97,21 @@ class WorstPoint:
     """
 
     stage: str
-    figure: str
+    requirement: str
     gamma: float
     limit: float
     omega: float
     parameters: Mapping[str, float]
     disturbance: ComplexArray
     direction: ComplexArray
+
+    @property
+    def channel(self) -> str:
+        """Name of the input with the largest part of the disturbance."""
+        k = int(np.abs(self.disturbance).argmax())
+        if len(self.disturbance) != CHANNELS:
+            return f"command {k + 1}"
+        return f"solar array drive {k - 19}" if k >= 20 else f"wheel {k // 5 + 1}, {WHEEL_CHANNELS[k % 5]}"
 
     def to_mapping(self) -> dict[str, Any]:
         """For JSON."""
@@ -114,13 +125,13 @@ class WorstPoint:
         }
 
     @classmethod
-    def from_mapping(cls, stage: str, figure: str, values: Mapping[str, Any]) -> WorstPoint:
+    def from_mapping(cls, stage: str, requirement: str, values: Mapping[str, Any]) -> WorstPoint:
         """As :meth:`to_mapping` makes it."""
         disturbance, direction = (
             np.array(values[name]["real"]) + 1j * np.array(values[name]["imag"]) for name in ("disturbance", "direction")
         )
         numbers = (float(values[name]) for name in ("gamma", "limit", "omega"))
-        return cls(stage, figure, *numbers, dict(values["parameters"]), disturbance, direction)
+        return cls(stage, requirement, *numbers, dict(values["parameters"]), disturbance, direction)
 
 
 class Search:
@@ -149,10 +160,10 @@ class Search:
         self.loop = ImplementedLoop(system, parameters, k_fsm, k_pma, stage)
         self._controllers = (k_fsm, k_pma)
         self.options = options or SearchOptions()
-        self.figures = figures_of(parameters, stage)
+        self.metrics = loop_metrics(parameters, stage)
 
     def run(self, names: Sequence[str] | None = None, starts: Iterable[WorstPoint] = ()) -> dict[str, list[WorstPoint]]:
-        """Worst point of every band for each figure, worst first.
+        """Worst point of every band for each metric, worst first.
 
         Parameters
         ----------
@@ -161,60 +172,60 @@ class Search:
         starts : iterable of WorstPoint
             Points of former searches that are climbed from, too.
         """
-        figures = [self.figures[name] for name in (names or self.figures)]
-        screened = self._screen(figures)
+        metrics = [self.metrics[name] for name in (names or self.metrics)]
+        screened = self._screen(metrics)
         given = list(starts)
         found = {}
-        for figure, table in zip(figures, screened):
-            tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in given if p.figure == figure.name]
-            found[figure.name] = self._figure(figure, [*tried, *_best(table, self.options.ascents)])
+        for metric, table in zip(metrics, screened):
+            tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in given if p.requirement == metric.name]
+            found[metric.name] = self._metric(metric, [*tried, *_best(table, self.options.ascents)])
         return found
 
-    def _screen(self, figures: Sequence[Figure]) -> list[list[tuple[float, float, FloatArray]]]:
-        """For each figure a list of (value, frequency, point): the best points at each frequency."""
+    def _screen(self, metrics: Sequence[LoopMetric]) -> list[list[tuple[float, float, FloatArray]]]:
+        """For each metric a list of (value, frequency, point): the best points at each frequency."""
         options = self.options
         rng = np.random.default_rng(options.seed)
         grid = np.geomspace(BANDS[0], HIGHEST, options.frequencies + 1)
         grid = grid[:-1] * (grid[1] / grid[0]) ** rng.uniform(size=options.frequencies)
-        tables: list[list[tuple[float, float, FloatArray]]] = [[] for _ in figures]
+        tables: list[list[tuple[float, float, FloatArray]]] = [[] for _ in metrics]
         for omega in grid:
             closed = self.loop.at(float(omega))
             points = rng.uniform(size=(options.points, len(self.loop.names)))
             points[: options.points // 2] = np.round(points[: options.points // 2])
-            whole = Figure("all", slice(0, 10), slice(0, 30), 1.0)
+            whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
             responses = self.loop.responses(closed, whole, self.loop.delta(points))
-            for figure, table in zip(figures, tables):
-                if figure.band[0] <= omega < figure.band[1]:
-                    part = responses[:, figure.rows, figure.columns]
-                    values = np.linalg.norm(part, ord=2, axis=(1, 2)) * self.loop.scale(figure, float(omega))
+            for metric, table in zip(metrics, tables):
+                if metric.band[0] <= omega < metric.band[1]:
+                    part = responses[:, metric.rows, metric.columns]
+                    values = np.linalg.norm(part, ord=2, axis=(1, 2)) * self.loop.scale(metric, float(omega))
                     for k in np.argsort(-values)[:3]:
                         table.append((float(values[k]), float(omega), points[k]))
         return tables
 
-    def _figure(self, figure: Figure, starts: Sequence[tuple[float, FloatArray]]) -> list[WorstPoint]:
+    def _metric(self, metric: LoopMetric, starts: Sequence[tuple[float, FloatArray]]) -> list[WorstPoint]:
         best: dict[int, tuple[float, float, FloatArray]] = {}
         for omega, point in starts:
-            value, at, where = self.climb(figure, omega, point)
+            value, at, where = self.climb(metric, omega, point)
             band = int(np.searchsorted(BANDS, at))
             if value > best.get(band, (0.0,))[0]:
                 best[band] = (value, at, where)
         ordered = sorted(best.values(), key=lambda entry: -entry[0])
-        return sorted((self.confirmed(figure, *entry[1:]) for entry in ordered), key=lambda p: -p.gamma)
+        return sorted((self.confirmed(metric, *entry[1:]) for entry in ordered), key=lambda p: -p.gamma)
 
-    def climb(self, figure: Figure, omega: float, point: FloatArray) -> tuple[float, float, FloatArray]:
+    def climb(self, metric: LoopMetric, omega: float, point: FloatArray) -> tuple[float, float, FloatArray]:
         """Local ascent: value, frequency and point reached. It stays in the band of its start."""
         n = int(np.searchsorted(BANDS, omega))
-        band = np.array([max(figure.band[0], BANDS[max(n - 1, 0)]), min(figure.band[1], BANDS[min(n, len(BANDS) - 1)])])
+        band = np.array([max(metric.band[0], BANDS[max(n - 1, 0)]), min(metric.band[1], BANDS[min(n, len(BANDS) - 1)])])
         best = (-np.inf, omega, point)
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
             at, where = float(np.exp(x[0] * FREQUENCY_SCALE)), x[1:]
             here, ahead = self.loop.with_neighbour(at, STEP)
-            value, slope = self.loop.gain(here, figure, where)
+            value, slope = self.loop.gain(here, metric, where)
             if value > best[0]:
                 best = (value, at, where.copy())
-            by_frequency = np.log(float(self.loop.gains(ahead, figure, where[None])[0]) / value) / STEP * FREQUENCY_SCALE
+            by_frequency = np.log(float(self.loop.gains(ahead, metric, where[None])[0]) / value) / STEP * FREQUENCY_SCALE
             return -np.log(value), -np.concatenate([[by_frequency], slope / value])
 
         scipy.optimize.minimize(
@@ -227,11 +238,11 @@ class Search:
         )
         return best
 
-    def confirmed(self, figure: Figure, omega: float, point: FloatArray) -> WorstPoint:
+    def confirmed(self, metric: LoopMetric, omega: float, point: FloatArray) -> WorstPoint:
         """The point with its value by the periodic solution."""
         loop, values = self.loop, self.loop.values(point)
-        gamma, left, right = loop.singular_vectors(loop.at(omega), figure, point)
-        if figure.disturbed:
+        gamma, left, right = loop.singular_vectors(loop.at(omega), metric, point)
+        if metric.disturbed:
             plant = loop.system.data_at(values)
             sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
             stage = "isolator" if loop.stage == "none" else loop.stage
@@ -239,9 +250,9 @@ class Search:
                 plant, *self._controllers, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
             )
             response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
-            gain = float(relative[0]) if figure.relative else float(np.linalg.norm(response[0, figure.rows], 2))
-            gamma = gain / figure.limit
-        return WorstPoint(loop.stage, figure.name, gamma, figure.limit, omega, values, right, left)
+            gain = float(relative[0]) if metric.relative else float(np.linalg.norm(response[0, metric.rows], 2))
+            gamma = gain / metric.limit
+        return WorstPoint(loop.stage, metric.name, gamma, metric.limit, omega, values, right, left)
 
 
 def _best(table: Sequence[tuple[float, float, FloatArray]], count: int) -> list[tuple[float, FloatArray]]:
@@ -258,7 +269,7 @@ def _best(table: Sequence[tuple[float, float, FloatArray]], count: int) -> list[
 
 
 def worst_of(found: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]:
-    """The worst point of each figure; ``RPE`` is the worse of slow and fast tones."""
+    """The worst point of each metric; ``RPE`` is the worse of slow and fast tones."""
     worst = {name: points[0] for name, points in found.items() if points}
     tones = [worst[name] for name in ("slow", "fast") if name in worst]
     if tones:
@@ -267,15 +278,15 @@ def worst_of(found: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]
 
 
 def store_worst_points(path: Path, found: Iterable[WorstPoint], basis: Mapping[str, str]) -> None:
-    """Write points as JSON by stage and figure; `basis` says for which parameters and controllers they hold."""
+    """Write points as JSON by stage and metric; `basis` says for which parameters and controllers they hold."""
     stages: dict[str, dict[str, Any]] = {}
     for point in found:
-        stages.setdefault(point.stage, {})[point.figure] = point.to_mapping()
+        stages.setdefault(point.stage, {})[point.requirement] = point.to_mapping()
     path.write_text(json.dumps({**basis, "stages": stages}, indent=1) + "\n", encoding="utf-8")
 
 
 def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPoint]]:
-    """Worst points by stage and figure: of a folder of designs, or of the stored designs.
+    """Worst points by stage and metric: of a folder of designs, or of the stored designs.
 
     Raises
     ------
