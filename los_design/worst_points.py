@@ -293,7 +293,7 @@ def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPo
     ValueError
         The file is missing.
     """
-    path = (folder or Path(__file__).parent / "data") / "worst_points.json"
+    path = (folder or Path(__file__).parent) / "worst_points.json"
     if not path.exists():
         raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
     content = json.loads(path.read_text(encoding="utf-8"))["stages"]
