@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import solve
 from lti.eigenvectors import eigenpairs
 from lti.frequency_response import FrequencyResponse
 from titop_plant.disturbances import weight_amplitudes
@@ -178,7 +179,7 @@ class ImplementedLoop:
             out[:2, CAMERA] *= np.mean(z ** -np.arange(FRAME_TICKS))
         if forces:
             out[2:, PLATFORM] = _sampled_response(k_pma, z)
-        return out / z
+        return np.asarray(out / z)
 
     def at(self, omega: float) -> ClosedAt:
         """Close the loop at a frequency [rad/s]."""
@@ -201,7 +202,8 @@ class ImplementedLoop:
         # images of the held command through the nominal telescope; the direct path is sampled as it is
         held[q:] += sampled - hold * continuous + (1.0 - hold) * D
         K = self.control(omega)
-        command = np.linalg.solve(np.eye(COMMANDS) - K @ held[q:y], np.hstack([K, np.eye(COMMANDS)]))
+        returned: ComplexArray = np.eye(COMMANDS) - K @ held[q:y]
+        command = solve(returned[None], np.hstack([K, np.eye(COMMANDS)])[None])[0]
         into = np.hstack([G[:, :q], G[:, self._u.stop :]])
         applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
         size = weight_amplitudes(self.parameters, np.array([omega]))[0]

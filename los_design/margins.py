@@ -50,14 +50,19 @@ class Margins:
         """Phase margin [deg]."""
         return math.degrees(2.0 * math.asin(min(1.0, 0.5 / self.sensitivity)))
 
-    def to_mapping(self) -> dict[str, float]:
-        """For JSON."""
+    def to_mapping(self) -> dict[str, float | str]:
+        """For JSON, which has no infinity."""
         return {
-            "sensitivity": float(f"{self.sensitivity:.5g}"),
-            "gain_db": float(f"{self.gain_db:.4g}"),
-            "phase_deg": float(f"{self.phase_deg:.4g}"),
-            "delay_ms": float(f"{1e3 * self.delay:.4g}"),
+            "sensitivity": rounded(self.sensitivity),
+            "gain_db": rounded(self.gain_db, 4),
+            "phase_deg": rounded(self.phase_deg, 4),
+            "delay_ms": rounded(1e3 * self.delay, 4),
         }
+
+
+def rounded(value: float, digits: int = 5) -> float | str:
+    """A number for JSON, which has no infinity: that is the text ``"inf"``."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
 
 
 def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, omega: FloatArray) -> float:
@@ -119,10 +124,10 @@ def delayed(loop: SampledLoop) -> SampledLoop:
         whole[:n, n:] = A[:, V]
         whole[:n, V] = 0.0
         whole[n + np.arange(COMMANDS), V] = 1.0
-        return whole[np.ix_(order, order)]
+        return np.asarray(whole[np.ix_(order, order)])
 
     def widened(rows: FloatArray) -> FloatArray:
-        return np.vstack([rows, np.zeros((COMMANDS, rows.shape[1]))])[order]
+        return np.asarray(np.vstack([rows, np.zeros((COMMANDS, rows.shape[1]))])[order])
 
     truth = np.hstack([loop.truth, loop.truth[:, V]])
     truth[:, V] = 0.0

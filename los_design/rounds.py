@@ -24,7 +24,7 @@ MAX_NEW = 4
 """Points that a round adds at most."""
 
 SLACK = 3e-3
-"""A worst point counts only if it exceeds the tuned value by more than this part."""
+"""A worst point counts only if it exceeds 1, or what the tuner reached above 1, by more than this part."""
 
 APART = 0.03
 """Least relative distance of the frequencies of two new points."""
@@ -68,6 +68,11 @@ class Outcome:
     tuning: TuningResult
     worst: dict[str, WorstPoint]
     active: list[dict[str, float]]
+
+    @property
+    def controller(self) -> StateSpace:
+        """The tuned controller."""
+        return self.tuning.controller
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ def design_in_rounds(
         for options in (effort.quick, effort.thorough):
             found = task.search(controller, options).run(list(task.bounds), known)
             worst = {name: peaks[0] for name, peaks in found.items() if peaks}
-            new = _new(task, found, {n: max(1.0, v) if hard[n] else result.soft for n, v in values.items()})
+            new = _new(task, found, {n: max(1.0, v if hard[n] else result.soft) for n, v in values.items()})
             if new or number + 1 == effort.rounds:
                 break
         report(_line(number, result, worst, task, len(points), time.monotonic() - start_time))
@@ -155,9 +160,7 @@ def _status(result: TuningResult) -> str:
     return str(result.status) if str(result.status) in bad else "converged"
 
 
-def _new(
-    task: Task, found: Mapping[str, Sequence[WorstPoint]], levels: Mapping[str, float]
-) -> list[WorstPoint]:
+def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], levels: Mapping[str, float]) -> list[WorstPoint]:
     """Worst points above the level of their requirement, at different frequencies, the largest excess first."""
     excess = []
     for name, peaks in found.items():
@@ -176,5 +179,7 @@ def _new(
 def _line(
     number: int, result: TuningResult, worst: Mapping[str, WorstPoint], task: Task, models: int, seconds: float
 ) -> str:
-    peaks = ", ".join(f"{name} {p.gamma * task.bounds[name][1]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items())
+    peaks = ", ".join(
+        f"{name} {p.gamma * task.bounds[name][1]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items()
+    )
     return f"round {number + 1}: {models} models, tuned {result.soft:.3f}, worst found: {peaks} ({seconds:.0f} s)"

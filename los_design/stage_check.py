@@ -65,7 +65,7 @@ def grid() -> FloatArray:
     slow = np.geomspace(1e-2, FINE_FROM, int(np.log(FINE_FROM / 1e-2) / SLOW_STEP))
     fine = np.geomspace(FINE_FROM, FINE_TO, int(np.log(FINE_TO / FINE_FROM) / FAST_STEP))
     above = np.geomspace(FINE_TO, HIGHEST, int(np.log(HIGHEST / FINE_TO) / SLOW_STEP))
-    return np.unique(np.concatenate([slow, fine, above]))
+    return np.asarray(np.unique(np.concatenate([slow, fine, above])), dtype=float)
 
 
 def check_stage(
@@ -122,7 +122,7 @@ def _largest(
     """For each metric the largest value of every point with its place in the grid, and the envelope."""
     value = {name: np.zeros(len(cube)) for name in metrics}
     place = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
-    envelope = {name: np.zeros(len(omega)) for name in metrics}
+    envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
     whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
     for k, w in enumerate(omega):
         closed = loop.at(float(w))

@@ -9,18 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.skyhook import sampled_controller
 from los_design.options import DesignOptions
 from los_design.provenance import commit
 from los_design.rounds import Effort, Outcome, Task, design_in_rounds
-from los_design.starts import random_start, screened, zero_controller
+from los_design.starts import random_start, screened, stabilises, stored_start, zero_controller
 from los_design.store import continuous, design_ports
 from los_design.worst_points import Search, SearchOptions
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space
 from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
+from robust_design.structures import controller
 from titop_plant.simulation import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
@@ -37,14 +40,17 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 RELAXATIONS = ((1.0, 15), (0.5, 15))
 """Steps from the Kalman observer to the budget: relaxation of the requirements and iterations."""
 
+FIRST_POINTS, FIRST_SEARCH = 5, SearchOptions(frequencies=200, points=40, ascents=40, iterations=15)
+"""Worst points of the start, each in another frequency band, that a design begins with, and their search."""
+
 QUICK = SearchOptions(frequencies=300, points=40, ascents=60, iterations=25)
 THOROUGH = SearchOptions(frequencies=500, points=60, ascents=200, iterations=30, seed=1000)
 EFFORT = Effort(rounds=8, iterations=25, quick=QUICK, thorough=THOROUGH)
-FIRST_POINTS, FIRST_SEARCH = 4, SearchOptions(frequencies=200, points=40, ascents=40, iterations=15)
-"""Worst points of the stage before, each in another frequency band, that a design begins with, and their search."""
-
-SHORT_EFFORT = Effort(rounds=3, iterations=15, quick=QUICK, thorough=QUICK)
+SHORT_EFFORT = Effort(rounds=3, iterations=15, quick=FIRST_SEARCH, thorough=QUICK)
 """Effort of a design in rounds; the short one is for trials and tests."""
+
+GOAL = 0.96
+"""A round's tuning ends when every requirement is met with this to spare: what is left is for points not yet known."""
 
 Report = Callable[[str], None]
 
@@ -75,7 +81,9 @@ def design_observer(
     plant = observer_plant(telescope, parameters, **options.hold_delays)
     structure = observer_structure(plant, camera_hold=options.implemented)
     if options.implemented:
-        result = _implemented_observer(telescope, parameters, plant, structure, options, report)
+        result: Outcome | RobustResult | TuningResult = _implemented_observer(
+            telescope, parameters, plant, structure, options, report
+        )
     else:
         starts = [kalman_start(structure, telescope, parameters)]
         active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
@@ -95,20 +103,23 @@ def design_observer(
 def _implemented_observer(
     telescope: Telescope, parameters: Parameters, plant: Any, structure: Any, options: DesignOptions, report: Report
 ) -> Outcome | TuningResult:
-    """From the Kalman observer with delay compensation to the budget in steps, then in rounds."""
+    """From the stored start, or the Kalman observer in steps, to the budget; a robust design in rounds."""
     system, none = control_loop_plant(telescope, parameters), zero_controller("k-pma")
     active: list[dict[str, float]] = [{}]
     if not options.nominal:
         isolator = Search(system, parameters, zero_controller("k-fsm"), none, "isolator", FIRST_SEARCH)
-        active += [dict(p.parameters) for p in isolator.run(["fast"])["fast"][:FIRST_POINTS]]
-    models = [plant(values) for values in active[: 1 + FIRST_POINTS // 2]]
-    x = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
-    for relaxation, iterations in RELAXATIONS:
-        relaxed = observer_requirements(parameters, implemented=True, relaxation=relaxation)
-        limits = _tuning(options, iterations)
-        found = tune(models, relaxed, structure, initial=[x], loop_delay=options.delay, options=limits)
-        x = found.x
-        report(f"start, requirements relaxed by {relaxation:g}: tuned {found.soft:.3f}")
+        active += [dict(p.parameters) for p in isolator.run(["fast"])["fast"][: FIRST_POINTS // 2]]
+    models = [plant(values) for values in active]
+    x = structure.parameters_of(stored_start("k-fsm", plant.system))
+    if not stabilises(x, models, structure, options.delay):
+        report("the stored start does not stabilise this telescope: start from the Kalman observer")
+        x = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
+        for relaxation, iterations in RELAXATIONS:
+            relaxed = observer_requirements(parameters, implemented=True, relaxation=relaxation)
+            limits = _tuning(options, iterations)
+            found = tune(models, relaxed, structure, initial=[x], loop_delay=options.delay, options=limits)
+            x = found.x
+            report(f"requirements relaxed by {relaxation:g}: tuned {found.soft:.3f}")
     requirements = observer_requirements(parameters, implemented=True)
     if options.nominal:
         limits = _tuning(options, MAX_NOMINAL_ITERATIONS)
@@ -132,7 +143,13 @@ def _implemented_observer(
     }
     task = Task(plant, requirements, structure, options.delay, sampled, search, bounds)
     effort = SHORT_EFFORT if options.short else EFFORT
-    return design_in_rounds(task, x, active, effort, _tuning(options, effort.iterations), report)
+    active = [{}, *_first_points(search(sampled(controller(structure, x)), FIRST_SEARCH))]
+    return design_in_rounds(task, x, active, effort, _tuning(options, effort.iterations, GOAL), report)
+
+
+def _first_points(search: Search) -> list[dict[str, float]]:
+    """Parameters of the worst fast tones of different bands."""
+    return [dict(p.parameters) for p in search.run(["fast"])["fast"][:FIRST_POINTS]]
 
 
 def design_actuators(
@@ -168,6 +185,10 @@ def design_actuators(
     )
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
+    if options.implemented:
+        stored = structure.parameters_of(stored_start("k-pma", plant.system))
+        if stabilises(stored, [plant({})], structure, options.delay):
+            starts = [stored]
     if options.implemented and not options.nominal:
         result: Any = _implemented_actuators(
             telescope, parameters, observer, plant, structure, starts[0], options, report
@@ -197,7 +218,7 @@ def _implemented_actuators(
     options: DesignOptions,
     report: Report,
 ) -> Outcome:
-    """In rounds, beginning with the worst points of the mirror alone."""
+    """In rounds, beginning with the worst points of the mirror alone and of the start."""
     washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
     system = control_loop_plant(telescope, parameters)
 
@@ -210,7 +231,7 @@ def _implemented_actuators(
 
     effort = SHORT_EFFORT if options.short else EFFORT
     alone = Search(system, parameters, observer, zero_controller("k-pma"), "fsm", FIRST_SEARCH)
-    active = [{}, *(dict(p.parameters) for p in alone.run(["fast"])["fast"][:FIRST_POINTS])]
+    active = [{}, *_first_points(alone)]
     budget, fine = error_budget(parameters), parameters["weights"]["rpe_limit_fine"]
     margin = MAX_SENSITIVITY / TUNED_SENSITIVITY
     bounds = {
@@ -224,10 +245,10 @@ def _implemented_actuators(
     }
     requirements = actuator_requirements(parameters, implemented=True)
     task = Task(plant, requirements, structure, options.delay, sampled, search, bounds)
-    return design_in_rounds(task, start, active, effort, _tuning(options, effort.iterations), report)
+    return design_in_rounds(task, start, active, effort, _tuning(options, effort.iterations, GOAL), report)
 
 
-def _tuning(options: DesignOptions, iterations: int) -> TuningOptions:
+def _tuning(options: DesignOptions, iterations: int, target: float = -np.inf) -> TuningOptions:
     return TuningOptions(
         starts=options.starts,
         seed=options.seed,
@@ -235,6 +256,7 @@ def _tuning(options: DesignOptions, iterations: int) -> TuningOptions:
         workers=options.workers,
         iterations=iterations,
         tolerance=1e-3,
+        target=target,
         progress=options.progress,
     )
 
@@ -269,9 +291,7 @@ def _run(
     )
 
 
-def _provenance(
-    kind: str, result: RobustResult | TuningResult | Outcome, options: DesignOptions
-) -> dict[str, Any]:
+def _provenance(kind: str, result: RobustResult | TuningResult | Outcome, options: DesignOptions) -> dict[str, Any]:
     """How a design was made, for its file."""
     tuning = result if isinstance(result, TuningResult) else result.tuning
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"

@@ -1,8 +1,8 @@
 """Trade-off of K_FSM: sensor noise against disturbances in the relative error.
 
 For each bound on the disturbance's part (H-infinity, slow and fast tones alike, over the parameter points of the stored
-design) K_FSM is tuned for the least noise (H2); the other requirements of the implemented problem are hard. The curve is the best that the tuner
-found for an observer of this order.
+design) K_FSM is tuned for the least noise (H2); the other requirements of the implemented problem are hard. The curve
+is the best that the tuner found for an observer of this order.
 """
 
 from __future__ import annotations
@@ -107,7 +107,12 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     best: dict[float, TradeOffPoint] = {}
     for level in (*sorted(levels), *sorted(levels, reverse=True)):
         result = tune(
-            models, least_noise(requirements, level * rpe), structure, initial=[x], loop_delay=design.delay, options=options
+            models,
+            least_noise(requirements, level * rpe),
+            structure,
+            initial=[x],
+            loop_delay=design.delay,
+            options=options,
         )
         found = point(level, result.values, result.status)
         if level not in best or (not result.feasible, found.noise) < (best[level].infeasible, best[level].noise):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements
 from los_design.implemented_loop import ImplementedLoop
-from los_design.margins import Margins, delay_margin
+from los_design.margins import Margins, delay_margin, rounded
 from los_design.sampled_loop_norms import noise_metrics
 from los_design.stage_check import StageCheck, check_stage, grid
 from los_design.store import continuous
@@ -45,7 +45,7 @@ def verification_points(
 
 @dataclass(frozen=True)
 class ImplementedCheck:
-    """Worst values over parameter points of a pair of implemented designs; infinite where no point is stable.
+    """Worst values over parameter points of a pair of implemented designs; infinite where a point is unstable.
 
     Parameters
     ----------
@@ -86,6 +86,8 @@ class ImplementedCheck:
     def gamma(self, stage: str, requirement: str) -> float:
         """Worst gamma of a requirement; ``RPE`` is the worse of slow and fast tones."""
         check = self.alone if stage == "fsm" else self.both
+        if not check.stable.all():
+            return math.inf
         names = ("slow", "fast") if requirement == "RPE" else (requirement,)
         return max((check.worst[n].gamma for n in names if n in check.worst), default=math.inf)
 
@@ -195,11 +197,6 @@ class ImplementedCheck:
         }
 
 
-def rounded(value: float) -> float | str:
-    """Five digits for JSON, which has no infinity: ``"inf"``."""
-    return float(f"{value:.5g}") if math.isfinite(value) else str(value)
-
-
 def check_implemented(
     system: UncertainSystem,
     parameters: Parameters,
@@ -247,6 +244,7 @@ def _delays(
     """Guaranteed delay margins [s] at up to :data:`DELAY_POINTS` of the points."""
     some = points[:: max(1, len(points) // DELAY_POINTS)]
     found = {}
+    omega: FloatArray = np.asarray(np.geomspace(0.1, 2500.0, DELAY_FREQUENCIES), dtype=float)
     for name, stage, channels in (
         ("fsm", "fsm", MIRROR),
         ("pma, mirror", "fsm+pma", MIRROR),
@@ -254,7 +252,7 @@ def _delays(
     ):
         loop = ImplementedLoop(system, parameters, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
-        found[name] = delay_margin(loop, channels, cube, np.geomspace(0.1, 2500.0, DELAY_FREQUENCIES))
+        found[name] = delay_margin(loop, channels, cube, omega)
     return found
 
 

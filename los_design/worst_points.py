@@ -23,7 +23,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from los_design.implemented_loop import HIGHEST, LoopMetric, ImplementedLoop, loop_metrics
+from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_gains
 from lti import SampledSystem, UncertainSystem
@@ -128,10 +128,11 @@ class WorstPoint:
     def from_mapping(cls, stage: str, requirement: str, values: Mapping[str, Any]) -> WorstPoint:
         """As :meth:`to_mapping` makes it."""
         disturbance, direction = (
-            np.array(values[name]["real"]) + 1j * np.array(values[name]["imag"]) for name in ("disturbance", "direction")
+            np.array(values[name]["real"]) + 1j * np.array(values[name]["imag"])
+            for name in ("disturbance", "direction")
         )
-        numbers = (float(values[name]) for name in ("gamma", "limit", "omega"))
-        return cls(stage, requirement, *numbers, dict(values["parameters"]), disturbance, direction)
+        gamma, limit, omega = (float(values[name]) for name in ("gamma", "limit", "omega"))
+        return cls(stage, requirement, gamma, limit, omega, dict(values["parameters"]), disturbance, direction)
 
 
 class Search:
@@ -225,7 +226,9 @@ class Search:
             value, slope = self.loop.gain(here, metric, where)
             if value > best[0]:
                 best = (value, at, where.copy())
-            by_frequency = np.log(float(self.loop.gains(ahead, metric, where[None])[0]) / value) / STEP * FREQUENCY_SCALE
+            by_frequency = (
+                np.log(float(self.loop.gains(ahead, metric, where[None])[0]) / value) / STEP * FREQUENCY_SCALE
+            )
             return -np.log(value), -np.concatenate([[by_frequency], slope / value])
 
         scipy.optimize.minimize(

@@ -37,8 +37,9 @@ BAND_EDGE = 85.0
 CONFIDENCE = 0.997
 """Part of the windows that must keep the limit."""
 
-NOISE, SLOW, FAST_MIRROR = 0.285, 0.5, 1.125
-"""Shares of the limit that K_FSM is tuned for: noise (rms), slow tones, fast tones with the mirror alone."""
+NOISE, SLOW, FAST_MIRROR, FAST = 0.285, 0.5, 1.875, 0.8
+"""Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
+with both controllers."""
 
 TOTAL_NOISE = 0.2875
 """Share of the noise (rms) with both controllers; the rest is for tones."""
@@ -109,23 +110,21 @@ class ErrorBudget:
         Of 99.7 % of the windows, noise and tones together.
     noise, slow, fast_mirror : float
         What K_FSM is tuned for: noise (rms of both axes), amplitudes of slow and of fast tones, mirror alone.
+    fast : float
+        Fast tones that K_PMA is tuned for.
     total_noise : float
         Noise with both controllers.
     tone : float
-        Amplitude of any tone that keeps the limit beside `total_noise`.
+        Amplitude of a tone that keeps the limit beside `total_noise`.
     """
 
     limit: float
     noise: float
     slow: float
     fast_mirror: float
+    fast: float
     total_noise: float
     tone: float
-
-    @property
-    def fast(self) -> float:
-        """Amplitude of fast tones that K_PMA is tuned for."""
-        return self.tone
 
 
 def error_budget(parameters: Parameters) -> ErrorBudget:
@@ -137,13 +136,13 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     >>> budget = error_budget(load_parameters())
     >>> mas = 3.141592653589793 / 648e6
     >>> [round(share / mas, 1) for share in (budget.limit, budget.noise, budget.slow, budget.fast_mirror)]
-    [40.0, 11.4, 20.0, 45.0]
+    [40.0, 11.4, 20.0, 75.0]
     >>> round(combined_level(budget.tone / mas, budget.total_noise / mas), 2)
     40.0
     """
     limit = float(parameters["weights"]["rpe_limit_fine"])
     tone = limit * largest_tone(TOTAL_NOISE, 1.0)
-    return ErrorBudget(limit, NOISE * limit, SLOW * limit, FAST_MIRROR * limit, TOTAL_NOISE * limit, tone)
+    return ErrorBudget(limit, NOISE * limit, SLOW * limit, FAST_MIRROR * limit, FAST * limit, TOTAL_NOISE * limit, tone)
 
 
 def band_error_weight(parameters: Parameters, band: str) -> StateSpace:

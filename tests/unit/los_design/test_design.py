@@ -48,7 +48,9 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
 def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
     assembled = telescope()
     plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
-    requirements = [r for r in observer_requirements(parameters, implemented=True) if r.name in ("fast", "noise -> RPE")]
+    requirements = [
+        r for r in observer_requirements(parameters, implemented=True) if r.name in ("fast", "noise -> RPE")
+    ]
     structure = observer_structure(plant, camera_hold=True)
     problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
     x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)

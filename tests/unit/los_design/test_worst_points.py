@@ -24,9 +24,9 @@ from los_design.worst_points import (
     worst_of,
 )
 from lti import SampledSystem
-from titop_plant.disturbances import weight_amplitudes
+from titop_plant.disturbances import no_tones, weight_amplitudes
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation import control_loop_plant, sample, telescope
 from titop_plant.telescope.parameters import load_parameters, parameter_box
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -77,14 +77,12 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
     loop, values, w = ImplementedLoop(system, parameters, *pair, "fsm"), known_values("fsm"), 7.0
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.data_at(values)
-    step = np.linalg.matrix_power  # noqa: F841  (the sampled plant is formed below)
-    from titop_plant.disturbances import no_tones
-    from titop_plant.simulation import sample
-
     n = plant.A.shape[0]
     one = sample(plant, no_tones(), 1).step
     z = np.exp(1j * w * 1e-3)
-    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ np.linalg.solve(z * np.eye(n) - one[:n, :n], one[:n, n : n + 2])
+    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ np.linalg.solve(
+        z * np.eye(n) - one[:n, :n], one[:n, n : n + 2]
+    )
     k = pair[0]
     K = -10.0 * (k.D + k.C @ np.linalg.solve(z * np.eye(k.order) - k.A, k.B)) / z
     K[:, 18:20] *= np.mean(z ** -np.arange(20.0))
@@ -124,7 +122,9 @@ def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> 
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
     search = Search(system, parameters, *pair, "fsm")
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
-    assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(1.0)
+    assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
+        1.0
+    )
     plant = system.data_at(found.parameters)
     exact = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
@@ -140,7 +140,9 @@ def test_points_are_stored_and_read_back(tmp_path, system, parameters, pair) -> 
     )
     worst = worst_of({"slow": [slow], "fast": [fast], "APE": []})
     assert worst["RPE"] is max(slow, fast, key=lambda p: p.gamma) and "APE" not in worst
-    store_worst_points(tmp_path / "worst_points.json", [replace(p, requirement=n) for n, p in worst.items()], {"k": "v"})
+    store_worst_points(
+        tmp_path / "worst_points.json", [replace(p, requirement=n) for n, p in worst.items()], {"k": "v"}
+    )
     again = load_worst_points(tmp_path)["fsm"]
     assert set(again) == {"slow", "fast", "RPE"}
     assert again["slow"].parameters == slow.parameters and again["slow"].gamma == slow.gamma

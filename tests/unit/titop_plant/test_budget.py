@@ -20,7 +20,7 @@ from titop_plant.telescope.weights import rpe_weight
 
 @pytest.mark.parametrize(("tone", "noise"), [(20.0, 11.0), (5.0, 10.0), (30.0, 3.0), (0.0, 8.0)])
 def test_the_level_holds_for_drawn_errors(tone: float, noise: float) -> None:
-    """99.7 % of a million errors, phases and noise drawn, are inside; the count's standard deviation is 1.8 % of 0.3 %."""
+    """99.7 % of a million drawn errors are inside; the standard deviation of their count is 1.8 % of 0.3 %."""
     rng = np.random.default_rng(0)
     x, y = rng.standard_normal((2, 1_000_000)) * noise / np.sqrt(2.0)
     error = np.hypot(x + tone * np.sin(rng.uniform(0.0, 2.0 * np.pi, x.size)), y)
@@ -34,7 +34,7 @@ def test_closed_forms_at_the_ends() -> None:
     assert combined_level(10.0, 0.0) == pytest.approx(10.0 * np.sin(0.5 * np.pi * CONFIDENCE), rel=1e-12)
     assert largest_tone(16.7, 40.0) == 0.0
     assert combined_level(largest_tone(11.0, 40.0), 11.0) == pytest.approx(40.0, rel=1e-9)
-    with pytest.raises(ValueError, match="must not be negative, got -1.0 and 2.0"):
+    with pytest.raises(ValueError, match="must not be negative, got -1"):
         combined_level(-1.0, 2.0)
 
 

@@ -190,13 +190,13 @@ def verify(
 
 
 def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
+    from los_design.margins import rounded
     from los_design.store import load_designs
     from los_design.verification import (
         broken_requirements,
         check_implemented,
         check_paper,
         failures,
-        rounded,
         verification_points,
     )
     from los_design.worst_points import load_worst_points
