@@ -20,8 +20,9 @@ from pointing_analysis.errors import (
     performance_error,
 )
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import KNOWN, Run
+from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
+from pointing_analysis.topic_columns import KNOWN
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
