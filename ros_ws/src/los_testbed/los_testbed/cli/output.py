@@ -1,4 +1,4 @@
-"""What the commands share: ``--json`` and ``--max-chunk``, lines of text and of JSON, checks of numbers."""
+"""What the commands share: ``--json`` and ``--max-chunk``, lines of JSON, checks of numbers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.text import Text
 
 MAX_CHUNK_MB = 64.0
 Json = Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")]
@@ -21,12 +19,6 @@ def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write one line of JSON to the standard output."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
-
-
-def say(console: Console, text: str, label: str = "") -> None:
-    """Print a line as it is: square brackets in names are no markup. A label stands before it, coloured."""
-    line = Text(f"{label}: ", style="yellow") if label else Text()
-    console.print(line + Text(text), soft_wrap=True, highlight=False)
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:
@@ -47,6 +39,12 @@ def number(name: str, value: float, low: float, high: float, unit: str = "") -> 
     if not (math.isfinite(value) and low <= value <= high):
         raise ValueError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {value:g}")
     return value
+
+
+def seconds(name: str, value: float | None, high: float = 1e7) -> None:
+    """Check an optional time [s]; raises as `number`."""
+    if value is not None:
+        number(name, value, 0.0, high, "s")
 
 
 def chunk_limit(megabytes: float) -> int:
