@@ -31,6 +31,10 @@ MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
 BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
 
 
+class PoleError(ValueError):
+    """A response was asked for at a pole."""
+
+
 @dataclass(frozen=True)
 class FrequencyResponse:
     """``C (jw I - A)^-1 B + D`` prepared for evaluation at any frequency.
@@ -195,7 +199,7 @@ class FrequencyResponse:
         for pole, width in zip(self.on_axis, _rounding(self.on_axis, np.abs(self.poles).max())):
             hit = np.abs(np.abs(w) - pole) <= width
             if hit.any():
-                raise ValueError(_at_pole(float(w[hit][0])))
+                raise PoleError(_at_pole(float(w[hit][0])))
 
 
 def frequency_response(system: StateSpace, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
@@ -330,7 +334,7 @@ def _factors(A: FloatArray, omega: float) -> tuple[ComplexArray, NDArray[np.int3
     shifted[np.diag_indices(len(A))] += 1j * omega
     lu, pivots, info = sl.lapack.zgetrf(shifted, overwrite_a=True)
     if info > 0:
-        raise ValueError(_at_pole(omega))
+        raise PoleError(_at_pole(omega))
     return lu, pivots
 
 
