@@ -15,7 +15,7 @@ from pathlib import Path
 
 MAX_NAME = 255
 """Longest name of a file [byte]."""
-ROOM = 32
+RESERVED = 32
 """Bytes of a name that are left for the additions of temporary names and of the files in a bag."""
 
 
@@ -41,8 +41,8 @@ def check_output(path: Path, what: str, *, new: bool = False, folder: bool = Fal
 
 
 def _check(path: Path, what: str, new: bool, folder: bool) -> None:
-    if "\0" in str(path) or not path.name or len(os.fsencode(path.name)) > MAX_NAME - ROOM:
-        raise ValueError(f"{what} must have a name of at most {MAX_NAME - ROOM} bytes, got {str(path)[:80]!r}")
+    if "\0" in str(path) or not path.name or len(os.fsencode(path.name)) > MAX_NAME - RESERVED:
+        raise ValueError(f"{what} must have a name of at most {MAX_NAME - RESERVED} bytes, got {str(path)[:80]!r}")
     if path.exists() or path.is_symlink():
         if new:
             raise ValueError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
