@@ -82,7 +82,7 @@ def test_files(tmp_path) -> None:
         toml.write_text(content)
         with pytest.raises(RequirementError, match=message):
             requirements.load(toml)
-    with pytest.raises(RequirementError, match="cannot be read"):
+    with pytest.raises(RequirementError, match="cannot read"):
         requirements.load(tmp_path / "none.toml")
 
 

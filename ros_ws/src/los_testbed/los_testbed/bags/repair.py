@@ -23,6 +23,7 @@ from pointing_analysis.bag_loss import LossLedger, TopicLoss
 from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
 from pointing_analysis.mcap_records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.mcap_walk import walk
+from pointing_analysis.topic_columns import KNOWN
 
 
 @dataclass
@@ -97,7 +98,8 @@ def _copy(file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: st
     tables, problems = _tables(beside)
     files = {key: (a.media_type, a.data) for key, a in beside.attachments.items()}
     result = RepairResult()
-    with BagWriter(folder, tables, files, diagnostics=True, name=name) as bag:
+    namespace = _namespace(beside)
+    with BagWriter(folder, tables, files, diagnostics=True, name=name, namespace=namespace) as bag:
         for block in walk(file, info):
             ledger.add(info, block)
             for topic, part in _by_topic(info, block, bag):
@@ -117,6 +119,13 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
     run, problems = merged([beside])
     tables = {name: records[-1] for name, records in beside.metadata.items() if name not in ("rosbag2", METADATA_NAME)}
     return ({METADATA_NAME: run} if run else {}) | tables, problems
+
+
+def _namespace(beside: FileInfo) -> str | None:
+    """What stands before the names of the topics; None where no channel tells."""
+    names = [channel.topic for channel in beside.channels.values()]
+    found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
+    return next(iter(found)) if len(found) == 1 else None
 
 
 def _record(file: Path, info: FileInfo, losses: Sequence[TopicLoss], result: RepairResult) -> Mapping[str, str]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.config import NAMESPACE
 from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
 from pointing_analysis.atomic_output import check_output
 from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
@@ -74,13 +75,16 @@ class BagWriter:
     path : Path
         Folder to make; its file is called ``<folder>_0.mcap``.
     metadata : mapping of str to mapping
-        Named tables of strings for the head of the file (run parameters, seed, hashes).
+        Named tables of strings for the head of the file (run parameters, seed, hashes). The run's ``namespace`` is that
+        of the topics.
     attachments : mapping of str to (media type, bytes)
         Files to keep with the data: controllers, run configuration.
     diagnostics : bool
         Whether ``/diagnostics`` has a channel.
     name : str, optional
         Name of the bag, if the folder is renamed to it afterwards.
+    namespace : str, optional
+        Of the topics; default: that in the metadata.
 
     Raises
     ------
@@ -95,6 +99,7 @@ class BagWriter:
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         diagnostics: bool = False,
         name: str | None = None,
+        namespace: str | None = None,
     ) -> None:
         check_new_bag(path)
         try:
@@ -104,7 +109,10 @@ class BagWriter:
         self.path = path
         self.file_name = f"{name or path.name}_0.mcap"
         self._mcap = McapBlockWriter(path / self.file_name)
-        self._types = {topic.path: topic.type_name for topic in TOPICS}
+        self.namespace = (
+            namespace if namespace is not None else metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
+        )
+        self._types = {topic.path_in(self.namespace): topic.type_name for topic in TOPICS}
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():

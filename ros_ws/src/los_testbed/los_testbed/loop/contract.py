@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.factories import Plant
-from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
 from titop_plant.interface import COLUMNS as PORTS
+from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
 
 CAMERA = "camera_los"
 _UNTOUCHED = -1.2345678901234567e-300

@@ -7,10 +7,9 @@ import importlib
 import importlib.util
 import os
 import selectors
-import socket
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,15 +20,16 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
 from los_testbed.run.bag_names import free_name, recorded
+from los_testbed.run.domains import domain_lock
 from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.topics import NODES
 from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import RATE
 
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
-NODES = ("plant", "estimator", "controller", "recorder")
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 
@@ -97,10 +97,10 @@ def parameter_file(config: RunConfig, path: Path) -> None:
     write_text(path, parameter_text(config))
 
 
-def ros_arguments(parameters: str) -> list[str]:
-    """ROS arguments of a node; it writes no log files unless ROS_LOG_DIR names a folder for them."""
+def ros_arguments(config: RunConfig, parameters: str | Path) -> list[str]:
+    """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
     quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
-    return ["--ros-args", *quiet, "--params-file", parameters]
+    return ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
 
 
 def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
@@ -116,24 +116,6 @@ def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     return variables
-
-
-@contextlib.contextmanager
-def domain_lock(domain: str) -> Iterator[None]:
-    """Hold the domain for one run on this machine.
-
-    Raises
-    ------
-    ValueError
-        Another run holds it.
-    """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
-        try:
-            held.bind(f"\0los_testbed_domain_{domain}")  # no file: the kernel frees the name when the process ends
-        except OSError:
-            what = "a ROS domain without another run on this machine"
-            raise ValueError(f"--domain must be {what}, got {domain}") from None
-        yield
 
 
 def run_alone(name: str, config: RunConfig) -> int:
@@ -157,7 +139,7 @@ def run_alone(name: str, config: RunConfig) -> int:
         os.environ["ROS_DOMAIN_ID"] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{name}")
-        return int(node.main(ros_arguments(parameters.path)))
+        return int(node.main(ros_arguments(config, parameters.path)))
 
 
 class Runner:
@@ -223,7 +205,10 @@ class Runner:
         check_new_bag(Path(self._config.output))
         self.results.warnings += check_controllers(self._config)
         text = parameter_text(self._config).encode()
-        with domain_lock(str(self.domain)), memory_file(text, "run.yaml") as self._parameters:
+        with (
+            domain_lock(self.domain, self._config.namespace),
+            memory_file(text, "run.yaml") as self._parameters,
+        ):
             self._variables = environment(self._config)
             try:
                 self._perform()
@@ -269,7 +254,7 @@ class Runner:
 
     def _start(self, name: str) -> None:
         assert self._parameters is not None
-        command = [*self._commands[name], *ros_arguments(self._parameters.path)]
+        command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
         if name == "recorder" and self._restarts:  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(Path(self._config.output))}"]
         if name == "plant" and self._before:  # the run ends when it was to end
@@ -322,6 +307,10 @@ class Runner:
             message = str(event["message"])
             if message not in self.results.warnings:
                 self.results.warnings.append(message)
+        elif kind == "second_publisher":
+            message = f"{event['topic']} had a second publisher (node {event['publisher']}): its messages were not used"
+            if message not in self.results.failures:
+                self.results.failures.append(message)
         elif kind == "bag":
             self.results.earlier.append(Path(event["path"]))
         elif kind == "error":
