@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lti import SampledSystem, UncertainSystem
-from lti.batched_linalg import solve
+from lti.batched_linalg import largest_gains, solve
 from lti.eigenvectors import eigenpairs
 from lti.frequency_response import FrequencyResponse
 from titop_plant.disturbances import weight_amplitudes
@@ -202,8 +202,9 @@ class ImplementedLoop:
         # images of the held command through the nominal telescope; the direct path is sampled as it is
         held[q:] += sampled - hold * continuous + (1.0 - hold) * D
         K = self.control(omega)
-        returned: ComplexArray = np.eye(COMMANDS) - K @ held[q:y]
-        command = solve(returned[None], np.hstack([K, np.eye(COMMANDS)])[None])[0]
+        returned = np.asarray(np.eye(COMMANDS) - K @ held[q:y], dtype=complex)
+        given = np.asarray(np.hstack([K, np.eye(COMMANDS)]), dtype=complex)
+        command = solve(returned[None], given[None])[0]
         into = np.hstack([G[:, :q], G[:, self._u.stop :]])
         applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
         size = weight_amplitudes(self.parameters, np.array([omega]))[0]
@@ -243,7 +244,7 @@ class ImplementedLoop:
         """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
         T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
         loop = np.eye(len(closed.M)) - closed.M * delta[:, None, :]
-        z = np.linalg.solve(loop, np.broadcast_to(T21, (len(delta), *T21.shape)))
+        z = solve(loop, np.broadcast_to(T21, (len(delta), *T21.shape)))
         return np.asarray(T11 + (T12 * delta[:, None, :]) @ z)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
@@ -261,12 +262,14 @@ class ImplementedLoop:
     def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:
         """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
         T = self.responses(closed, metric, self.delta(points))
-        return np.asarray(np.linalg.norm(T, ord=2, axis=(1, 2)) * self.scale(metric, closed.omega))
+        return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
 
 
 def _sampled_response(system: SampledSystem, z: complex) -> ComplexArray:
-    resolvent = np.linalg.solve(z * np.eye(system.order) - system.A, system.B.astype(complex))
-    return np.asarray(system.D + system.C @ resolvent)
+    if system.order == 0:
+        return np.asarray(system.D, dtype=complex)
+    shifted = np.asarray(z * np.eye(system.order) - system.A, dtype=complex)
+    return np.asarray(system.D + system.C @ solve(shifted[None], system.B.astype(complex)[None])[0])
 
 
 def _held_modes(poles: ComplexArray, z: complex) -> ComplexArray:

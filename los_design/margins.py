@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import ImplementedLoop
 from los_design.sampled_loop import SampledLoop
+from lti.batched_linalg import largest_gains
 from titop_plant.interface import COMMANDS, FORCE_STAGES, FORCES, MIRROR
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +78,7 @@ def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, ome
     size = channels.stop - channels.start
     for w in omega:
         S = loop.sensitivities(loop.at(float(w)), points)[:, channels, channels]
-        T = float(np.linalg.norm(S - np.eye(size), ord=2, axis=(1, 2)).max())
+        T = float(largest_gains(S - np.eye(size)).max())
         if T > 0.5:
             smallest = min(smallest, 2.0 * math.asin(0.5 / T) / float(w))
     return smallest

@@ -27,6 +27,7 @@ from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, lo
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_gains
 from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import largest_gains
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import BAND_EDGE
@@ -198,7 +199,7 @@ class Search:
             for metric, table in zip(metrics, tables):
                 if metric.band[0] <= omega < metric.band[1]:
                     part = responses[:, metric.rows, metric.columns]
-                    values = np.linalg.norm(part, ord=2, axis=(1, 2)) * self.loop.scale(metric, float(omega))
+                    values = largest_gains(part) * self.loop.scale(metric, float(omega))
                     for k in np.argsort(-values)[:3]:
                         table.append((float(values[k]), float(omega), points[k]))
         return tables
@@ -253,7 +254,7 @@ class Search:
                 plant, *self._controllers, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
             )
             response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
-            gain = float(relative[0]) if metric.relative else float(np.linalg.norm(response[0, metric.rows], 2))
+            gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
             gamma = gain / metric.limit
         return WorstPoint(loop.stage, metric.name, gamma, metric.limit, omega, values, right, left)
 

@@ -156,14 +156,14 @@ def test_what_a_design_is_started_with(parameters, monkeypatch) -> None:
 
 def test_a_start_that_does_not_stabilise_is_replaced_by_the_kalman_observer(parameters, monkeypatch) -> None:
     """In steps of relaxed requirements: each begins where the one before ended."""
-    begun, lines = [], []
+    start_points, lines = [], []
 
     def tuned(models, requirements, structure, *, initial, loop_delay, options):
-        begun.append((requirements[-2].bound, initial[0]))
+        start_points.append((requirements[-2].bound, initial[0]))
         return SimpleNamespace(x=initial[0] + 1.0, soft=2.0)
 
     def stop(task, start, *_):
-        begun.append((None, start))
+        start_points.append((None, start))
         raise InterruptedError
 
     monkeypatch.setattr(synthesis, "tune", tuned)
@@ -173,9 +173,9 @@ def test_a_start_that_does_not_stabilise_is_replaced_by_the_kalman_observer(para
     monkeypatch.setattr(synthesis.Search, "run", lambda self, names: {name: [] for name in names})
     with pytest.raises(InterruptedError):
         synthesis.design_observer(telescope(), parameters, DesignOptions(), lines.append)
-    noise = [bound for bound, _ in begun[:-1]]
+    noise = [bound for bound, _ in start_points[:-1]]
     assert noise == sorted(noise, reverse=True) and len(noise) == len(synthesis.RELAXATIONS)
-    assert all(np.array_equal(later, before + 1.0) for (_, before), (_, later) in itertools.pairwise(begun))
+    assert all(np.array_equal(later, before + 1.0) for (_, before), (_, later) in itertools.pairwise(start_points))
     assert lines[0].startswith("the stored start does not stabilise") and lines[1].endswith("tuned 2.000")
 
 
