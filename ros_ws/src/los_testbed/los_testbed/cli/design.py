@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -71,11 +71,10 @@ def k_pma(
 def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
     from los_design.options import DesignOptions
 
-    for name, value, least in (("loop-delay", loop_delay, 0.0), ("seed", seed, 0), ("starts", starts, 0)):
-        if not value >= least:
-            raise ValueError(f"--{name} must not be negative, got {value}")
-    if not time_limit > 0.0:
-        raise ValueError(f"--time-limit must be positive, got {time_limit} s")
+    number("--loop-delay", loop_delay, 0.0, 1.0, "s")
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--starts", starts, 0, 10_000)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
     return DesignOptions(
         nominal=nominal,
         loop_delay=loop_delay,
@@ -91,9 +90,12 @@ def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -
     from los_design.synthesis import design_actuators, design_observer
     from lti import SampledSystem
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
     from titop_plant.simulation import telescope
     from titop_plant.telescope.parameters import load_parameters
 
+    path = output or design_file(kind, options.variant)
+    check_output(path, "--output")
     parameters, assembled = load_parameters(), telescope()
     with one_thread():
         if kind == "k-fsm":
@@ -101,7 +103,6 @@ def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -
         else:
             observer = SampledSystem.from_file(design_file("k-fsm", options.variant))
             system = design_actuators(assembled, parameters, observer, options)
-    path = output or design_file(kind, options.variant)
     system.to_file(path)
     _show_design(system, path, json_)
 
@@ -171,8 +172,7 @@ def verify(
 
     The exit code is 1 if a loop is unstable at any parameter point.
     """
-    if samples < 0:
-        raise ValueError(f"--samples must not be negative, got {samples}")
+    number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
 
     with one_thread():
