@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,16 +131,18 @@ def design_in_rounds(
     hard = {r.name: r.hard for r in task.requirements}
     start_time, known = time.monotonic(), list[WorstPoint]()
     for number in range(effort.rounds):
+        # a start that meets the requirements is kept as it is
+        options = replace(tuning, target=max(tuning.target, 1.0)) if number == 0 else tuning
+        models = [task.plant(values) for values in points]
         result = tune(
-            [task.plant(values) for values in points], task.requirements, task.structure, initial=[x],
-            loop_delay=task.loop_delay, options=tuning,
-        )  # fmt: skip
+            models, task.requirements, task.structure, initial=[x], loop_delay=task.loop_delay, options=options
+        )
         x, values = result.x, {n: float(v.max()) for n, v in zip(result.requirement_names, result.values)}
         if not np.isfinite(result.abscissa) or result.abscissa >= 0.0:
             return Outcome(str(result.status), result, {}, points)
         controller = task.sampled(result.controller)
-        for options in (effort.quick, effort.thorough):
-            found = task.search(controller, options).run(list(task.bounds), known)
+        for search in (effort.quick, effort.thorough):
+            found = task.search(controller, search).run(list(task.bounds), known)
             worst = {name: peaks[0] for name, peaks in found.items() if peaks}
             new = _new(task, found, {n: max(1.0, v if hard[n] else result.soft) for n, v in values.items()})
             if new or number + 1 == effort.rounds:
