@@ -95,6 +95,19 @@ class FsmPmaController:
         self._limit[MIRROR], self._limit[FORCES] = fsm_authority, pma_authority
         self._negative_limit = -self._limit
         self._force = np.zeros(FORCES.stop - FORCES.start)
+        self._start: FloatArray = np.zeros(k_pma.order)
+
+    def start_at(self, state: FloatArray) -> None:
+        """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.
+
+        Raises
+        ------
+        ValueError
+            Another shape.
+        """
+        if np.shape(state) != self._start.shape:
+            raise ValueError(f"state must have shape {self._start.shape}, got {np.shape(state)}")
+        self._start = np.array(state, dtype=float)
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""
@@ -111,5 +124,5 @@ class FsmPmaController:
         np.maximum(out, self._negative_limit, out=out)
 
     def reset(self) -> None:
-        """Back to the zero state."""
-        self.k_pma.reset()
+        """Back to the start: the zero state, or that of :meth:`start_at`."""
+        self.k_pma.reset(self._start)

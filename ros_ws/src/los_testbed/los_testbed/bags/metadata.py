@@ -12,18 +12,20 @@ import yaml
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from titop_plant.interface import RATE
 
 METADATA_NAME = "los_testbed"
 """Name of the metadata record; it is written at the start and, with the results, at the end."""
 
 
-def run_metadata(config: RunConfig) -> dict[str, str]:
+def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]:
     """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
 
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
-    other parameters or limits, and is missing where none was.
+    other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
+    state, and missing for one that starts at rest.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
@@ -31,6 +33,8 @@ def run_metadata(config: RunConfig) -> dict[str, str]:
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
         "rate_hz": str(RATE),
+        **({} if start.states is None else {"transient_s": "0"}),
+        **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
@@ -39,9 +43,11 @@ def run_metadata(config: RunConfig) -> dict[str, str]:
     }
 
 
-def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+def final_metadata(
+    config: RunConfig, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
+) -> dict[str, str]:
     """The same with the statistics of each node, as one JSON object, and the plant's tones."""
-    record = run_metadata(config)
+    record = run_metadata(config, start)
     plant = dict(statistics.get("plant", {}))
     for name in ("tones_rad_s", "plant_parameters_hash"):
         if name in plant:
@@ -50,13 +56,14 @@ def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]
     return record
 
 
-def attachments(config: RunConfig) -> dict[str, tuple[str, bytes]]:
-    """Files of the controllers and the configuration as YAML."""
+def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
+    """Files of the controllers, the configuration as YAML, tone and states of the start."""
     content = {
         f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
     }
     text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
+    content[START_FILE] = ("application/json", start.to_bytes())
     return content
 
 

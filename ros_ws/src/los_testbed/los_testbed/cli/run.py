@@ -16,7 +16,7 @@ from los_testbed.cli.output import Json, print_json
 from los_testbed.config import RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.runner import Results
-from los_testbed.variants import check_ranges, chosen_member, layered
+from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
 
 RESTARTED = 3
@@ -46,7 +46,11 @@ def run(
     duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
     mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
     loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
-    scenario: Annotated[str | None, typer.Option(help="design or imbalance.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="worst_case, design or imbalance.")] = None,
+    worst_of: Annotated[
+        str | None, typer.Option(metavar="INDEX", help="Of the scenario worst_case: RPE, APE, slow or fast.")
+    ] = None,
+    start: Annotated[str | None, typer.Option(help="steady (of the loop that runs) or rest.")] = None,
     seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
     noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
     disturbance: Annotated[
@@ -57,6 +61,9 @@ def run(
     ] = None,
     k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
+    designs: Annotated[
+        str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")
+    ] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
     domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
     theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
@@ -90,7 +97,8 @@ def run(
 ) -> None:
     """See RUN_EXAMPLES."""
     given = {
-        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
+        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "worst_of": worst_of, "start": start,
+        "seed": seed, "noise": noise,
         "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
@@ -98,7 +106,7 @@ def run(
     }  # fmt: skip
     from los_testbed.run.summary import print_summary, summarise_runs
 
-    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample)
+    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
         from los_testbed.run.runner import run_alone
 
@@ -123,15 +131,18 @@ def configure(
     case: str | None = None,
     cases: Path | None = None,
     sample: str | None = None,
+    designs: str | None = None,
 ) -> RunConfig:
-    """Configuration from file, named case, random member, ``--set`` and options; the later ones win.
+    """Configuration from folder of designs, file, named case, random member, ``--set`` and options; later ones win.
+
+    Where none of them names a member of the telescope's family, the scenario chooses it.
 
     Raises
     ------
     ValueError
         Unknown names, values that do not fit.
     """
-    first: dict[str, Any] = read_yaml(file) if file is not None else {}
+    first: dict[str, Any] = {**of_designs(designs or ""), **(read_yaml(file) if file is not None else {})}
     stated: dict[str, Any] = {}
     for setting in settings:
         name, sign, text = setting.partition("=")
@@ -140,7 +151,8 @@ def configure(
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
-    chosen = RunConfig.from_mapping(layered(first, named, drawn, stated, options))
+    settings_given = layered(first, named, drawn, stated, options)
+    chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
     if not chosen.output:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen

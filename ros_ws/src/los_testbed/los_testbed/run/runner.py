@@ -22,6 +22,7 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.run_start import at_rest
 from titop_plant.interface import RATE
 
 RESTARTS = 3
@@ -176,7 +177,7 @@ class Runner:
         progress: Callable[[int], None] = lambda ticks: None,
         commands: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        self._config = config
+        self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
         self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
         self._nodes: dict[str, NodeProcess] = {}
