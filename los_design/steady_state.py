@@ -33,7 +33,7 @@ class LoopStart:
     plant : ndarray, shape (n,)
         State of the plant.
     command : ndarray, shape (8,)
-        Command that tick 0 applies [rad, N].
+        Command that tick 0 applies, within the limits of the actuators [rad, N].
     k_fsm, k_pma : ndarray
         States of the sampled controllers.
     camera : ndarray, shape (2,)
@@ -87,10 +87,14 @@ def steady_start(model: LoopModel, bias: FloatArray, orders: tuple[int, int]) ->
         raise ValueError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
         )
-    state = model.phasors().imag.sum(axis=1) + bias_state(model.loop, bias)
-    ends = np.cumsum([0, model.plant.A.shape[0], COMMANDS, *orders, 2])
+    n = model.plant.A.shape[0]
+    by_bias = bias_state(model.loop, bias)
+    if not (model.loop.hold[n : n + COMMANDS].any() or model.loop.frame[n : n + COMMANDS].any()):
+        by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
+    state = model.phasors().imag.sum(axis=1) + by_bias
+    ends = np.cumsum([0, n, COMMANDS, *orders, 2])
     x, v, f, p, c = (state[a:b] for a, b in itertools.pairwise(ends))
-    return LoopStart(plant=x, command=v, k_fsm=f, k_pma=p, camera=c)
+    return LoopStart(plant=x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c)
 
 
 def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:

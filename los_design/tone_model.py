@@ -201,6 +201,7 @@ class LoopModel:
         frame, hold, through = self.forcing()
         los = np.empty((ticks, 2))
         state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])
+        np.clip(state[n : n + COMMANDS], -self.limits, self.limits, out=state[n : n + COMMANDS])
         for k in range(ticks):
             phasor = np.exp(1j * self.omega * DT * k)
             los[k] = loop.truth @ state + (through @ phasor).imag
