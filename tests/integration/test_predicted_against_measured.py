@@ -26,7 +26,9 @@ TITLE = "Predicted against measured"
 
 
 def recorded(folder, **settings):
-    config = RunConfig(**{"mode": "inprocess", "scenario": "design", "duration": 4.0, "output": str(folder), **settings})
+    config = RunConfig(
+        **{"mode": "inprocess", "scenario": "design", "duration": 4.0, "output": str(folder), **settings}
+    )
     run_in_process(config, folder)
     return folder
 
@@ -80,7 +82,15 @@ def test_noise_changes_the_ratio_by_what_the_table_says(tmp_path) -> None:
 
 def test_run_writes_the_table_too(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    arguments = ["run", "--mode=inprocess", "--duration=2", "--no-noise", "--output=bag", "--loop=isolator", "--scenario=design"]
+    arguments = [
+        "run",
+        "--mode=inprocess",
+        "--duration=2",
+        "--no-noise",
+        "--output=bag",
+        "--loop=isolator",
+        "--scenario=design",
+    ]
     assert cli.main(arguments) == 0
     page = (tmp_path / "bag" / "report.html").read_text()
     assert [float(text.split()[0]) for text in ratios(page)] == pytest.approx([1.0] * len(ratios(page)), abs=0.02)

@@ -60,9 +60,7 @@ def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
     biased = replace(biased, worst_of="fast")
     steady = line_of_sight(replace(biased, duration=2.0))
     rest = line_of_sight(replace(biased, duration=200.0, start="rest"))
-    first, last, same = (
-        np.hypot(*windows(part, DT, 0.02).rpe_rms) for part in (rest[:1000], rest[-2000:], steady)
-    )
+    first, last, same = (np.hypot(*windows(part, DT, 0.02).rpe_rms) for part in (rest[:1000], rest[-2000:], steady))
     assert last == pytest.approx(same, rel=0.02)
     assert radial(rest[2000:6000]).max() > 5.0 * radial(steady).max()
     assert first != pytest.approx(same, rel=0.02)

@@ -99,7 +99,9 @@ def test_imbalance_begins_at_structural_modes() -> None:
         amplitude = np.zeros((22, 1), complex)
         amplitude[5 * wheel : 5 * wheel + 2, 0] = 1.0, -1j * np.sign(speed)
         tones = Tones(np.array([abs(speed)]), amplitude, np.zeros(1), np.array([-1]))
-        at_rest = np.linalg.solve(1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0])
+        at_rest = np.linalg.solve(
+            1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0]
+        )
         sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
         run = SampledPlant([sample(plant, tones, 10**9)], at_rest.imag, sensors, np.ones(8), dt=DT,
                            tones=tones.frequency, parameters_hash="test")  # fmt: skip

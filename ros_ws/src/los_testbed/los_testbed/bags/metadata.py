@@ -14,6 +14,7 @@ from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from titop_plant.interface import RATE
+from titop_plant.telescope.parameters import differences
 
 METADATA_NAME = "los_testbed"
 """Name of the metadata record; it is written at the start and, with the results, at the end."""
@@ -25,13 +26,15 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
-    state, and missing for one that starts at rest.
+    state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
+    differs from the reference.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
     return {
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
+        **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),

@@ -184,11 +184,27 @@ def check(config: RunConfig) -> tuple[str, ...]:
     return warnings
 
 
+DIFFERENCES_SHOWN = 12
+
+
+def telescope_differences(config: RunConfig) -> list[str]:
+    """Lines about the values in which the telescope of a run differs from the reference."""
+    from titop_plant.telescope.parameters import differences
+
+    if not config.parameters:
+        return []
+    lines = differences(config.parameters)
+    more = len(lines) - DIFFERENCES_SHOWN
+    return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
+
+
 def execute(config: RunConfig) -> tuple[Path, Results]:
     """Run, with a progress bar; the bag and what happened."""
     warnings = check(config)
     for warning in warnings:
         sys.stderr.write(f"warning: {warning}\n")
+    for line in telescope_differences(config):
+        sys.stderr.write(f"telescope: {line}\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
 
         def progress(ticks: int) -> None:
