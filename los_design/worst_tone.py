@@ -27,6 +27,7 @@ from scipy import linalg
 from los_design.sampled_loop import SampledLoop
 from los_design.sampled_loop_norms import loop_grid, tone_response
 from lti import StateSpace
+from pointing_analysis.tone_budget import BAND_EDGE
 from titop_plant.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.parameters import Parameters
@@ -37,9 +38,6 @@ ComplexArray = NDArray[np.complex128]
 
 INDICES = ("RPE", "APE", "slow", "fast")
 """What a tone can be worst for."""
-
-BAND_EDGE = 60.0
-"""Between slow and fast tones [rad/s]: below it the proof-mass actuators have no effect."""
 
 PEAKS, ZOOMS, ZOOM_POINTS = 6, 3, 25
 """The highest peaks of the grid are refined, then the highest of them so often, with so many points each."""

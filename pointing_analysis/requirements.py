@@ -224,6 +224,23 @@ class Verdict:
     seconds_needed: float
     note: str = ""
 
+    @property
+    def keeps(self) -> bool:
+        """Whether the samples exceed the limit no more often than the requirement allows, proven or not."""
+        return self.exceeding <= 1 - self.requirement.probability
+
+    @property
+    def statement(self) -> str:
+        """The verdict in words: of too short a run whether it keeps its limit, and what length would prove it."""
+        if self.status != "not enough data":
+            return self.status
+        if math.isinf(self.seconds_needed):
+            return f"{'at' if self.keeps else 'above'} its limit; no length of run decides it"
+        seconds = f"{math.ceil(self.seconds_needed)} s"
+        return (
+            f"keeps its limit; {seconds} would prove it" if self.keeps else f"above its limit; {seconds} would decide"
+        )
+
 
 def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
     """Samples of the judged index [rad] and the largest number of them that may count as independent.

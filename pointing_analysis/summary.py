@@ -22,6 +22,7 @@ from pointing_analysis.errors import (
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import KNOWN, Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
+from pointing_analysis.tone_budget import ToneBudget, tone_budget
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
@@ -56,6 +57,7 @@ class Summary:
     knowledge : knowledge errors, None without an estimate in the bag
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
+    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window
     """
 
     path: Path
@@ -78,6 +80,7 @@ class Summary:
     knowledge: Knowledge | None
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
+    budget: ToneBudget | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
@@ -109,6 +112,7 @@ class Summary:
                     "name": v.requirement.name,
                     "text": str(v.requirement),
                     "status": v.status,
+                    "statement": v.statement,
                     "quantile": number(v.quantile.value / v.requirement.scale),
                     "upper_bound": number(v.quantile.upper / v.requirement.scale),
                     "unit": v.requirement.unit,
@@ -119,6 +123,7 @@ class Summary:
                 }
                 for v in self.verdicts
             ],
+            "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
         }
 
@@ -211,12 +216,13 @@ def summarise(
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
     rms: NDArray[np.float64] = np.full(2, nan)
-    p997, cut, skipped = nan, 0, 0
+    p997, cut, skipped, budget = nan, 0, 0, None
     if series.duration >= WINDOW:
         w = metrics.windows(series.values, series.dt, WINDOW)
         rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
         instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
         p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+        budget = tone_budget(run, series, WINDOW, p997)
     lost, problems, dropped = _integrity(run)
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
@@ -248,4 +254,5 @@ def summarise(
         knowledge=_knowledge(run, transient),
         verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
+        budget=budget,
     )

@@ -28,11 +28,14 @@ class RunSummaries:
         Each run as the JSON object of the command line.
     report : Path or None
         HTML report, if one was written.
+    remarks : tuple of tuple of str
+        Of each run sentences beside its verdict.
     """
 
     summaries: tuple[Summary, ...]
     runs: tuple[dict[str, Any], ...]
     report: Path | None
+    remarks: tuple[tuple[str, ...], ...] = ()
 
 
 def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> RunSummaries:
@@ -54,14 +57,25 @@ def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float |
     """
     opened = [Run.open(bag) for bag in bags]
     summaries = tuple(summarise(run, transient=transient) for run in opened)
+    remarks = tuple(remarks_of(run, summary) for run, summary in zip(opened, summaries))
     if report is not None:
         from los_testbed.run.predictions import predictions
 
-        write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
-    return RunSummaries(summaries, tuple(_metrics(r, s) for r, s in zip(opened, summaries)), report)
+        write_report(opened, report, transient=transient, predictions=predictions(opened, transient), remarks=remarks)
+    metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
+    return RunSummaries(summaries, metrics, report, remarks)
 
 
-def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
+def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
+    """Sentences beside the verdict of a run."""
+    from los_testbed.run.control_effect import control_effect
+
+    effect = control_effect(run, summary)
+    note = run.parameters.get("start_note", "")
+    return tuple(text for text in (effect.remark if effect else "", str(note)) if text)
+
+
+def _metrics(run: Run, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
     statistics = run.parameters.get("statistics", {})
     plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
@@ -74,6 +88,7 @@ def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
         "ticks": int(plant.get("ticks", summary.ticks)),
         "missed_ticks": int(plant["missed_ticks"]) if "missed_ticks" in plant else None,
         "latency_us": _latency(run, plant),
+        "remarks": list(remarks),
         "samples_lost": max(summary.samples_lost, int(recorder.get("samples_lost", 0))),
     }
 
@@ -94,6 +109,10 @@ def print_summary(console: Console, results: RunSummaries) -> None:
     """Print a table for each run, and the paths."""
     for summary, metrics in zip(results.summaries, results.runs):
         console.print(_table(summary, metrics))
+        if summary.budget is not None:
+            console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
+        for remark in metrics["remarks"]:
+            console.print(f"[yellow]note:[/yellow] {remark}", soft_wrap=True)
         for problem in summary.problems:
             console.print(f"[yellow]note:[/yellow] {problem}")
         console.print(f"bag     {summary.path}", soft_wrap=True)
@@ -134,7 +153,9 @@ def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | No
     if verdict is not None:
         bound = verdict.requirement.limit / verdict.requirement.scale
         limit = f"{bound:g} {unit}"
-        status = str(verdict.status) if judged else "below" if value < bound else "above"
-        if status in ("not compliant", "above"):
+        status = verdict.statement if judged else "below" if value < bound else "above"
+        if verdict.status == "not compliant" if judged else status == "above":
             status = f"[red]{status}[/red]"
+        elif judged and (verdict.status == "compliant" or (verdict.status != "not judged" and verdict.keeps)):
+            status = f"[green]{status}[/green]"
     table.add_row(name, f"{digits(value)} {unit}", limit, status)
