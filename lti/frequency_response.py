@@ -31,6 +31,10 @@ MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
 BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
 
 
+class PoleError(ValueError):
+    """A response was asked for at a pole."""
+
+
 @dataclass(frozen=True)
 class FrequencyResponse:
     """``C (jw I - A)^-1 B + D`` prepared for evaluation at any frequency.
@@ -136,6 +140,28 @@ class FrequencyResponse:
         return out
 
     @cached_property
+    def residues(self) -> ComplexArray:
+        """Residue of each pole as a row, shape (n, p m), of the modal form."""
+        products = self.left.T[:, :, None] * self.right[:, None, :]
+        return np.asarray(products.reshape(len(self.poles), -1), dtype=complex)
+
+    def with_derivatives(self, omega: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response (p, m) at a finite frequency [rad/s] and its first and second derivative with respect to it."""
+        if self.triangular is None:
+            powers = np.empty((3, len(self.poles)), dtype=complex)
+            powers[0] = 1.0 / (1j * omega - self.poles)
+            np.multiply(powers[0], powers[0], out=powers[1])
+            np.multiply(powers[1], powers[0], out=powers[2])
+            G, G1, G2 = (powers @ self.residues).reshape(3, *self.D.shape)
+        else:
+            shifted = 1j * omega * np.eye(len(self.poles)) - self.triangular
+            X = [self.right]
+            for _ in range(3):
+                X.append(sl.solve_triangular(shifted, X[-1], check_finite=False))
+            G, G1, G2 = (self.left @ x for x in X[1:])
+        return G + self.D, -1j * G1, -2.0 * G2
+
+    @cached_property
     def on_axis(self) -> FloatArray:
         """Frequencies of the poles that lie on the imaginary axis to rounding [rad/s]."""
         size = np.abs(self.poles)
@@ -173,7 +199,7 @@ class FrequencyResponse:
         for pole, width in zip(self.on_axis, _rounding(self.on_axis, np.abs(self.poles).max())):
             hit = np.abs(np.abs(w) - pole) <= width
             if hit.any():
-                raise ValueError(_at_pole(float(w[hit][0])))
+                raise PoleError(_at_pole(float(w[hit][0])))
 
 
 def frequency_response(system: StateSpace, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
@@ -308,7 +334,7 @@ def _factors(A: FloatArray, omega: float) -> tuple[ComplexArray, NDArray[np.int3
     shifted[np.diag_indices(len(A))] += 1j * omega
     lu, pivots, info = sl.lapack.zgetrf(shifted, overwrite_a=True)
     if info > 0:
-        raise ValueError(_at_pole(omega))
+        raise PoleError(_at_pole(omega))
     return lu, pivots
 
 

@@ -39,18 +39,20 @@ def quasi_newton(
     *,
     steps: int,
     tolerance: float,
+    floor: float = -np.inf,
     stop: Callable[[], bool] = lambda: False,
 ) -> QuasiNewtonResult:
     """Minimise `function` (infinite outside its domain) from `x` (n,), inside the domain.
 
-    Ends after `steps` steps, when :data:`STAGNATION` steps together bring less than `tolerance`, or at `stop`.
+    Ends after `steps` steps, below `floor`, when :data:`STAGNATION` steps together bring less than `tolerance`, or at
+    `stop`.
     """
     f, gx = function(x)
     g = metric.gradient(gx)
     H: FloatArray | None = None
     history = [f]
     taken = 0
-    while taken < steps and not stop():
+    while taken < steps and f > floor and not stop():
         d = -g if H is None else -(H @ g)
         slope = float(g @ d)
         if not slope < 0.0:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from lti.progress import Progress
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
+from robust_design.feasibility import feasibility_runs
 from robust_design.problem import Problem
 from robust_design.requirements import Requirement
 from robust_design.single_start import tune_from
@@ -46,7 +47,8 @@ class RobustResult:
     Parameters
     ----------
     status : str
-        ``converged``: nothing worse than `slack` was found; otherwise the status of the tuner or ``out_of_time``.
+        ``converged``: nothing worse than `slack` was found, and the last tuning was ``converged`` or ``target``;
+        otherwise the status of the tuner, ``iterations`` (rounds ran out) or ``out_of_time``.
     advice : str
     tuning : TuningResult
         Controller, values and certificate on the active models.
@@ -154,7 +156,7 @@ class _Rounds:
                     status = tuning.status
                     break
                 if not new:
-                    status = tuning.status if tuning.status in ("infeasible", "out_of_time") else "converged"
+                    status = "converged" if tuning.status in ("converged", "target") else tuning.status
                     break
                 if number + 1 == max_rounds:
                     break  # what is found now is a worst case, but was never tuned on
@@ -181,6 +183,7 @@ class _Rounds:
         jobs = starts_of([before.x], 0, self.options.seed, problem)
         limits = limits_of(self.options, start_time + left)
         runs = [tune_from(problem, x, seed, limits, self.options.band) for x, seed in jobs]
+        runs += feasibility_runs(problem, runs, self.options.seed, limits, self.options.band)
         return result_of(problem, runs, time.monotonic() - start_time)
 
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:

@@ -12,13 +12,12 @@ from robust_design.descent import Descent, DescentOptions, StopReason, minimise
 from robust_design.pieces import HARD_TARGET, Oracle, OracleResult
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.smooth_objective import SmoothObjective
-from robust_design.smooth_phase import NEGLIGIBLE, smooth_phase
+from robust_design.smooth_phase import FEASIBLE, NEGLIGIBLE, Point, point_at, smooth_phase
 from robust_design.starts import lowered_gain
 from robust_design.status import TuningStatus
 
 FloatArray = NDArray[np.float64]
 
-FEASIBLE = 1e-6
 STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
 EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
@@ -55,12 +54,11 @@ def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) 
     if stable.result.objective >= -problem.min_decay:
         return _unstable(stable, steps)
     found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
-    soft, hard = worst_values(problem, problem.evaluate(found.x, gradients=False))
     count = stable.evaluations + found.evaluations
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
-    if soft < limits.target and hard <= 1.0 + FEASIBLE:
+    if found.point.feasible and found.point.soft < limits.target:
         status = TuningStatus.TARGET
-    return StartResult(status, found.x, soft, hard, problem.abscissa(found.x), np.inf, count, steps)
+    return _result(status, found.point, np.inf, count, steps)
 
 
 def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
@@ -89,9 +87,12 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
         status = run.to_the_end()
     except KeyboardInterrupt:
         status = TuningStatus.INTERRUPTED
-    soft, hard = worst_values(problem, problem.evaluate(run.x, gradients=False))
-    abscissa = problem.abscissa(run.x)
-    return StartResult(status, run.x, soft, hard, abscissa, run.stationarity, run.evaluations, steps + run.steps)
+    return _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
+
+
+def _result(status: TuningStatus, point: Point, stationarity: float, evaluations: int, steps: int) -> StartResult:
+    found = point.found
+    return StartResult(status, point.x, point.soft, point.hard, found.abscissa, stationarity, evaluations, steps)
 
 
 class _Run:
@@ -107,21 +108,23 @@ class _Run:
         evaluations: int,
     ) -> None:
         self._problem, self._oracle, self._limits, self._rng = problem, oracle, limits, rng
-        self.x, self.evaluations, self.steps, self.stationarity = x, evaluations, 0, np.inf
+        self.point = point_at(problem, x)
+        self.evaluations, self.steps, self.stationarity = evaluations, 0, np.inf
 
     def to_the_end(self) -> TuningStatus:
         """Cycles until the point is confirmed or a limit is reached; the status."""
-        limits, problem = self._limits, self._problem
-        first = _merit(problem, self.x)
-        self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
-        if _merit(problem, self.x) <= NEGLIGIBLE * first:
+        limits, first = self._limits, self.point
+        self.point = self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
+        negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
+        if self.point.feasible and -np.inf < self.point.soft <= negligible:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
         confirmed = False
-        limits = replace(limits, target=max(limits.target, NEGLIGIBLE * first))
+        limits = replace(limits, target=max(limits.target, negligible)) if negligible else limits
         for _ in range(MAX_CYCLES):
             left = max(limits.iterations - self.steps, 1)
-            found = minimise(self._oracle, self.x, replace(limits, iterations=left), self._rng)
-            self.x, self.stationarity = found.x, found.stationarity
+            found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
+            self.stationarity = found.stationarity
+            self._take(point_at(self._problem, found.x))
             self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
             if found.reason in ENDS or self.steps >= limits.iterations:
                 break
@@ -130,49 +133,47 @@ class _Run:
                 break
         if found.reason is StopReason.TARGET and self._limits.target < limits.target:
             return TuningStatus.ITERATIONS
-        moved = _merit(problem, self.x) < first * (1.0 - VISIBLE)
-        return _status(
-            found, found.result.constraint + HARD_TARGET, confirmed, moved, time.monotonic() > limits.deadline
-        )
+        late = time.monotonic() > limits.deadline
+        return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
 
-    def _smooth(self, evaluations: int) -> None:
-        smooth = smooth_phase(self._problem, self.x, evaluations, self._limits.deadline, self._limits.target)
-        self.x, self.evaluations = smooth.x, self.evaluations + smooth.evaluations
+    def _take(self, point: Point) -> None:
+        """Keep `point` unless it is worse: rounding of the constraint apart, the bundle method never rises."""
+        if not self.point.better_than(point):
+            self.point = point
+
+    def _smooth(self, evaluations: int) -> Point:
+        limits = self._limits
+        smooth = smooth_phase(self._problem, self.point.x, evaluations, limits.deadline, limits.target)
+        self.evaluations += smooth.evaluations
+        return smooth.point
 
     def _confirmed(self) -> bool:
         """Whether neither a smooth phase nor random directions lower the value; the point moves if they do."""
-        value, before = _merit(self._problem, self.x), self.x
-        self._smooth(CONFIRMING_EVALUATIONS)
-        if _lower(self._problem, self.x, value) is not None:
-            return False
-        self.x = before
-        better = _random_directions(self._problem, self.x, value, self._rng)
-        self.evaluations += RANDOM_DIRECTIONS
-        if better is not None:
-            self.x = better
-        return better is None
+        other = self._smooth(CONFIRMING_EVALUATIONS)
+        if not other.better_than(self.point, VISIBLE):
+            found = _random_directions(self._problem, self.point, self._rng)
+            self.evaluations += RANDOM_DIRECTIONS
+            if found is None:
+                return True
+            other = found
+        self.point = other
+        return False
 
 
-def _merit(problem: Problem, x: FloatArray) -> float:
-    soft, hard = worst_values(problem, problem.evaluate(x, gradients=False))
-    return hard if hard > 1.0 + FEASIBLE else max(soft, 0.0)
-
-
-def _lower(problem: Problem, x: FloatArray, value: float) -> FloatArray | None:
-    """The point `x` if it is visibly better than `value`."""
-    return x if _merit(problem, x) < value * (1.0 - VISIBLE) else None
-
-
-def _random_directions(problem: Problem, x: FloatArray, value: float, rng: np.random.Generator) -> FloatArray | None:
-    """A point visibly below `value` among random ones around `x`, or None."""
-    objective = SmoothObjective(problem, x, problem.evaluate(x, gradients=False))
-    metric = objective.metric(x)
-    here = objective.value(x)
+def _random_directions(problem: Problem, point: Point, rng: np.random.Generator) -> Point | None:
+    """A point visibly better among random ones around `point`, or None."""
+    objective = SmoothObjective(problem, point.x, point.found)
+    metric = objective.metric(point.x)
+    soft, hard = objective.largest(point.x)
     for _ in range(RANDOM_DIRECTIONS):
-        u = rng.standard_normal(len(x))
-        point = x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
-        if objective.value(point) < here - VISIBLE and _lower(problem, point, value) is not None:
-            return point
+        u = rng.standard_normal(len(point.x))
+        x = point.x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
+        new_soft, new_hard = objective.largest(x)
+        promising = new_soft < soft - VISIBLE and new_hard <= 0.0 if point.feasible else new_hard < hard - VISIBLE
+        if promising:
+            new = point_at(problem, x)
+            if new.better_than(point, VISIBLE):
+                return new
     return None
 
 
@@ -185,13 +186,13 @@ def _unstable(stable: Descent, steps: int) -> StartResult:
     )
 
 
-def _status(found: Descent, hard: float, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
+def _status(found: Descent, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
     early = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}
     if found.reason in early:
         return early[found.reason]
     if late and not confirmed:
         return TuningStatus.OUT_OF_TIME
-    if hard > 1.0 + FEASIBLE:
+    if not point.feasible:
         return TuningStatus.INFEASIBLE
     if found.reason is StopReason.TARGET:
         return TuningStatus.TARGET

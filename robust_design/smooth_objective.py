@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 from robust_design.gains import unresolved
 from robust_design.grid_gains import GridGains
 from robust_design.metric import Metric, metric_of
-from robust_design.problem import Evaluation, Problem
+from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.structures import Structure
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 NEGLIGIBLE = 14.0  # entries below exp(-14) of the largest weight are left out
+LEAST_LOG = float(np.log(1e-300))
 PENALTY = 20.0  # of the squared logarithm of a violated hard requirement
+HARD_MARGIN = 0.1  # logarithm of a hard value above which a point is outside, if the round began below
+APPROACH = 0.1  # fraction of the distance of the poles to the stability boundary that a round must leave
 METRIC_POWER = 4.0  # weights of the Gauss-Newton matrix: this power of value over largest value
 EXACT_STABILITY_ORDER = 60  # up to this order the poles are computed at every evaluation
+LEAST_RETURN = 1e-3  # of the return difference's determinant over that of the first point: loops above that order
 LARGEST_TURN = 2.0  # [rad] between neighbouring frequencies that the encirclement count trusts
 MAX_SLOPES = 20  # slopes of one requirement and model in the metric
 SAME_H2 = 1e-6  # H2 norms that agree this well over the models are computed for one model only
@@ -37,7 +41,13 @@ class _Entry:
 
 
 class SmoothObjective:
-    """``log ||soft values||_p + penalty (log ||hard values||_p)_+^2`` with gradient, on a grid fixed at `x`.
+    """Logarithm of the p-norm of the soft values, the hard ones as constraints, with gradient, on a grid fixed at `x`.
+
+    With s and h the logarithms of the p-norms of the soft and hard values it is the augmented Lagrangian
+    ``s + c max(h + m / 2c, 0)^2`` with c = :data:`PENALTY` and the multiplier m. It is infinite where a loop is
+    unstable, where a round would use up nearly all of the stability margin that it began with, and where a hard value
+    exceeds both 1 and that of the first point by more than :data:`HARD_MARGIN`: however low the soft values are there,
+    such a point is never taken.
 
     Parameters
     ----------
@@ -54,6 +64,8 @@ class SmoothObjective:
         self._problem = problem
         self.power = 40.0
         self.evaluations = 0
+        self._multiplier, self._restoring, self._offset = 0.0, False, 0.0
+        self._ceiling = float(np.log(max(worst_values(problem, found)[1], 1.0))) + HARD_MARGIN
         K = problem.structure.gain_matrix(x)
         self._has_poles = any(i not in problem.gain_numbers for i in range(len(problem.requirements)))
         self._hinf = tuple(range(len(problem.hinf)))
@@ -66,6 +78,8 @@ class SmoothObjective:
             for i, norm in norms.items():
                 exact = found.values[problem.gain_numbers[i], k]
                 self._grids[k].calibration[i] = float(exact / norm) if norm > 0.0 else 1.0
+        limits = [float(p.real.max(initial=-np.inf)) + problem.min_decay for p in found.poles]
+        self._limits = [APPROACH * limit - problem.min_decay for limit in limits]
         self._reference = [None if self._small(k) else grid.return_determinant(K) for k, grid in enumerate(self._grids)]
 
     def _grid(self, k: int, found: Evaluation, more: FloatArray) -> GridGains:
@@ -81,15 +95,22 @@ class SmoothObjective:
         return self._problem.order(k) <= EXACT_STABILITY_ORDER
 
     def stable(self, x: FloatArray) -> bool:
-        """All models stable: by the poles of small loops, by counting encirclements on the grid for large ones."""
+        """All models stable with a part of the first point's margin left.
+
+        By the poles of small loops; for large ones by the return difference on the grid: no encirclement, and no
+        frequency at which it has nearly vanished.
+        """
         K = self._problem.structure.gain_matrix(x)
         for k, grid in enumerate(self._grids):
             reference = self._reference[k]
             if reference is None:
-                if self._problem.abscissa_of(k, K) >= -self._problem.min_decay:
+                if self._problem.abscissa_of(k, K) >= self._limits[k]:
                     return False
                 continue
-            turns = np.diff(np.angle(grid.return_determinant(K) / reference))
+            ratio = grid.return_determinant(K) / reference
+            if float(np.abs(ratio).min()) < LEAST_RETURN:
+                return False
+            turns = np.diff(np.angle(ratio))
             turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
             if np.abs(turns).max(initial=0.0) > LARGEST_TURN:
                 if self._problem.abscissa_of(k, K) >= -self._problem.min_decay:
@@ -98,36 +119,55 @@ class SmoothObjective:
                 return False
         return True
 
-    def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Value and gradient (size,); infinite and zero where a loop is unstable."""
-        self.evaluations += 1
-        if not self.stable(x):
-            return np.inf, np.zeros(len(x))
+    def begin(self, x: FloatArray, *, power: float, multiplier: float = 0.0, restoring: bool = False) -> None:
+        """Begin a round at `x` (size,): with `restoring` the value is h alone, otherwise the augmented Lagrangian.
+
+        The p-norm of the hard values is scaled to their largest value at `x`.
+        """
+        self.power, self._multiplier, self._restoring = power, multiplier, restoring
         K = self._problem.structure.gain_matrix(x)
-        entries = self._entries(x, K)
-        hard = np.array([r.hard for r in self._problem.requirements])
+        _, hard = self._split(self._entries(x, K))
+        if hard:
+            self._offset = self._log_norm(x, K, hard)[0] - _log_of_largest(hard)
+
+    def _split(self, entries: Sequence[_Entry]) -> tuple[list[_Entry], list[_Entry]]:
+        """Soft and hard ones."""
+        hard = [self._problem.requirements[e.requirement].hard for e in entries]
+        return [e for e, h in zip(entries, hard) if not h], [e for e, h in zip(entries, hard) if h]
+
+    def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Value and gradient (size,); infinite and zero outside the domain."""
+        self.evaluations += 1
         value, gradient = 0.0, np.asarray(np.zeros(len(x)), dtype=float)
-        soft_entries = [e for e in entries if not hard[e.requirement]]
-        if soft_entries:
-            value, gradient = self._log_norm(x, K, soft_entries)
-        hard_entries = [e for e in entries if hard[e.requirement]]
-        if hard_entries:
-            excess, slope = self._log_norm(x, K, hard_entries)
-            if excess > 0.0:
-                value, gradient = value + PENALTY * excess**2, gradient + 2.0 * PENALTY * excess * slope
+        if not self.stable(x):
+            return np.inf, gradient
+        K = self._problem.structure.gain_matrix(x)
+        soft, hard = self._split(self._entries(x, K))
+        if hard and _log_of_largest(hard) > self._ceiling:
+            return np.inf, gradient
+        if soft and not self._restoring:
+            value, gradient = self._log_norm(x, K, soft)
+        if hard:
+            excess, slope = self._log_norm(x, K, hard)
+            excess -= self._offset
+            if self._restoring:
+                return excess, slope
+            shifted = excess + 0.5 * self._multiplier / PENALTY
+            if shifted > 0.0:
+                value, gradient = value + PENALTY * shifted**2, gradient + 2.0 * PENALTY * shifted * slope
         return value, gradient
 
     def value(self, x: FloatArray) -> float:
-        """Largest value instead of the p-norm, without gradient."""
+        """Largest values instead of p-norms and no multiplier, without gradient."""
+        soft, hard = self.largest(x)
+        return (soft if soft > LEAST_LOG else 0.0) + PENALTY * max(hard, 0.0) ** 2
+
+    def largest(self, x: FloatArray) -> tuple[float, float]:
+        """Logarithms of the largest soft and of the largest hard value on the grid; infinite where unstable."""
         if not self.stable(x):
-            return np.inf
-        entries = self._entries(x, self._problem.structure.gain_matrix(x))
-        norms = {False: -np.inf, True: -np.inf}
-        for e in entries:
-            hard = self._problem.requirements[e.requirement].hard
-            norms[hard] = max(norms[hard], float(np.log(max(float(e.values.max()), 1e-300))))
-        soft = norms[False] if np.isfinite(norms[False]) else 0.0
-        return soft + PENALTY * max(norms[True], 0.0) ** 2
+            return np.inf, np.inf
+        soft, hard = self._split(self._entries(x, self._problem.structure.gain_matrix(x)))
+        return _log_of_largest(soft), _log_of_largest(hard)
 
     def _entries(self, x: FloatArray, K: FloatArray) -> list[_Entry]:
         entries = []
@@ -219,6 +259,10 @@ class SmoothObjective:
             slopes = [g for _, g in grid.peak_gradients(K, i, index)]
         pulled = [self._problem.structure.pullback(x, g) / e.values[j] for j, g in zip(index, slopes)]
         return np.asarray(np.array(pulled), dtype=float)
+
+
+def _log_of_largest(entries: Sequence[_Entry]) -> float:
+    return max([LEAST_LOG, *(float(np.log(max(float(e.values.max()), 1e-300))) for e in entries)])
 
 
 def _jacobian(structure: Structure, x: FloatArray) -> FloatArray:

@@ -1,78 +1,154 @@
 """Smooth phase of a start: quasi-Newton rounds on the p-norm of all gains, each in a new Gauss-Newton metric.
 
-After every round the exact values decide: the point is kept if they fell; otherwise the frequencies that the grid had
-missed are added and the round is repeated from the last point, shorter.
+Feasibility comes first. Hard requirements that are violated are lowered alone; from then on a point that violates one
+is never kept. After every round the exact values decide: the point is kept if they fell; otherwise the frequencies that
+the grid had missed are added and the round is repeated from the last point, shorter.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robust_design.gains import unresolved
+from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.quasi_newton import quasi_newton
-from robust_design.smooth_objective import SmoothObjective
+from robust_design.smooth_objective import PENALTY, SmoothObjective
 
 FloatArray = NDArray[np.float64]
 
 POWERS = (40.0, 150.0, 600.0)
 STEPS, MIN_STEPS = 12, 3  # of a round
+RESTORING_STEPS = 6  # of a round that lowers hard values alone
+MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
 TOLERANCE = 1e-3  # decrease of the logarithm that is worth another round
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
-VIOLATION_WEIGHT = 10.0  # of hard values above 1 where two points are compared
+FEASIBLE = 1e-6  # excess over 1 that a hard value may have
+
+
+@dataclass(frozen=True)
+class Point:
+    """Parameters (size,) with their exact values."""
+
+    x: FloatArray
+    found: Evaluation
+    soft: float
+    hard: float
+
+    @cached_property
+    def feasible(self) -> bool:
+        """All models stable and all hard requirements met."""
+        return bool(np.isfinite(self.soft) or self.soft < 0) and self.hard <= 1.0 + FEASIBLE
+
+    def better_than(self, other: Point, tolerance: float = 0.0) -> bool:
+        """Feasible where `other` is not, or lower by more than the relative `tolerance`."""
+        if self.feasible != other.feasible:
+            return self.feasible
+        if self.feasible:
+            return max(self.soft, 0.0) < max(other.soft, 0.0) * (1.0 - tolerance)
+        return self.hard < other.hard * (1.0 - tolerance)
+
+
+def point_at(problem: Problem, x: FloatArray) -> Point:
+    """Exact values at `x` (size,), without gradients."""
+    found = problem.evaluate(x, gradients=False)
+    return Point(x, found, *worst_values(problem, found))
 
 
 @dataclass(frozen=True)
 class SmoothPhase:
     """Best point of the smooth phase and the evaluations it took."""
 
-    x: FloatArray
+    point: Point
     evaluations: int
     rounds: int
 
 
 def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> SmoothPhase:
     """Lower the largest values from the stable point `x` (size,) with at most about this number of evaluations."""
-    found = problem.evaluate(x, gradients=False)
-    merit = _merit(problem, found)
-    extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
-    used, rounds, stage, steps = 1, 0, 0, STEPS
-    floor = max(target, NEGLIGIBLE * merit, 1e-12)
-    while stage < len(POWERS) and used < evaluations and time.monotonic() < deadline and merit > floor:
-        objective = SmoothObjective(problem, x, found, extra)
-        objective.power = POWERS[stage]
+    rounds = _Rounds(problem, x, evaluations, deadline, target)
+    while not rounds.point.feasible and rounds.left:
+        if not rounds.restore():
+            break
+    if rounds.point.feasible and np.isfinite(rounds.point.soft):
+        rounds.descend()
+    return SmoothPhase(rounds.point, rounds.used, rounds.count)
+
+
+class _Rounds:
+    """The point so far, the frequencies that the grid had missed, and what has been spent."""
+
+    def __init__(self, problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> None:
+        self._problem, self._evaluations, self._deadline, self._target = problem, evaluations, deadline, target
+        self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
+        self.point = point_at(problem, x)
+        self.used, self.count = 1, 0
+
+    @property
+    def left(self) -> bool:
+        """Evaluations and time are left."""
+        return self.used < self._evaluations and time.monotonic() < self._deadline
+
+    def restore(self) -> bool:
+        """One round on the hard values alone from an infeasible point; whether it made progress."""
+        new = self._round(self.point, POWERS[0], STEPS, restoring=True)
+        if not new.better_than(self.point, TOLERANCE):
+            new = self._round(self.point, POWERS[-1], STEPS, restoring=True)
+        progress = new.better_than(self.point, TOLERANCE)
+        if new.better_than(self.point):
+            self.point = new
+        return progress
+
+    def descend(self) -> None:
+        """Rounds on the soft values from a feasible point, which feasible points only replace."""
+        stage, steps, multiplier = 0, STEPS, 0.0
+        floor = max(self._target, NEGLIGIBLE * self.point.soft, 1e-12)
+        while stage < len(POWERS) and self.left and self.point.soft > floor:
+            new = self._round(self.point, POWERS[stage], steps, multiplier=multiplier)
+            if np.isfinite(new.hard) and new.hard > 0.0:
+                multiplier = max(0.0, multiplier + 2.0 * PENALTY * float(np.log(new.hard / HARD_TARGET)))
+            new = self._restored(new)
+            lower = new.better_than(self.point)
+            if lower and new.better_than(self.point, TOLERANCE):
+                self.point, steps = new, STEPS
+            elif lower:
+                self.point, stage = new, stage + 1
+            elif steps > MIN_STEPS and self.point.better_than(new, TOLERANCE):
+                steps = max(MIN_STEPS, steps // 2)
+            else:
+                stage, steps = stage + 1, STEPS
+
+    def _restored(self, new: Point) -> Point:
+        """A stable point that violates hard requirements, brought back to feasible ones if its soft value is lower."""
+        for _ in range(MAX_RESTORATIONS):
+            if new.feasible or not np.isfinite(new.hard) or new.soft >= self.point.soft or not self.left:
+                break
+            new = self._round(new, POWERS[-1], RESTORING_STEPS, restoring=True)
+        return new
+
+    def _round(
+        self, start: Point, power: float, steps: int, *, multiplier: float = 0.0, restoring: bool = False
+    ) -> Point:
+        objective = SmoothObjective(self._problem, start.x, start.found, self._extra)
+        objective.begin(start.x, power=power, multiplier=multiplier, restoring=restoring)
         result = quasi_newton(
             objective,
-            x,
-            objective.metric(x),
+            start.x,
+            objective.metric(start.x),
             steps=steps,
             tolerance=TOLERANCE / 10.0,
-            stop=lambda: time.monotonic() > deadline,
+            floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
+            stop=lambda: time.monotonic() > self._deadline,
         )
-        new = problem.evaluate(result.x, gradients=False)
-        new_merit = _merit(problem, new)
-        used, rounds = used + objective.evaluations + 1, rounds + 1
-        extra = tuple(_with_peaks(problem, k, e, new) for k, e in enumerate(objective.extra))
-        if new_merit < merit * (1.0 - TOLERANCE):
-            x, found, merit = result.x, new, new_merit
-            steps = STEPS
-        elif new_merit < merit:
-            x, found, merit = result.x, new, new_merit
-            stage += 1
-        elif steps > MIN_STEPS and new_merit > merit * (1.0 + TOLERANCE):
-            steps = max(MIN_STEPS, steps // 2)
-        else:
-            stage, steps = stage + 1, STEPS
-    return SmoothPhase(x, used, rounds)
-
-
-def _merit(problem: Problem, found: Evaluation) -> float:
-    soft, hard = worst_values(problem, found)
-    return max(soft, 0.0) + VIOLATION_WEIGHT * max(hard - 1.0, 0.0)
+        new = point_at(self._problem, result.x)
+        self.used, self.count = self.used + objective.evaluations + 1, self.count + 1
+        self._extra = tuple(_with_peaks(self._problem, k, e, new.found) for k, e in enumerate(objective.extra))
+        return new
 
 
 def _with_peaks(problem: Problem, k: int, extra: FloatArray, found: Evaluation) -> FloatArray:

@@ -18,9 +18,11 @@ from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import DescentOptions
+from robust_design.feasibility import feasibility_runs
 from robust_design.problem import MIN_DECAY, Problem, worst_values
 from robust_design.requirements import Requirement
-from robust_design.single_start import FEASIBLE, StartResult, tune_from
+from robust_design.single_start import StartResult, tune_from
+from robust_design.smooth_phase import FEASIBLE
 from robust_design.start_runner import run_starts
 from robust_design.starts import start_checked, starts_of
 from robust_design.status import TuningStatus
@@ -197,6 +199,7 @@ def tune(
         runs = run_starts(
             problem, jobs, len(given), limits_of(options, deadline), options.band, options.workers, progress
         )
+        runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
         runs = [*runs, *_refined(problem, runs, options, deadline)]
         return result_of(problem, runs, time.monotonic() - start_time)
 
@@ -234,8 +237,8 @@ def _agree(certificate: Certificate, values: FloatArray) -> bool:
 
 
 def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
-    """Best of several starts, certified."""
-    best = min(runs, key=lambda run: run.rank)
+    """Best of several starts, certified; of equal ones the last."""
+    best = min(reversed(runs), key=lambda run: run.rank)
     found = problem.evaluate(best.x, gradients=False)
     soft, hard = worst_values(problem, found)
     K = controller(problem.structure, best.x)

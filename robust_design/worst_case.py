@@ -15,6 +15,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from lti.frequency_response import PoleError
 from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
@@ -278,7 +279,7 @@ class _Search:
         model = self._build(self._parameters(point))
         if isinstance(r, HinfGain):
             K = controller_response(gain_matrix_of(self._controller), self._controller.order, np.array([omega]))[0]
-            with suppress(ValueError):  # the plant may have a pole at this frequency that the loop moves away
+            with suppress(PoleError):  # the plant may have a pole at this frequency that the loop moves away
                 return gain_at(model, self._controller, r, omega, K, self._delay)
         return float(ClosedLoopEvaluator(model, self._controller, self._delay).values([r])[0][0])
 

@@ -40,6 +40,17 @@ def config_for(folder: Path, **values: object) -> RunConfig:
     return RunConfig.from_mapping({**base, **values})
 
 
+def span_of(run: Run) -> np.ndarray:
+    """Every tick from the first to the last that any topic of the plant has in the bag."""
+    ends = [run[name].stamp[[0, -1]] for name in PLANT_TOPICS]
+    return np.arange(min(first for first, _ in ends), max(last for _, last in ends) + 1, TICK_NS)
+
+
+def lost_samples(run: Run, topic: str) -> int:
+    """What the recorder counted as lost of this topic."""
+    return int(run.parameters["statistics"]["recorder"].get(f"lost_/telescope/{topic}", 0))
+
+
 def assert_gaps_are_counted(run: Run, topic: str, node: str) -> None:
     """Ticks that a node counts as gaps are missing in its topic, and what is missing is counted by the recorder.
 
@@ -49,20 +60,23 @@ def assert_gaps_are_counted(run: Run, topic: str, node: str) -> None:
     stamps, statistics = run[topic].stamp, run.parameters["statistics"]
     missing = (stamps[-1] - stamps[0]) // TICK_NS + 1 - len(stamps)
     assert int(statistics[node]["gap_ticks"]) <= missing, topic
-    lost = int(statistics["recorder"].get(f"lost_/telescope/{topic}", 0))
-    assert lost == len(run["truth/los"]) - len(stamps), topic
+    assert lost_samples(run, topic) == len(span_of(run)) - len(stamps), topic
 
 
 def assert_plant_is_recorded(run: Run, ticks: int, frame_ticks: int = 20) -> None:
-    """Every sample that the plant sent is in the bag, and the recorder says so."""
-    stamps = run["truth/los"].stamp
-    assert len(stamps) == ticks
-    assert np.all(np.diff(stamps) == TICK_NS)
-    counted = run.parameters["statistics"]["recorder"]
-    for name in PLANT_TOPICS:
-        assert np.array_equal(run[name].stamp, stamps), name
-        assert f"lost_/telescope/{name}" not in counted
-    assert np.array_equal(run["camera/los"].stamp, stamps[stamps // TICK_NS % frame_ticks == 0])
+    """Every sample that the plant sent is in the bag, or is counted as lost by the recorder.
+
+    In real time a recorder that gets no processor for more than 100 ticks loses some; more than a fifth of a run fails.
+    In lockstep none may be missing: see the hashes of the bags.
+    """
+    span = span_of(run)
+    assert ticks - 100 < len(span) <= ticks
+    expected = dict.fromkeys(PLANT_TOPICS, span)
+    expected["camera/los"] = span[span // TICK_NS % frame_ticks == 0]
+    for name, stamps in expected.items():
+        assert np.isin(run[name].stamp, stamps).all(), name
+        assert np.all(np.diff(run[name].stamp) > 0), name
+        assert lost_samples(run, name) == len(stamps) - len(run[name].stamp) <= len(stamps) / 5, name
 
 
 def topic_hashes(bag: Path) -> dict[str, tuple[int, str]]:

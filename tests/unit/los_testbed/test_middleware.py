@@ -25,6 +25,33 @@ def test_this_machine_alone_by_a_profile_since_the_layer_would_add_shared_memory
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
 
 
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"},
+        {"ROS_LOCALHOST_ONLY": "1"},
+        {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+    ],
+    ids=["unknown to ROS, which then takes LOCALHOST", "deprecated", "deprecated, which goes first"],
+)
+def test_what_ros_takes_for_this_machine_alone_is_made_by_the_profile_too(environment):
+    after = chosen(**environment)
+    assert after["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
+    assert after["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert "ROS_LOCALHOST_ONLY" not in after
+
+
+def test_another_middleware_keeps_its_range():
+    """It does not read the profile: with the range SUBNET it would talk to the network."""
+    environment = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    assert chosen(**environment) == environment
+
+
+def test_the_profile_for_this_machine_alone_names_no_other_address():
+    addresses = [e.text for e in ElementTree.parse(LOCALHOST_PROFILE).iter() if e.tag.endswith("address")]
+    assert addresses == ["127.0.0.1", "127.0.0.1"], "whitelist of interfaces, initial peer"
+
+
 @pytest.mark.parametrize("environment", [{}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}])
 def test_otherwise_the_range_is_left_alone(environment):
     after = chosen(**environment)

@@ -19,7 +19,14 @@ PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES
 """Fast DDS 2 and 3 call it differently."""
 
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
+"""Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
+
+WIDER_RANGES = (None, "SUBNET", "OFF", "SYSTEM_DEFAULT")
+"""Ranges that the ROS layer does not take for ``LOCALHOST``, as it takes every value that it does not know."""
+
 TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+LAYER_VARIABLE = "RMW_IMPLEMENTATION"
 
 
 def choose_middleware(environment: MutableMapping[str, str]) -> None:
@@ -27,13 +34,17 @@ def choose_middleware(environment: MutableMapping[str, str]) -> None:
 
     For the range ``LOCALHOST`` the ROS middleware layer adds shared memory to every participant, whatever the
     transport variable says. So that range is made by a profile, and the layer is told ``SUBNET``, which leaves
-    the profile alone (and still honours ``ROS_STATIC_PEERS``).
+    the profile alone. The profile binds every socket to 127.0.0.1, so ``ROS_STATIC_PEERS`` has no effect with it.
+    Another middleware than Fast DDS does not read the profile: its environment is left alone.
     """
+    if not environment.get(LAYER_VARIABLE, "rmw_fastrtps").startswith("rmw_fastrtps"):
+        return
     environment.setdefault(TRANSPORT_VARIABLE, "UDPv4")
     if any(variable in environment for variable in PROFILE_VARIABLES):
         return
     profile = NETWORK_PROFILE
-    if environment.get(RANGE_VARIABLE) == "LOCALHOST":
+    if environment.get(LOCALHOST_VARIABLE) == "1" or environment.get(RANGE_VARIABLE) not in WIDER_RANGES:
         profile = LOCALHOST_PROFILE
         environment[RANGE_VARIABLE] = "SUBNET"
+        environment.pop(LOCALHOST_VARIABLE, None)
     environment.update(dict.fromkeys(PROFILE_VARIABLES, str(profile)))
