@@ -271,7 +271,8 @@ def _run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -
             ("APE max", f"{digits(s.ape_max)} arcsec"),
             ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
             ("RPE rms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 %", f"{digits(s.rpe_p997)} mas"),
+            ("RPE 99.7 % of windows", f"{digits(s.rpe_windows_p997)} mas"),
+            ("RPE 99.7 % of instants", f"{digits(s.rpe_p997)} mas"),
         ],
         "knowledge": s.knowledge
         and [

@@ -4,10 +4,15 @@ The text form is the requirement form of ECSS-E-ST-60-10C::
 
     prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
 
-with an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has one (two
-times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation: ``temporal``
-(default: every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over runs and
-time together).
+    prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence
+
+``|RPE|`` is the error at every instant of disjoint windows, ``rms RPE`` one value of each window: the root mean square
+about its mean, both axes, which is what the weight W_RPE of the design weighs.
+
+The forms have an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has
+one (two times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation:
+``temporal`` (default: every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over
+runs and time together).
 """
 
 from __future__ import annotations
@@ -49,7 +54,8 @@ INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1,
 INTERPRETATIONS = ("temporal", "ensemble", "mixed")
 DEFAULT_FILE = Path(__file__).with_name("requirements.toml")
 _TEXT = re.compile(
-    r"prob\s*\(\s*\|\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*\|\s*<=?\s*"
+    r"prob\s*\(\s*(?P<sign>\||rms\s)\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
+    r"(?P<end>\|?)\s*<=?\s*"
     r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]+)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
     r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
 )
@@ -75,6 +81,7 @@ class Requirement:
     interpretation : temporal, ensemble or mixed
     name : short name
     loops : loop stages it applies to; empty for all
+    of_windows : of RPE and RKE whether each window has one value, its rms, instead of one at every instant
     """
 
     index: str
@@ -87,6 +94,7 @@ class Requirement:
     interpretation: str = "temporal"
     name: str = ""
     loops: tuple[str, ...] = ()
+    of_windows: bool = False
 
     @property
     def scale(self) -> float:
@@ -100,10 +108,11 @@ class Requirement:
 
     @property
     def quantity(self) -> str:
-        """The judged quantity, e.g. ``|RPE(20 ms)|``."""
+        """The judged quantity, e.g. ``|RPE(20 ms)|`` or ``rms RPE(20 ms)``."""
         times = ", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times)
         axis = f"_{self.axis}" if self.axis else ""
-        return f"|{self.index}{axis}{f'({times})' if times else ''}|"
+        text = f"{self.index}{axis}{f'({times})' if times else ''}"
+        return f"rms {text}" if self.of_windows else f"|{text}|"
 
     def __str__(self) -> str:
         tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
@@ -128,12 +137,15 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
     """
     m = _TEXT.fullmatch(text.strip())
-    if m is None:
+    if m is None or (m["sign"] == "|") != bool(m["end"]):
         raise RequirementError(
             f"requirement must read like 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence', got {text!r}"
         )
     index, kind = m["index"].upper(), m["kind"] or "temporal"
     _member("index", index, INDICES)
+    of_windows = m["sign"] != "|"
+    if of_windows:
+        _member("index of rms", index, ("RPE", "RKE"))
     _member("unit", m["unit"], ANGLES)
     _member("interpretation", kind, INTERPRETATIONS)
     times = tuple(_time(part) for part in (m["times"] or "").split(",") if part.strip())
@@ -149,8 +161,9 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     if not 0 < limit < math.inf:
         raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
     return Requirement(
-        index, m["axis"] or "", times, limit, m["unit"], probability, confidence, kind, name or index, tuple(loops)
-    )
+        index, m["axis"] or "", times, limit, m["unit"], probability, confidence, kind, name or index, tuple(loops),
+        of_windows,
+    )  # fmt: skip
 
 
 def _member(what: str, value: str, known: Any) -> None:
@@ -173,7 +186,7 @@ def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]
     Examples
     --------
     >>> [r.quantity for r in load()]
-    ['|APE|', '|RPE(20 ms)|', '|RPE(20 ms)|']
+    ['|APE|', 'rms RPE(20 ms)', 'rms RPE(20 ms)']
     """
     file = Path(path)
     try:
@@ -246,10 +259,12 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
     """Samples of the judged index [rad] and the largest number of them that may count as independent.
 
     RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
-    its mean, so no more than one per window counts.
+    its mean, so no more than one per window counts. Of a requirement of windows each window is one sample.
     """
     e, dt, times = series.values, series.dt, requirement.times
     cap = math.inf
+    if requirement.of_windows:
+        return _norm(np.sqrt(metrics.windows(e, dt, times[0]).variance), requirement), cap
     if requirement.index in ("APE", "AKE"):
         samples = e
     elif requirement.index in ("MPE", "MKE"):

@@ -57,6 +57,7 @@ class Summary:
     knowledge : knowledge errors, None without an estimate in the bag
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
+    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window
     """
 
@@ -81,6 +82,7 @@ class Summary:
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
     budget: ToneBudget | None = None
+    rpe_windows_p997: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
@@ -96,7 +98,11 @@ class Summary:
             "ticks": self.ticks,
             "transient_s": self.transient,
             "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
-            "rpe_mas": {"rms": number(self.rpe_rms), "p997": number(self.rpe_p997)},
+            "rpe_mas": {
+                "rms": number(self.rpe_rms),
+                "p997": number(self.rpe_p997),
+                "windows_p997": number(self.rpe_windows_p997),
+            },
             "windows": self.windows,
             "windows_skipped": self.windows_skipped,
             "samples_lost": self.samples_lost,
@@ -216,13 +222,15 @@ def summarise(
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
     rms: NDArray[np.float64] = np.full(2, nan)
-    p997, cut, skipped, budget = nan, 0, 0, None
+    p997, of_windows, cut, skipped, budget = nan, nan, 0, 0, None
     if series.duration >= WINDOW:
         w = metrics.windows(series.values, series.dt, WINDOW)
         rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
         instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
         p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
-        budget = tone_budget(run, series, WINDOW, p997)
+        sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
+        of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
+        budget = tone_budget(run, series, WINDOW, of_windows)
     lost, problems, dropped = _integrity(run)
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
@@ -255,4 +263,5 @@ def summarise(
         verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
         budget=budget,
+        rpe_windows_p997=of_windows,
     )

@@ -1,7 +1,7 @@
 """The budget of the relative error: noise, slow tones, fast tones and their total, of one run beside its allowances.
 
-A limit of the relative error is asked of 99.7 % of the time, noise and tones together. A tone of amplitude a along one
-axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 1.7 r <= L``. Slow tones are
+A limit of the relative error is asked of 99.7 % of the windows, noise and tones together. A tone of amplitude a along
+one axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 1.7 r <= L``. Slow tones are
 those on which the proof-mass actuators have no effect.
 """
 
@@ -35,7 +35,7 @@ class ToneBudget:
     ----------
     noise : rms of what the tones leave, norm of both axes
     slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
-    total : 99.7 % quantile of the radial relative error
+    total : 99.7 % quantile of the rms in each window, both axes
     allowances : the same parts as they are allowed; empty where nothing is said
     """
 
@@ -70,7 +70,7 @@ def tone_budget(run: Run, series: ErrorSeries, window: float, total: float) -> T
     window : float
         [s].
     total : float
-        99.7 % quantile of the radial relative error [mas].
+        99.7 % quantile of the rms in each window, both axes [mas].
     """
     tones = run.parameters.get("tones_rad_s", [])
     omegas = np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)

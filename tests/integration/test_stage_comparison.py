@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
 
-from pointing_analysis.errors import SETTLING
 from pointing_analysis.read import Run
 from titop_plant.interface import STAGES
 
@@ -113,13 +111,3 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, cap
     for word in words:
         assert word in errors
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_left_of_the_start_lies_below_the_motion_that_stays(tmp_path) -> None:
-    """Why 5 s of a start at rest are left out: controllers that ship, disturbance alone, all loops closed."""
-    config = RunConfig(duration=10.0, mode="inprocess", noise=False, scenario="design", start="rest")
-    run_in_process(config, tmp_path / "bag")
-    size = np.hypot(*Run.open(tmp_path / "bag")["truth/los"].values[:, :2].T)
-    settling = round(1000 * SETTLING)
-    assert size[settling : settling + 2000].max() < 2.0 * size[settling + 2000 :].max()
-    assert size[:500].max() > 2.0 * size[settling:].max()

@@ -20,6 +20,7 @@ from lti.threads import one_thread
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
+    from los_design.steady_state import LoopStart
     from los_design.tone_model import LoopModel
     from titop_plant.simulation import PlantConfig
 
@@ -134,7 +135,7 @@ def build_estimator(config: RunConfig) -> LosEstimator:
     k_fsm = SampledSystem.from_file(controller_files(config)["k_fsm"])
     design_warnings([k_fsm], telescope_basis(config), closed=config.loop in MIRROR_STAGES)
     estimator = LosEstimator(k_fsm)
-    states = run_start(config).states
+    states = _states(config, None)
     if states is not None:
         estimator.start_at(states.k_fsm, states.camera)
     return estimator
@@ -153,10 +154,15 @@ def build_controller(config: RunConfig) -> FsmPmaController:
     found, telescope = load_controllers(config), telescope_basis(config)
     compare_with_telescope(found, telescope, config.loop)
     controller = assemble_controller(found, telescope, config.loop)
-    states = run_start(config, found).states
+    states = _states(config, found)
     if states is not None:
         controller.start_at(states.k_pma)
     return controller
+
+
+def _states(config: RunConfig, controllers: Mapping[str, SampledSystem] | None) -> LoopStart | None:
+    """States in which the run starts; None at rest, where nothing needs to be computed."""
+    return None if config.start == "rest" else run_start(config, controllers).states
 
 
 def assemble_controller(
