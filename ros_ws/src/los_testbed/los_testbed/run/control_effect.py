@@ -73,7 +73,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
         controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
         with one_thread():
             model = tone_model(replace(config, loop="isolator"), controllers, start)
-            amplitude = np.linalg.norm(model.settled(), axis=0)
+            amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
     except (ValueError, OSError, yaml.YAMLError):
         return None
     weights = rpe_discrete(model.omega, round(WINDOW / DT), DT)
