@@ -124,9 +124,9 @@ def test_table_as_json(capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["k-fsm", "--loop-delay", "-1"], "--loop-delay must not be negative, got -1.0"),
-        (["k-pma", "--time-limit", "0"], "--time-limit must be positive, got 0.0 s"),
-        (["verify", "--samples", "-3"], "--samples must not be negative, got -3"),
+        (["k-fsm", "--loop-delay", "-1"], "--loop-delay must be between 0 and 1 s, got -1"),
+        (["k-pma", "--time-limit", "0"], "--time-limit must be between 0.001 and 1e+07 s, got 0"),
+        (["verify", "--samples", "-3"], "--samples must be between 0 and 1e+06, got -3"),
         (["trade-off", "--bounds", "0.5,x"], "--bounds must be numbers with commas between them, got '0.5,x'"),
         (["trade-off", "--bounds", "0.5,-1"], "levels must be positive bounds on the relative error, got [0.5, -1.0]"),
     ],

@@ -70,7 +70,15 @@ def test_a_run_ends_with_one_json_line(run):
 def test_the_table_names_figures_limits_and_paths(run):
     code, out, _ = run("run", "--mode=inprocess", "--duration=3", "--output=b", *run.controllers)
     assert code == 0
-    for word in ("APE max", "APE 99.7 %", "RPE rms", "every instant", "10 arcsec", "budget of the RPE", "b/report.html"):
+    for word in (
+        "APE max",
+        "APE 99.7 %",
+        "RPE rms",
+        "every instant",
+        "10 arcsec",
+        "budget of the RPE",
+        "b/report.html",
+    ):
         assert word in out
 
 

@@ -13,11 +13,11 @@ from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
+from pointing_analysis.bag_metadata import METADATA_NAME
 from titop_plant.interface import RATE
 from titop_plant.telescope.parameters import differences
 
-METADATA_NAME = "los_testbed"
-"""Name of the metadata record; it is written at the start and, with the results, at the end."""
+__all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
 def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]:

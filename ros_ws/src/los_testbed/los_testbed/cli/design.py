@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from itertools import count
@@ -14,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -83,11 +82,10 @@ def k_pma(
 def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
     from los_design.options import DesignOptions
 
-    for name, value, least in (("loop-delay", loop_delay, 0.0), ("seed", seed, 0), ("starts", starts, 0)):
-        if not value >= least:
-            raise ValueError(f"--{name} must not be negative, got {value}")
-    if not time_limit > 0.0:
-        raise ValueError(f"--time-limit must be positive, got {time_limit} s")
+    number("--loop-delay", loop_delay, 0.0, 1.0, "s")
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--starts", starts, 0, 10_000)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
     return DesignOptions(
         nominal=nominal,
         loop_delay=loop_delay,
@@ -98,20 +96,6 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
     )
 
 
-def check_output_file(path: Path) -> None:
-    """Refuse a file that cannot be written before any work is done.
-
-    Raises
-    ------
-    ValueError
-        A folder, or no folder to write to.
-    """
-    if path.is_dir():
-        raise ValueError(f"--output must be a file, got the folder {path}")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise ValueError(f"--output must be in a folder that can be written to, got {path}")
-
-
 def _make(
     kind: str, options: DesignOptions, file: Path | None, observer: Path | None, output: Path | None, json_: bool
 ) -> None:
@@ -119,6 +103,7 @@ def _make(
     from los_design.synthesis import design_actuators, design_observer
     from lti import SampledSystem
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
     from titop_plant.interface import design_warnings
     from titop_plant.simulation import telescope
     from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
@@ -128,7 +113,7 @@ def _make(
             "--output must be given with --parameters or --k-fsm, got none: the stored design is not theirs"
         )
     path = output or design_file(kind, options.variant)
-    check_output_file(path)
+    check_output(path, "--output")
     parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
     with one_thread():
         if kind == "k-fsm":
@@ -220,8 +205,7 @@ def verify(
 
     The exit code is 1 if a loop is unstable at any parameter point.
     """
-    if samples < 0:
-        raise ValueError(f"--samples must not be negative, got {samples}")
+    number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
 
     with one_thread():

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import yaml
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import tone_model
@@ -18,6 +17,7 @@ from los_testbed.run_start import START_FILE, RunStart
 from lti.threads import one_thread
 from pointing_analysis.errors import RAD_PER_MAS
 from pointing_analysis.read import Run
+from pointing_analysis.structured_text import load_yaml
 from pointing_analysis.summary import WINDOW, Summary
 from pointing_analysis.weights import rpe_discrete
 from titop_plant.interface import DT, MIRROR_STAGES
@@ -66,7 +66,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
     if not known or summary.loop not in MIRROR_STAGES or run.parameters.get("mode") == "replay":
         return None
     try:
-        config = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
+        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         start = RunStart.from_bytes(run.attachments[START_FILE])
         if config.ramp_duration or not np.isfinite(summary.rpe_rms):
             return None
@@ -74,7 +74,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
         with one_thread():
             model = tone_model(replace(config, loop="isolator"), controllers, start)
             amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
-    except (ValueError, OSError, yaml.YAMLError):
+    except (ValueError, OSError, OverflowError):
         return None
     weights = rpe_discrete(model.omega, round(WINDOW / DT), DT)
     return ControlEffect(summary.rpe_rms, float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0)) / RAD_PER_MAS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,11 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from los_testbed.run.screen import say
+from pointing_analysis.atomic_output import check_output
+from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
 from pointing_analysis.report import digits, write_report
 from pointing_analysis.requirements import Verdict
@@ -38,7 +43,9 @@ class RunSummaries:
     remarks: tuple[tuple[str, ...], ...] = ()
 
 
-def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> RunSummaries:
+def summarise_runs(
+    bags: Sequence[Path], report: Path | None, transient: float | None = None, max_chunk: int = MAX_CHUNK
+) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
 
     Parameters
@@ -49,13 +56,17 @@ def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float |
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
+    max_chunk : int
+        Largest chunk that is unpacked [byte].
 
     Raises
     ------
     ValueError
         A bag that cannot be read or holds no run.
     """
-    opened = [Run.open(bag) for bag in bags]
+    if report is not None:
+        check_output(report, "the report")
+    opened = [Run.open(bag, max_chunk=max_chunk) for bag in bags]
     summaries = tuple(summarise(run, transient=transient) for run in opened)
     remarks = tuple(remarks_of(run, summary) for run, summary in zip(opened, summaries))
     if report is not None:
@@ -77,9 +88,7 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
 
 def _metrics(run: Run, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
-    statistics = run.parameters.get("statistics", {})
-    plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
-    recorder: Mapping[str, str] = statistics.get("recorder", {}) if isinstance(statistics, dict) else {}
+    plant, recorder = (_statistics(run, node) for node in ("plant", "recorder"))
     return {
         **summary.as_dict(),
         "bag": str(summary.path),
@@ -94,11 +103,23 @@ def _metrics(run: Run, summary: Summary, remarks: Sequence[str]) -> dict[str, An
     }
 
 
-def _latency(run: Run, plant: Mapping[str, str]) -> dict[str, float | None]:
+def _statistics(run: Run, node: str) -> dict[str, float]:
+    """Statistics of a node as the bag has them; what is no number is left out."""
+    statistics = run.parameters.get("statistics", {})
+    found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
+    numbers: dict[str, float] = {}
+    for name, text in found.items() if isinstance(found, dict) else ():
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
+            numbers[name] = float(text)
+    whole = ("ticks", "missed_ticks", "samples_lost")
+    return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
+
+
+def _latency(run: Run, plant: Mapping[str, float]) -> dict[str, float | None]:
     """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
-        return {key: _number(float(plant[name])) for key, name in names.items()}
+        return {key: _number(plant[name]) for key, name in names.items()}
     return dict.fromkeys(names)
 
 
@@ -115,16 +136,16 @@ def print_summary(console: Console, results: RunSummaries) -> None:
         for remark in metrics["remarks"]:
             console.print(f"[yellow]note:[/yellow] {remark}", soft_wrap=True)
         for problem in summary.problems:
-            console.print(f"[yellow]note:[/yellow] {problem}")
-        console.print(f"bag     {summary.path}", soft_wrap=True)
+            say(console, problem, "note")
+        say(console, f"bag     {summary.path}")
     if results.report is not None:
-        console.print(f"report  {results.report}", soft_wrap=True)
+        say(console, f"report  {results.report}")
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
     title += f"first {summary.transient:g} s (start-up) left out" if summary.transient else "steady start"
-    table = Table(title=title)
+    table = Table(title=Text(title, style="table.title"))
     table.add_column("metric")
     table.add_column("value", justify="right")
     table.add_column("limit", justify="right")
