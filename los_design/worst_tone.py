@@ -10,8 +10,8 @@ index      what is measured
 =========  =========================================================================================================
 ``APE``    line of sight
 ``RPE``    relative error through the weight of the window (20 ms), sidebands of the camera's frame rate included
-``slow``   the same, below 60 rad/s, where the proof-mass actuators have no effect
-``fast``   the same, above 60 rad/s
+``slow``   the same, below 85 rad/s, where the proof-mass actuators have no effect
+``fast``   the same, above 85 rad/s
 =========  =========================================================================================================
 """
 
@@ -27,9 +27,9 @@ from scipy import linalg
 from los_design.sampled_loop import SampledLoop
 from los_design.sampled_loop_norms import loop_grid, tone_response
 from lti import StateSpace
-from pointing_analysis.tone_budget import BAND_EDGE
 from titop_plant.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.interface import FORCE_STAGES
+from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 

@@ -172,7 +172,7 @@ def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = 
     import los_design
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
 
-    folder = Path(designs) if designs else Path(str(los_design.__file__)).parent / "data"
+    folder = Path(designs) if designs else Path(str(los_design.__file__)).parent
     path = folder / WORST_POINTS
     if not path.exists():
         return {}

@@ -14,8 +14,11 @@ from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
-from titop_plant.interface import RATE
-from titop_plant.telescope.parameters import differences
+from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.tone_budget import EDGE, METADATA
+from titop_plant.interface import FORCE_STAGES, RATE
+from titop_plant.telescope.budget import BAND_EDGE, error_budget
+from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
@@ -27,7 +30,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference.
+    differs from the reference, ``rpe_budget_mas`` what is allowed to noise and tones.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
@@ -35,6 +38,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
+        METADATA: json.dumps(_budget(config)),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
@@ -44,6 +48,15 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def _budget(config: RunConfig) -> dict[str, float]:
+    """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
+    budget = error_budget(load_parameters(config.parameters or REFERENCE))
+    shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
+    if config.loop in FORCE_STAGES:
+        shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
+    return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, EDGE: BAND_EDGE}
 
 
 def final_metadata(

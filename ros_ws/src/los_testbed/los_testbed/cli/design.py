@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.redesign import ALL_EXAMPLES, design_all, verify_folder
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -117,18 +118,23 @@ def _make(
     parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
     with one_thread():
         if kind == "k-fsm":
-            system = design_observer(assembled, parameters, options)
+            system = design_observer(assembled, parameters, options, _say)
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
             for warning in design_warnings([k_fsm], design_basis(parameters), closed=True):
                 sys.stderr.write(f"warning: {warning}\n")
-            system = design_actuators(assembled, parameters, k_fsm, options)
+            system = design_actuators(assembled, parameters, k_fsm, options, _say)
     system.to_file(path)
     _show_design(system, path, json_)
     if not_met := _not_met(system):
         for text in not_met:
             sys.stderr.write(f"not met: {text}\n")
         raise typer.Exit(1)
+
+
+def _say(text: str) -> None:
+    """Progress of a design, one line for each round, on the error output."""
+    sys.stderr.write(f"{text}\n")
 
 
 def _not_met(system: SampledSystem) -> list[str]:
@@ -157,6 +163,9 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
     console = Console()
     console.print(table)
     console.print(f"written to {path}", soft_wrap=True)
+
+
+design_app.command("all", help=ALL_EXAMPLES)(design_all)
 
 
 @design_app.command()
@@ -198,6 +207,7 @@ def table(json_: Json = False) -> None:
 
 @design_app.command()
 def verify(
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     json_: Json = False,
 ) -> None:
@@ -209,6 +219,9 @@ def verify(
     number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
 
+    if folder is not None:
+        verify_folder(folder, samples, json_)
+        return
     with one_thread():
         result, failed = _verified(samples)
     if json_:
