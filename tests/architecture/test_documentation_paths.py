@@ -25,7 +25,7 @@ MADE = {
     "mission.toml", "panel.toml",
 }  # fmt: skip
 """Example files of the user."""
-INSIDE_BAGS = {"k_fsm.json", "k_pma.json"}
+INSIDE_BAGS = {"k_fsm.json", "k_pma.json", "start.json"}
 """Attachments of a bag."""
 REPLACED = {
     "k_fsm_flown_nominal.json", "k_pma_flown_nominal.json", "k_fsm_implemented_nominal.json",

@@ -14,10 +14,7 @@ from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.tone_budget import EDGE, METADATA
 from titop_plant.interface import FORCE_STAGES, RATE
-from titop_plant.telescope.budget import BAND_EDGE, error_budget
 from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -30,7 +27,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference, ``rpe_budget_mas`` what is allowed to noise and tones.
+    differs from the reference.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
@@ -38,7 +35,6 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
-        METADATA: json.dumps(_budget(config)),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
@@ -52,6 +48,10 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
 
 def _budget(config: RunConfig) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
+    from pointing_analysis.errors import RAD_PER_MAS
+    from pointing_analysis.tone_budget import EDGE
+    from titop_plant.telescope.budget import BAND_EDGE, error_budget
+
     budget = error_budget(load_parameters(config.parameters or REFERENCE))
     shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
     if config.loop in FORCE_STAGES:
@@ -62,8 +62,11 @@ def _budget(config: RunConfig) -> dict[str, float]:
 def final_metadata(
     config: RunConfig, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
 ) -> dict[str, str]:
-    """The same with the statistics of each node, as one JSON object, and the plant's tones."""
-    record = run_metadata(config, start)
+    """The same with the statistics of each node, as one JSON object, the plant's tones, and ``rpe_budget_mas``.
+
+    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.tone_budget`).
+    """
+    record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
     plant = dict(statistics.get("plant", {}))
     for name in ("tones_rad_s", "plant_parameters_hash"):
         if name in plant:
