@@ -8,6 +8,7 @@
 `requirements`     requirements in text form and the verdict on them; `budget`: error budgets
 `summary`          the metrics of a run; `report`: the HTML page, `figures` and `prediction`: its parts
 `replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks
+`series`           any arrays; `los_source`: any file; `external_bag`, `ros_definitions`, `tables`: their formats
 `cdr`              messages as bytes; `message_types`: names and definitions; `mcap_records`: the file format
 `dataframes`       topics as pandas or xarray objects
 `synthetic`        bags with known answers

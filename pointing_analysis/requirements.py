@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from pointing_analysis import confidence, metrics
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -247,7 +247,7 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
 
 
 def _reproducibility(
-    requirement: Requirement, runs: Sequence[Run], transient: float | None
+    requirement: Requirement, runs: Sequence[Recording], transient: float | None
 ) -> list[tuple[NDArray[np.float64], float, float]]:
     """Samples of the PRE of every pair of runs: each window of the one against each of the other.
 
@@ -297,7 +297,7 @@ def decide(requirement: Requirement, values: NDArray[np.float64], effective: flo
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed)
 
 
-def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None = None) -> Verdict:
+def judge(requirement: Requirement, runs: Sequence[Recording], transient: float | None = None) -> Verdict:
     """Judge runs against one requirement.
 
     With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
@@ -322,7 +322,7 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
 
 
 def _collect(
-    requirement: Requirement, runs: Sequence[Run], transient: float | None
+    requirement: Requirement, runs: Sequence[Recording], transient: float | None
 ) -> list[tuple[NDArray[np.float64], float, float]]:
     """Of each run (for the PRE, of each pair): samples of the index, their effective number, seconds of data."""
     if requirement.index == "PRE":

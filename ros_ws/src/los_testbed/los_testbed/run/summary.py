@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.report import digits, write_report
-from pointing_analysis.requirements import Verdict
+from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import Summary, summarise
 
 
@@ -35,33 +36,41 @@ class RunSummaries:
     report: Path | None
 
 
-def summarise_runs(bags: Sequence[Path], report: Path | None, transient: float | None = None) -> RunSummaries:
+def summarise_runs(
+    bags: Sequence[Path | Recording],
+    report: Path | None,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
 
     Parameters
     ----------
-    bags : sequence of Path
-        Folders or .mcap files.
+    bags : sequence of Path or Recording
+        Folders or .mcap files of the testbed, or what is open already.
     report : Path or None
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
+    requirements : sequence of Requirement, optional
+        By default those of the reference telescope.
 
     Raises
     ------
     ValueError
         A bag that cannot be read or holds no run.
     """
-    opened = [Run.open(bag) for bag in bags]
-    summaries = tuple(summarise(run, transient=transient) for run in opened)
+    opened = [Run.open(bag) if isinstance(bag, Path) else bag for bag in bags]
+    summaries = tuple(summarise(run, transient=transient, requirements=requirements) for run in opened)
     if report is not None:
         from los_testbed.run.predictions import predictions
 
-        write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
+        expected = predictions(opened, transient)
+        write_report(opened, report, transient=transient, requirements=requirements, predictions=expected)
     return RunSummaries(summaries, tuple(_metrics(r, s) for r, s in zip(opened, summaries)), report)
 
 
-def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
+def _metrics(run: Recording, summary: Summary) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
     statistics = run.parameters.get("statistics", {})
     plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
@@ -78,7 +87,7 @@ def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _latency(run: Run, plant: Mapping[str, str]) -> dict[str, float | None]:
+def _latency(run: Recording, plant: Mapping[str, str]) -> dict[str, float | None]:
     """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
@@ -102,8 +111,9 @@ def print_summary(console: Console, results: RunSummaries) -> None:
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
-    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
-    title += f"first {summary.transient:g} s (start-up) left out"
+    what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
+    title = ", ".join(part for part in what if part)
+    title += f", first {summary.transient:g} s (start-up) left out"
     table = Table(title=title)
     table.add_column("metric")
     table.add_column("value", justify="right")
