@@ -32,7 +32,7 @@ $(READY): requirements.lock pyproject.toml
 	@touch $(READY)
 
 run: $(READY)
-	$(BIN)/los-testbed run
+	$(BIN)/los-testbed run --domain free
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -10,6 +10,7 @@ import difflib
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
@@ -18,6 +19,9 @@ from typing import Any
 import yaml
 
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, STAGES, frame_ticks
+
+NAMESPACE = "/telescope"
+"""Namespace of nodes and topics where none is given."""
 
 MODES = ("realtime", "lockstep", "inprocess")
 
@@ -85,6 +89,7 @@ class RunConfig:
     hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
+    namespace: str = _parameter(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")
     domain: int = _parameter(-1, "ROS domain; -1 for ROS_DOMAIN_ID or 0", "", -1, 232)
     priority: bool = _parameter(True, "ask for real-time scheduling and locked memory")
     pin: bool = _parameter(True, "keep each node on one processor, if real-time scheduling is permitted")
@@ -98,6 +103,8 @@ class RunConfig:
         for name in ("wheel_speed", "wheel_acceleration"):
             if len(getattr(self, name)) not in (0, 4):
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
+        if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace, re.ASCII):
+            raise ValueError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
         if self.tau and self.theta:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise ValueError(f"one of theta or tau = tan(theta/4) must be 0, got both: {both}")

@@ -15,7 +15,9 @@ import yaml
 from numpy.typing import NDArray
 
 from los_testbed.bags.mcap_blocks import McapBlockWriter
+from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.config import NAMESPACE
 from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
 
 QOS = [
@@ -70,7 +72,8 @@ class BagWriter:
     path : Path
         Folder to make; its file is called ``<folder>_0.mcap``.
     metadata : mapping of str to mapping
-        Named tables of strings for the head of the file (run parameters, seed, hashes).
+        Named tables of strings for the head of the file (run parameters, seed, hashes). The run's ``namespace`` is that
+        of the topics.
     attachments : mapping of str to (media type, bytes)
         Files to keep with the data: controllers, run configuration.
     diagnostics : bool
@@ -97,7 +100,8 @@ class BagWriter:
         self.path = path
         self.file_name = f"{path.name}_0.mcap"
         self._mcap = McapBlockWriter(path / self.file_name)
-        self._types = {topic.path: topic.type_name for topic in TOPICS}
+        self.namespace = metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
+        self._types = {topic.path_in(self.namespace): topic.type_name for topic in TOPICS}
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():

@@ -77,6 +77,7 @@ class PlantLoop:
         self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
         self._faded = False
+        self._second = ""
 
     def run(self) -> int:
         """Handshake, the ticks of the run, the last report."""
@@ -130,11 +131,11 @@ class PlantLoop:
 
     def _take_commands(self, now: int) -> None:
         """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
-        io = self.io
+        io, steady = self.io, time.monotonic_ns()
         while (taken := io.pma_input.take()) is not None:
-            io.pma_gate.offer(taken[0], now)
+            io.pma_gate.offer(taken[0], now, io.pma_input.sort(taken, steady))
         while (taken := io.fsm_input.take()) is not None:
-            if io.fsm_gate.offer(taken[0], now):
+            if io.fsm_gate.offer(taken[0], now, io.fsm_input.sort(taken, steady)):
                 tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
                 latency = taken[1]["received_timestamp"] - self._woke[tick % RING]
                 if 0 <= latency < CLOCK_STEP_NS:
@@ -153,7 +154,11 @@ class PlantLoop:
     def _background(self, k: int, now: int) -> None:
         """Work that is not urgent, one kind per tick, after the work of the tick."""
         phase = k % 200
-        if phase == 50 or phase == 150:
+        if phase % 20 == 10 and (news := self.io.watch.look(time.monotonic_ns())):
+            self._second = f"second publisher on {news[0][0]}"
+            self.context.report_second_publishers(news)
+            self._report(now)
+        elif phase == 50 or phase == 150:
             self.context.event("progress", tick=self.ticks)
         elif phase == 100:
             self.context.service()
@@ -176,6 +181,8 @@ class PlantLoop:
             if not pacer.wait(now):
                 break
             self.latency.add(time.monotonic_ns() - start_time)
+            if k % 20 == 0:
+                context.report_second_publishers(self.io.watch.look(time.monotonic_ns()))
             if k % 500 == 0:
                 context.event("progress", tick=self.ticks)
                 context.service()
@@ -196,6 +203,7 @@ class PlantLoop:
             **({} if lockstep else {"period_max_us": f"{self.period.maximum_us:g}"}),
             **self.execution.summary("execution"),
             **self.io.rejections(),
+            **self.io.watch.statistics(),
             **plant_notes(self.plant),
         }
 
@@ -208,6 +216,8 @@ class PlantLoop:
         self._faded = self.io.fading()
         if self._faded:
             level, message = ERROR, "no valid commands: actuators brought to zero"
+        elif self._second:
+            level, message, self._second = ERROR, self._second, ""
         elif news[1]:
             level, message = WARN, f"{news[1]} commands rejected"
         elif news[0] > 10:

@@ -219,7 +219,8 @@ def write_signals(bag: BagWriter, signals: Signals) -> None:
             low, high = np.searchsorted(stamps, (begin, begin + CHUNK_NS))
             if high > low:
                 part = np.ascontiguousarray(values[low:high, : topic.size])
-                bag.write(topic.path, stamps[low:high], stamps[low:high], codec.encode_many(stamps[low:high], part))
+                times, name = stamps[low:high], topic.path_in(bag.namespace)
+                bag.write(name, times, times, codec.encode_many(times, part))
         bag.end_chunk()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import importlib
 import importlib.util
 import os
@@ -11,7 +10,7 @@ import selectors
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,13 +20,14 @@ import yaml
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
+from los_testbed.run.domains import domain_lock
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.topics import NODES
 from titop_plant.interface import RATE
 
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
-NODES = ("plant", "estimator", "controller", "recorder")
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 
@@ -90,6 +90,11 @@ def parameter_file(config: RunConfig, path: Path) -> None:
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), "utf-8")
 
 
+def ros_arguments(config: RunConfig, parameters: Path) -> list[str]:
+    """Arguments of a node: its parameter file and its namespace."""
+    return ["--ros-args", "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
+
+
 def environment(config: RunConfig, logs: Path) -> dict[str, str]:
     """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
     variables = dict(os.environ)
@@ -102,32 +107,6 @@ def environment(config: RunConfig, logs: Path) -> dict[str, str]:
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     return variables
-
-
-@contextlib.contextmanager
-def domain_lock(domain: str) -> Iterator[None]:
-    """Hold the domain for one run on this machine.
-
-    Raises
-    ------
-    ValueError
-        Another run holds it.
-    """
-    path = Path(tempfile.gettempdir()) / f"los_testbed_domain_{domain}.lock"
-    try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError:  # another user's file: the plant still listens before it talks
-        yield
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise ValueError(f"--domain must be a ROS domain without another run on this machine, got {domain}") from None
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def run_alone(name: str, config: RunConfig) -> int:
@@ -154,7 +133,7 @@ def run_alone(name: str, config: RunConfig) -> int:
         parameter_file(config, parameters)
         os.environ.setdefault("ROS_LOG_DIR", folder)
         node = importlib.import_module(f"los_testbed.nodes.{name}")
-        return int(node.main(["--ros-args", "--params-file", str(parameters)]))
+        return int(node.main(ros_arguments(config, parameters)))
 
 
 class Runner:
@@ -219,7 +198,10 @@ class Runner:
         check_ros()
         check_new_bag(Path(self._config.output))
         self.results.warnings += check_controllers(self._config)
-        with domain_lock(str(self.domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
+        with (
+            domain_lock(self.domain, self._config.namespace),
+            tempfile.TemporaryDirectory(prefix="los_testbed_") as folder,
+        ):
             self._parameters = Path(folder) / "run.yaml"
             parameter_file(self._config, self._parameters)
             self._variables = environment(self._config, Path(folder) / "log")
@@ -264,7 +246,7 @@ class Runner:
             self.results.failures.append(f"what came before the plant was started again is in {path}")
 
     def _start(self, name: str) -> None:
-        command = [*self._commands[name], "--ros-args", "--params-file", str(self._parameters)]
+        command = [*self._commands[name], *ros_arguments(self._config, self._parameters)]
         if name == "recorder" and self._restarts:  # what the first one wrote is left alone
             command += ["-p", f"output:={self._config.output}-{self._restarts + 1}"]
         if name == "plant" and self._before:  # the run ends when it was to end
@@ -304,6 +286,10 @@ class Runner:
             message = str(event["message"])
             if message not in self.results.warnings:
                 self.results.warnings.append(message)
+        elif kind == "second_publisher":
+            message = f"{event['topic']} had a second publisher (node {event['publisher']}): its messages were not used"
+            if message not in self.results.failures:
+                self.results.failures.append(message)
         elif kind == "bag":
             self.results.earlier.append(Path(event["path"]))
         elif kind == "error":

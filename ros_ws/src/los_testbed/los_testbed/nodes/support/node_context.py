@@ -11,12 +11,14 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from los_testbed.config import NAMESPACE
 from los_testbed.loop.scheduling import (
     CPU_INDEX,
     PRIORITIES,
@@ -28,14 +30,14 @@ from los_testbed.loop.scheduling import (
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import declare_config
 from los_testbed.nodes.support.security import refuse_missing_security
-from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
+from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """If set, a node tells its parent process what happens, one JSON object per line on its output."""
 
 
 class NodeContext:
-    """A node in namespace ``/telescope`` with the run's configuration as parameters.
+    """A node, by default in namespace ``/telescope``, with the run's configuration as parameters.
 
     Parameters
     ----------
@@ -61,8 +63,19 @@ class NodeContext:
         self.config = declare_config(self.node)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10))
+        self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
+        own, depth = f"{name}/{OWN_DIAGNOSTICS}", QoSProfile(depth=10)
+        before = self._publishers(own)
+        self._diagnostics = [
+            self.node.create_publisher(DiagnosticArray, topic, depth) for topic in (DIAGNOSTICS_TOPIC, own)
+        ]
+        self._identifier = next(iter(sorted(self._publishers(own) - before)), "")
         self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
+
+    def _publishers(self, topic: str) -> set[str]:
+        """Identifiers of this node's publishers on a topic."""
+        infos = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topic))
+        return {bytes(info.endpoint_gid).hex() for info in infos if info.node_name == self.node.get_name()}
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True
@@ -91,19 +104,21 @@ class NodeContext:
         self._executor.spin_once(timeout_sec=0.0)
 
     def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
-        """Publish the state of this node on /diagnostics."""
+        """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads."""
         array = DiagnosticArray()
+        array.header.frame_id = self._identifier  # the recorder tells its own nodes' reports by it
         array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
         array.status = [
             DiagnosticStatus(
                 level=bytes([level]),
-                name=f"telescope: {self.name}",
+                name=self._label,
                 message=message,
                 hardware_id="los_testbed",
                 values=[KeyValue(key=key, value=value) for key, value in values.items()],
             )
         ]
-        self._diagnostics.publish(array)
+        for publisher in self._diagnostics:
+            publisher.publish(array)
 
     def plot(self, values: Mapping[str, float]) -> None:
         """Publish values since the last report on ``~/statistics``.
@@ -123,8 +138,16 @@ class NodeContext:
             except OSError:
                 self._events = False
 
+    def report_second_publishers(self, news: Sequence[tuple[str, str]]) -> None:
+        """Tell the runner, or log, which topics have a second publisher, and of which node."""
+        for topic, node in news:
+            self.event("second_publisher", topic=topic, publisher=node)
+            if not self._events:
+                self.node.get_logger().error(f"{topic} must have one publisher, got a second one: node {node}")
+
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph when the recorder has the last report."""
+        self._diagnostics[1].wait_for_all_acked(Duration(seconds=1.0))
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()

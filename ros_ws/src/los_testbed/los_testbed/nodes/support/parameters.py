@@ -30,6 +30,8 @@ def declare_config(node: Node) -> RunConfig:
     for name, entry in FIELDS.items():
         default: Any = entry.default
         try:
+            if name == "namespace":
+                default = node.get_namespace()
             if isinstance(default, tuple):
                 node.declare_parameter(name, Parameter.Type.DOUBLE_ARRAY, _descriptor(entry))
                 given = node.get_parameter_or(name, None)
@@ -38,6 +40,11 @@ def declare_config(node: Node) -> RunConfig:
                 values[name] = node.declare_parameter(name, default, _descriptor(entry)).value
         except ParameterException as error:
             raise ValueError(f"{name}: {' '.join(str(error).split())}") from None
+    if values["namespace"] != node.get_namespace():
+        raise ValueError(
+            f"namespace must be that of the node, {node.get_namespace()} (set it by -r __ns:=NAMESPACE), "
+            f"got {values['namespace']}"
+        )
     return RunConfig.from_mapping(values)
 
 
