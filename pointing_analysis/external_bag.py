@@ -205,6 +205,7 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
     if time not in TIME_SOURCES:
         raise ValueError(f"time must be one of {', '.join(TIME_SOURCES)}, got {time!r}")
     topics, problems = _scan(path, los)
+    cut = bool(problems)
     chosen = _choose(path, los, topics)
     topic = topics[chosen.topic]
     values, header, fitting = _decode(chosen, topic)
@@ -223,7 +224,7 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
     }  # fmt: skip
     return make_series(
         stamps[fitting], values[fitting], unit=unit, rate=rate, published=np.array(topic.published)[fitting],
-        path=path, schema=chosen.schema, parameters=about, problems=problems,
+        path=path, schema=chosen.schema, parameters=about, problems=problems, open_end=cut,
     )  # fmt: skip
 
 

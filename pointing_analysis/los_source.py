@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from pointing_analysis.external_bag import TIME_SOURCES, read_external
+from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
 from pointing_analysis.recording import Recording
 from pointing_analysis.tables import SUFFIXES, read_table
@@ -18,6 +19,7 @@ def open_los(
     unit: str | None = None,
     rate: float | None = None,
     time: str | None = None,
+    max_chunk: int = MAX_CHUNK,
 ) -> Recording:
     """Open a recording.
 
@@ -28,6 +30,7 @@ def open_los(
     unit : rad, mrad, urad, nrad, arcsec or mas; needed for all but a bag of the testbed
     rate : sampling rate [Hz]; by default from the times
     time : of a bag ``header``, ``log`` or ``auto``; of a table the name of the time column
+    max_chunk : largest chunk of a bag of the testbed that is unpacked [byte]
 
     Raises
     ------
@@ -41,4 +44,4 @@ def open_los(
         return read_external(file, los, unit=unit, rate=rate, time=time or TIME_SOURCES[0])
     if unit is not None or rate is not None or time is not None:
         raise ValueError("los must be given with unit, rate or time for a bag, got none")
-    return Run.open(file)
+    return Run.open(file, max_chunk=max_chunk)

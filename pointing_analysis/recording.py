@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from pointing_analysis.bag_loss import TopicLoss
 from pointing_analysis.topic import Topic
 
 
@@ -27,6 +28,10 @@ class Recording(Protocol):
     @property
     def problems(self) -> tuple[str, ...]:
         """Defects, one sentence each."""
+
+    @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """What is known to be lost, by topic."""
 
     @property
     def topics(self) -> tuple[str, ...]:

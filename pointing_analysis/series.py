@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointing_analysis.bag_loss import TopicLoss
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.requirements import ANGLES, Requirement, load, parse
 from pointing_analysis.summary import Summary, summarise
@@ -55,6 +56,11 @@ class Series:
     parameters: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     problems: tuple[str, ...] = ()
     attachments: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """Nothing is known of losses."""
+        return ()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -189,6 +195,7 @@ def make_series(
     schema: str = "",
     parameters: Mapping[str, Any] = _NOTHING,
     problems: Sequence[str] = (),
+    open_end: bool = False,
 ) -> Series:
     """Line of sight from stamps and samples.
 
@@ -200,6 +207,7 @@ def make_series(
     rate : sampling rate [Hz] to whose grid the stamps are moved; by default they are taken as they are
     published : (n,) [ns]; by default the stamps
     path, schema, parameters, problems : what is known of the samples
+    open_end : whether the recording was cut off: an unknown number of samples is missing
 
     Raises
     ------
@@ -217,6 +225,7 @@ def make_series(
         stamps, kept, notes = gridded(stamps, rate)
         stamps, values, sent = stamps[kept], values[kept], sent[kept]
     topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent.copy())
+    topic = replace(topic, open_end=open_end)
     about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
     return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
 

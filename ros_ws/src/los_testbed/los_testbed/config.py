@@ -16,8 +16,7 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from pointing_analysis.structured_text import load_yaml, read_text
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, STAGES, frame_ticks
 
 NAMESPACE = "/telescope"
@@ -179,16 +178,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     ValueError
         No such file, not YAML, or not a table.
     """
-    try:
-        content = yaml.safe_load(path.read_text("utf-8"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise ValueError(f"{path} is not a configuration: expected YAML") from None
+    content = load_yaml(read_text(path), path)
     if isinstance(content, dict) and set(content) == {"/**"}:
         content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
     if not isinstance(content, dict):
-        raise ValueError(f"{path} is not a configuration: expected names and values")
+        raise ValueError(f"{path} must hold names and values, got another content")
     return content
 
 
@@ -198,10 +192,7 @@ def parse_value(name: str, text: str) -> Any:
         raise ValueError(unknown(name))
     if isinstance(FIELDS[name].default, str):
         return text
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise ValueError(f"{name}: cannot read the value {text!r}") from None
+    return load_yaml(text, name)
 
 
 def physical_hash(config: RunConfig) -> str:
@@ -233,7 +224,8 @@ def _checked(entry: Field[Any], value: Any) -> Any:
 
 def _number(name: str, unit: str, meta: Mapping[str, Any], kind: type, value: Any) -> Any:
     whole = kind is int
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or (whole and value != int(value)):
+    odd = isinstance(value, bool) or not isinstance(value, (int, float))
+    if odd or (whole and math.isfinite(value) and value != int(value)):
         raise ValueError(f"{name} must be {'a whole number' if whole else 'a number'}, got {value!r}")
     low, high = meta["low"], meta["high"]
     if not math.isfinite(value) or not low <= value <= high:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json, seconds
 
 ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
@@ -46,6 +46,7 @@ def analyse(
     requirements: Annotated[
         Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
     ] = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
     """See ANALYSE_EXAMPLES."""
@@ -53,12 +54,13 @@ def analyse(
     from pointing_analysis.los_source import open_los
     from pointing_analysis.requirements import load
 
+    seconds("--transient", transient)
     target = report
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"
     given = None if requirements is None else load(requirements)
-    runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time) for bag in bags]
-    summaries = summarise_runs(runs, target, transient, given)
+    runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=chunk_limit(max_chunk)) for bag in bags]
+    summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Console(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

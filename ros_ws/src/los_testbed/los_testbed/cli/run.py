@@ -17,6 +17,7 @@ from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.runner import Results
+from los_testbed.run.screen import say
 from los_testbed.variants import check_ranges, chosen_member, layered
 from lti.progress import Progress
 
@@ -113,7 +114,7 @@ def run(
     console = Console(stderr=json_)
     bag, results = execute(chosen)
     for warning in [*results.warnings, *results.failures]:
-        console.print(f"[yellow]warning:[/yellow] {warning}")
+        say(console, warning, "warning")
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
     print_summary(console, summaries)
     if json_:

@@ -22,6 +22,7 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.run.bag_names import free_name
 from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
 from pointing_analysis.cdr import Encoder
 from pointing_analysis.message_types import HEADER
@@ -148,7 +149,7 @@ class Recorder:
         self._finish_bag()
         self.finished += 1
         self.context.event("bag", path=str(self.path))
-        self.path = _free_name(self._base)
+        self.path = free_name(self._base)
         self.bag, self.statistics = None, {}
         for track in self.tracks:
             track.begin_again()
@@ -229,11 +230,6 @@ class Recorder:
         self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
             raise ValueError("a plant must run on this domain, got no message to record")
-
-
-def _free_name(base: Path) -> Path:
-    """Name of another bag beside `base`."""
-    return next(path for n in itertools.count(2) if not (path := base.with_name(f"{base.name}-{n}")).exists())
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

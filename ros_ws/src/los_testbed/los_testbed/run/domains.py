@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import socket
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 MAX_DOMAIN = 101
 """Above it the ports of a domain may be those that the system gives to any program."""
@@ -26,24 +22,14 @@ def domain_lock(domain: int, namespace: str) -> Iterator[None]:
     ValueError
         Another run holds it.
     """
-    label = namespace.replace("/", ".")
-    path = Path(tempfile.gettempdir()) / f"los_testbed_domain_{domain}{label}.lock"
-    try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError:  # another user's file: the plant still listens before it talks
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
+        try:
+            # No file: the kernel frees the name when the process ends, however it ends.
+            held.bind(f"\0los_testbed_domain_{domain}{namespace}")
+        except OSError:
+            what = f"a ROS domain without another run in namespace {namespace} on this machine"
+            raise ValueError(f"--domain must be {what}, got {domain}") from None
         yield
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise ValueError(
-            f"--domain must be a ROS domain without another run in namespace {namespace} on this machine, got {domain}"
-        ) from None
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def free_domain(namespace: str) -> int:

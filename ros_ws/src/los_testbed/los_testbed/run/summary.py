@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,11 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from los_testbed.run.screen import say
+from pointing_analysis.atomic_output import check_output
+from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
 from pointing_analysis.recording import Recording
 from pointing_analysis.report import digits, write_report
@@ -40,6 +45,7 @@ def summarise_runs(
     bags: Sequence[Path | Recording],
     report: Path | None,
     transient: float | None = None,
+    max_chunk: int = MAX_CHUNK,
     requirements: Sequence[Requirement] | None = None,
 ) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
@@ -52,6 +58,8 @@ def summarise_runs(
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
+    max_chunk : int
+        Largest chunk that is unpacked [byte].
     requirements : sequence of Requirement, optional
         By default those of the reference telescope.
 
@@ -60,7 +68,9 @@ def summarise_runs(
     ValueError
         A bag that cannot be read or holds no run.
     """
-    opened = [Run.open(bag) if isinstance(bag, Path) else bag for bag in bags]
+    if report is not None:
+        check_output(report, "the report")
+    opened = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
     summaries = tuple(summarise(run, transient=transient, requirements=requirements) for run in opened)
     if report is not None:
         from los_testbed.run.predictions import predictions
@@ -72,9 +82,7 @@ def summarise_runs(
 
 def _metrics(run: Recording, summary: Summary) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
-    statistics = run.parameters.get("statistics", {})
-    plant: Mapping[str, str] = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
-    recorder: Mapping[str, str] = statistics.get("recorder", {}) if isinstance(statistics, dict) else {}
+    plant, recorder = (_statistics(run, node) for node in ("plant", "recorder"))
     return {
         **summary.as_dict(),
         "bag": str(summary.path),
@@ -88,11 +96,23 @@ def _metrics(run: Recording, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _latency(run: Recording, plant: Mapping[str, str]) -> dict[str, float | None]:
+def _statistics(run: Recording, node: str) -> dict[str, float]:
+    """Statistics of a node as the bag has them; what is no number is left out."""
+    statistics = run.parameters.get("statistics", {})
+    found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
+    numbers: dict[str, float] = {}
+    for name, text in found.items() if isinstance(found, dict) else ():
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
+            numbers[name] = float(text)
+    whole = ("ticks", "missed_ticks", "samples_lost")
+    return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
+
+
+def _latency(run: Recording, plant: Mapping[str, float]) -> dict[str, float | None]:
     """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
-        return {key: _number(float(plant[name])) for key, name in names.items()}
+        return {key: _number(plant[name]) for key, name in names.items()}
     return dict.fromkeys(names)
 
 
@@ -105,17 +125,17 @@ def print_summary(console: Console, results: RunSummaries) -> None:
     for summary, metrics in zip(results.summaries, results.runs):
         console.print(_table(summary, metrics))
         for problem in summary.problems:
-            console.print(f"[yellow]note:[/yellow] {problem}")
-        console.print(f"bag     {summary.path}", soft_wrap=True)
+            say(console, problem, "note")
+        say(console, f"bag     {summary.path}")
     if results.report is not None:
-        console.print(f"report  {results.report}", soft_wrap=True)
+        say(console, f"report  {results.report}")
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out"
-    table = Table(title=title)
+    table = Table(title=Text(title, style="table.title"))
     table.add_column("metric")
     table.add_column("value", justify="right")
     table.add_column("limit", justify="right")
