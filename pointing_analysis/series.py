@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pointing_analysis.bag_loss import TopicLoss
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.requirements import ANGLES, Requirement, load, parse
+from pointing_analysis.requirement_text import ANGLES, Requirement, load, parse
 from pointing_analysis.summary import Summary, summarise
 from pointing_analysis.topic import NANO, Topic, make_topic
 
