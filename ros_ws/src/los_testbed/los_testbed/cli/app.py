@@ -14,6 +14,7 @@ from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
+from los_testbed.cli.proofs import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, run
@@ -34,6 +35,7 @@ app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
+design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
 app.add_typer(design_app, name="design")
 
 
