@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lti.progress import Progress
 from lti.threads import one_thread
 from lti.uncertain_system import UncertainSystem
-from robust_design.certified.cells import Cell, CellTest
+from robust_design.certified.cells import Cell, CellTest, SingularCellError
 from robust_design.certified.checker import Inequality
 from robust_design.certified.proof import Proof, finished, proven_cell, stable_member, statement
 from robust_design.certified.search import (
@@ -36,6 +36,8 @@ FloatArray = NDArray[np.float64]
 WHOLE = (0.0, np.inf)
 SHARE = 0.9
 """Part of the gap at which a proof aims."""
+ATTEMPTS = 12
+"""Factors of the box that are tried for stability, each 0.7 of the one before unless an unstable member was found."""
 RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
 """Factors of the level at which cells that are left over are tried."""
 
@@ -229,7 +231,7 @@ class _Cover:
         """None if the cell is proven and kept, else the axis to bisect."""
         try:
             result = self.test.solve(cell, level, until)
-        except ArithmeticError:
+        except SingularCellError:
             return len(cell.intervals)
         if result.scalings is not None:
             content = proven_cell(cell, result.scalings)
@@ -352,7 +354,9 @@ def _stability_bounds(
     proof, lower = None, 0.0
     left: tuple[Cell, ...] = ()
     with Progress("robust stability", progress) as bar:
-        while time.monotonic() < until:
+        for _ in range(ATTEMPTS):
+            if time.monotonic() > until:
+                break
             ends = scaled_box(system, box, target)
             claim = statement(system, "stability", ends, None, WHOLE)
             cover = _Cover.of(system, claim, Cell(tuple(ends), WHOLE))

@@ -29,6 +29,10 @@ WIDE = 4.0
 """Ratio of frequencies above which a band is bisected before the parameters."""
 
 
+class SingularCellError(ArithmeticError):
+    """The middle of a cell has a pole on the imaginary axis, or a singular LFT."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """Intervals of all parameters and of frequency.
@@ -140,7 +144,7 @@ class CellTest:
 
         Raises
         ------
-        ArithmeticError
+        SingularCellError
             A pole on the imaginary axis, or a singular LFT, in the middle of the cell.
         """
         maps, factors = self._maps(cell)
@@ -260,12 +264,12 @@ def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
         return right
     size = np.abs(matrix).max(axis=1, initial=0.0)
     if not np.all(size > 0.0):
-        raise ArithmeticError("a pole on the imaginary axis or a singular LFT in the middle of a cell")
+        raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
     scaled = matrix / size[:, None]
     factors, pivots, _ = linalg.lapack.zgetrf(scaled)
     diagonal = np.abs(np.diag(factors))
     if not diagonal.min() > 1e-15 * diagonal.max():
-        raise ArithmeticError("a pole on the imaginary axis or a singular LFT in the middle of a cell")
+        raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
     solution: Any = linalg.lapack.zgetrs(factors, pivots, right / size[:, None])[0]
     return np.asarray(solution)
 
@@ -282,7 +286,7 @@ def _balanced(M: ComplexArray, inner: int) -> FloatArray:
     squares[:inner, inner] = power[:inner, inner:].sum(axis=1)
     np.fill_diagonal(squares, 0.0)
     scale = np.ones(inner + 1)
-    floor = 1e-30 * max(float(squares.max(initial=0.0)), 1e-300)
+    floor = 1e-30 * float(squares.max(initial=0.0)) or 1.0
     for _ in range(BALANCING_SWEEPS):
         for i in range(inner + 1):
             row = float(scale[i] ** 2 * (squares[i] / scale**2).sum()) + floor
