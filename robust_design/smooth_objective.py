@@ -56,10 +56,20 @@ class SmoothObjective:
         Stable point at which the grid is refined.
     found : Evaluation
         Exact values there.
+    extra : tuple of ndarray
+        Frequencies [rad/s] to add to the grid of every model.
+    thin : bool
+        Leave out most of the frequencies at which all gains are small.
     """
 
     def __init__(
-        self, problem: Problem, x: FloatArray, found: Evaluation, extra: tuple[FloatArray, ...] | None = None
+        self,
+        problem: Problem,
+        x: FloatArray,
+        found: Evaluation,
+        extra: tuple[FloatArray, ...] | None = None,
+        *,
+        thin: bool = False,
     ) -> None:
         self._problem = problem
         self.power = 40.0
@@ -72,7 +82,9 @@ class SmoothObjective:
         self._h2 = tuple(range(len(problem.hinf), len(problem.gain_numbers)))
         self.extra: list[FloatArray] = []
         self._grids = [self._grid(k, found, extra[k] if extra else np.zeros(0)) for k in range(len(problem.models))]
-        self._h2_models = [0] if _same(found.values[list(problem.h2)]) else list(range(len(self._grids)))
+        self._h2_models = [0] if same_h2(problem, found) else list(range(len(self._grids)))
+        if thin:
+            self._grids = [self._thinned(k, K) for k in range(len(self._grids))]
         for k in self._h2_models:
             _, norms = self._grids[k].gains(K)
             for i, norm in norms.items():
@@ -90,6 +102,12 @@ class SmoothObjective:
         self.extra.append(extra)
         arrays = loop.grid.merged(loop.plant.arrays(extra)) if len(extra) else loop.grid
         return GridGains(loop.plant, arrays, self._problem.structure.order, self._hinf, self._h2)
+
+    def _thinned(self, k: int, K: FloatArray) -> GridGains:
+        grid = self._grids[k]
+        kept = grid.essential(K, h2=k in self._h2_models) | np.isin(grid.arrays.omega, self.extra[k])
+        arrays = grid.arrays.at(np.flatnonzero(kept))
+        return GridGains(grid.plant, arrays, grid.order, grid.hinf, grid.h2)
 
     def _small(self, k: int) -> bool:
         return self._problem.order(k) <= EXACT_STABILITY_ORDER
@@ -277,7 +295,9 @@ def _jacobian(structure: Structure, x: FloatArray) -> FloatArray:
     return np.array(rows)
 
 
-def _same(values: FloatArray) -> bool:
+def same_h2(problem: Problem, found: Evaluation) -> bool:
+    """Whether every H2 norm is the same at all models."""
+    values = found.values[list(problem.h2)]
     if values.size == 0:
         return True
     return bool(np.all(np.ptp(values, axis=1) <= SAME_H2 * np.abs(values).max(axis=1)))

@@ -18,7 +18,7 @@ from robust_design.gains import unresolved
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.quasi_newton import quasi_newton
-from robust_design.smooth_objective import PENALTY, SmoothObjective
+from robust_design.smooth_objective import PENALTY, SmoothObjective, same_h2
 
 FloatArray = NDArray[np.float64]
 
@@ -33,12 +33,13 @@ FEASIBLE = 1e-6  # excess over 1 that a hard value may have
 
 @dataclass(frozen=True)
 class Point:
-    """Parameters (size,) with their exact values."""
+    """Parameters (size,) with their exact values; the H2 norms of the first model for all if `quick`."""
 
     x: FloatArray
     found: Evaluation
     soft: float
     hard: float
+    quick: bool = False
 
     @cached_property
     def feasible(self) -> bool:
@@ -54,10 +55,10 @@ class Point:
         return self.hard < other.hard * (1.0 - tolerance)
 
 
-def point_at(problem: Problem, x: FloatArray) -> Point:
-    """Exact values at `x` (size,), without gradients."""
-    found = problem.evaluate(x, gradients=False)
-    return Point(x, found, *worst_values(problem, found))
+def point_at(problem: Problem, x: FloatArray, *, quick: bool = False) -> Point:
+    """Exact values at `x` (size,), without gradients; `quick`: H2 norms of the first model for all."""
+    found = problem.evaluate(x, gradients=False, h2_once=quick)
+    return Point(x, found, *worst_values(problem, found), quick)
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: fl
             break
     if rounds.point.feasible and np.isfinite(rounds.point.soft):
         rounds.descend()
-    return SmoothPhase(rounds.point, rounds.used, rounds.count)
+    return SmoothPhase(rounds.checked(), rounds.used, rounds.count)
 
 
 class _Rounds:
@@ -87,7 +88,13 @@ class _Rounds:
         self._problem, self._evaluations, self._deadline, self._target = problem, evaluations, deadline, target
         self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
         self.point = point_at(problem, x)
+        self._quick = len(problem.models) > 1 and len(problem.h2) > 0 and same_h2(problem, self.point.found)
         self.used, self.count = 1, 0
+        self._thin = True  # until a grid without the frequencies of small gains has missed an unstable pole
+
+    def checked(self) -> Point:
+        """The point so far with the H2 norms of all models."""
+        return point_at(self._problem, self.point.x) if self.point.quick else self.point
 
     @property
     def left(self) -> bool:
@@ -134,7 +141,7 @@ class _Rounds:
     def _round(
         self, start: Point, power: float, steps: int, *, multiplier: float = 0.0, restoring: bool = False
     ) -> Point:
-        objective = SmoothObjective(self._problem, start.x, start.found, self._extra)
+        objective = SmoothObjective(self._problem, start.x, start.found, self._extra, thin=self._thin)
         objective.begin(start.x, power=power, multiplier=multiplier, restoring=restoring)
         result = quasi_newton(
             objective,
@@ -145,8 +152,9 @@ class _Rounds:
             floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
             stop=lambda: time.monotonic() > self._deadline,
         )
-        new = point_at(self._problem, result.x)
+        new = point_at(self._problem, result.x, quick=self._quick)
         self.used, self.count = self.used + objective.evaluations + 1, self.count + 1
+        self._thin = bool(new.found.poles)
         self._extra = tuple(_with_peaks(self._problem, k, e, new.found) for k, e in enumerate(objective.extra))
         return new
 
