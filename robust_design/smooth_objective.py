@@ -258,13 +258,17 @@ class SmoothObjective:
             top = float(np.log(max(1e-300, *(float(e.values.max()) for e in own))))
             weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in own]
             sum_of_weights = sum(float(w.sum()) for w in weights)
+            mean, share = np.zeros(len(x)), 0.0
             for e, w in zip(own, weights):
                 index = np.argsort(-w)[:MAX_SLOPES]
                 index = index[w[index] > 1e-4 * sum_of_weights]
                 if len(index) == 0:
                     continue
-                G = self._relative_slopes(x, K, e, index) * np.sqrt(p * w[index] / sum_of_weights)[:, None]
-                total = total + np.asarray(G.T @ G, dtype=float)
+                parts = w[index] / sum_of_weights
+                G = self._relative_slopes(x, K, e, index)
+                mean, share = mean + G.T @ parts, share + float(parts.sum())
+                total = total + p * np.asarray((G.T * parts) @ G, dtype=float)
+            total = total - p * np.outer(mean, mean) / share
         return total
 
     def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: NDArray[np.intp]) -> FloatArray:

@@ -150,6 +150,7 @@ class _Rounds:
             steps=steps,
             tolerance=TOLERANCE / 10.0,
             floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
+            renewed=objective.metric if power == POWERS[0] else None,
             stop=lambda: time.monotonic() > self._deadline,
         )
         new = point_at(self._problem, result.x, quick=self._quick)
