@@ -48,8 +48,8 @@ def quasi_newton(
 ) -> QuasiNewtonResult:
     """Minimise `function` (infinite outside its domain) from `x` (n,), inside the domain.
 
-    `renewed` gives a new metric after every step. Ends after `steps` steps, below `floor`, when :data:`STAGNATION` steps together bring less than `tolerance`, or at
-    `stop`.
+    `renewed` gives a new metric after every step. Ends after `steps` steps, below `floor`, when :data:`STAGNATION`
+    steps together bring less than `tolerance`, or at `stop`.
     """
     f, gx = function(x)
     g = metric.gradient(gx)

@@ -18,14 +18,16 @@ from robust_design.gains import unresolved
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.quasi_newton import quasi_newton
-from robust_design.smooth_objective import PENALTY, SmoothObjective, same_h2
+from robust_design.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective, same_h2
 
 FloatArray = NDArray[np.float64]
 
 POWERS = (40.0, 150.0, 600.0)
 STEPS, MIN_STEPS = 12, 3  # of a round
+RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 RESTORING_STEPS = 6  # of a round that lowers hard values alone
 MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
+MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
 TOLERANCE = 1e-3  # decrease of the logarithm that is worth another round
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
 FEASIBLE = 1e-6  # excess over 1 that a hard value may have
@@ -104,21 +106,23 @@ class _Rounds:
     def restore(self) -> bool:
         """One round on the hard values alone from an infeasible point; whether it made progress."""
         new = self._round(self.point, POWERS[0], STEPS, restoring=True)
-        if not new.better_than(self.point, TOLERANCE):
+        if not new.better_than(self.point, RESTORED):
             new = self._round(self.point, POWERS[-1], STEPS, restoring=True)
-        progress = new.better_than(self.point, TOLERANCE)
+        progress = new.better_than(self.point, RESTORED)
         if new.better_than(self.point):
             self.point = new
         return progress
 
     def descend(self) -> None:
         """Rounds on the soft values from a feasible point, which feasible points only replace."""
-        stage, steps, multiplier = 0, STEPS, 0.0
+        stage, steps, multiplier, penalty = 0, STEPS, 0.0, PENALTY
         floor = max(self._target, NEGLIGIBLE * self.point.soft, 1e-12)
         while stage < len(POWERS) and self.left and self.point.soft > floor:
-            new = self._round(self.point, POWERS[stage], steps, multiplier=multiplier)
+            new = self._round(self.point, POWERS[stage], steps, multiplier=multiplier, penalty=penalty)
             if np.isfinite(new.hard) and new.hard > 0.0:
-                multiplier = max(0.0, multiplier + 2.0 * PENALTY * float(np.log(new.hard / HARD_TARGET)))
+                excess = float(np.log(new.hard / HARD_TARGET))
+                multiplier = max(0.0, multiplier + 2.0 * penalty * excess)
+                penalty = penalty * MORE_PENALTY if excess > 0.5 * HARD_MARGIN else penalty
             new = self._restored(new)
             lower = new.better_than(self.point)
             if lower and new.better_than(self.point, TOLERANCE):
@@ -139,10 +143,17 @@ class _Rounds:
         return new
 
     def _round(
-        self, start: Point, power: float, steps: int, *, multiplier: float = 0.0, restoring: bool = False
+        self,
+        start: Point,
+        power: float,
+        steps: int,
+        *,
+        multiplier: float = 0.0,
+        penalty: float = PENALTY,
+        restoring: bool = False,
     ) -> Point:
         objective = SmoothObjective(self._problem, start.x, start.found, self._extra, thin=self._thin)
-        objective.begin(start.x, power=power, multiplier=multiplier, restoring=restoring)
+        objective.begin(start.x, power=power, multiplier=multiplier, penalty=penalty, restoring=restoring)
         result = quasi_newton(
             objective,
             start.x,
