@@ -37,6 +37,8 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/lti/test_norms_unit.py",
         "tests/published/test_norms.py",
     ),
+    "lti/small_norm.py": ("tests/unit/lti/test_small_norm.py",),
+    "lti/peak_search.py": ("tests/unit/lti/test_small_norm.py", "tests/unit/lti/test_hinf_norm.py"),
     "titop_plant": ("tests/unit/titop_plant",),
     "titop_plant/sampled_plant.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",

@@ -140,6 +140,28 @@ class FrequencyResponse:
         return out
 
     @cached_property
+    def residues(self) -> ComplexArray:
+        """Residue of each pole as a row, shape (n, p m), of the modal form."""
+        products = self.left.T[:, :, None] * self.right[:, None, :]
+        return np.asarray(products.reshape(len(self.poles), -1), dtype=complex)
+
+    def with_derivatives(self, omega: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response (p, m) at a finite frequency [rad/s] and its first and second derivative with respect to it."""
+        if self.triangular is None:
+            powers = np.empty((3, len(self.poles)), dtype=complex)
+            powers[0] = 1.0 / (1j * omega - self.poles)
+            np.multiply(powers[0], powers[0], out=powers[1])
+            np.multiply(powers[1], powers[0], out=powers[2])
+            G, G1, G2 = (powers @ self.residues).reshape(3, *self.D.shape)
+        else:
+            shifted = 1j * omega * np.eye(len(self.poles)) - self.triangular
+            X = [self.right]
+            for _ in range(3):
+                X.append(sl.solve_triangular(shifted, X[-1], check_finite=False))
+            G, G1, G2 = (self.left @ x for x in X[1:])
+        return G + self.D, -1j * G1, -2.0 * G2
+
+    @cached_property
     def on_axis(self) -> FloatArray:
         """Frequencies of the poles that lie on the imaginary axis to rounding [rad/s]."""
         size = np.abs(self.poles)

@@ -79,9 +79,8 @@ def interval_test(response: FrequencyResponse, level: float, seeds: FloatArray, 
     cuts = _cuts(poles, seeds if peak is None else np.concatenate([seeds, _around(peak, poles)]), top)
     ends = np.column_stack([cuts[:-1], cuts[1:]])
     tail = np.array([[0.0, 1.0 / top]])
-    products = _residue_products(response)
     for inverse, intervals in ((False, ends), (True, tail)):
-        outcome = _cover(response, products, residue, level, intervals, inverse)
+        outcome = _cover(response, residue, level, intervals, inverse)
         if not outcome.below:
             return outcome
     return LevelTest(True, True, np.zeros(0))
@@ -111,15 +110,8 @@ def _around(peak: float, poles: ComplexArray) -> FloatArray:
     return np.concatenate([[peak], peak - steps, peak + steps])
 
 
-def _residue_products(response: FrequencyResponse) -> ComplexArray:
-    p, n = response.left.shape
-    m = response.right.shape[1]
-    return (response.left.T[:, :, None] * response.right[:, None, :]).reshape(n, p * m)
-
-
 def _cover(
     response: FrequencyResponse,
-    products: ComplexArray,
     residue: FloatArray,
     level: float,
     intervals: FloatArray,
@@ -138,7 +130,7 @@ def _cover(
             if not inverse:
                 hard = ~_clearly_below(response, residue, level, centre, half)
                 part, centre, half = part[hard], centre[hard], half[hard]
-            value, bound = _taylor_bound(response, products, residue, centre, half, inverse)
+            value, bound = _taylor_bound(response, residue, centre, half, inverse)
             above = value > level
             if above.any():
                 found = centre[above]
@@ -168,7 +160,6 @@ def _clearly_below(
 
 def _taylor_bound(
     response: FrequencyResponse,
-    products: ComplexArray,
     residue: FloatArray,
     centre: FloatArray,
     half: FloatArray,
@@ -194,7 +185,7 @@ def _taylor_bound(
         h = half[inside]
         step = h[:, None] * size
         rest = ((size**3 * step) / (1.0 - step)) @ residue
-        G0, G1, G2 = ((c @ products).reshape(-1, p, m) for c in (zeroth, first, first * ratio))
+        G0, G1, G2 = ((c @ response.residues).reshape(-1, p, m) for c in (zeroth, first, first * ratio))
         G0 += response.D
         G1 *= h[:, None, None]
         centres, lower, higher, curvature = largest_gains(np.concatenate([G0, G0 - G1, G0 + G1, G2])).reshape(4, -1)

@@ -20,6 +20,8 @@ from lti.bilinear import to_continuous
 from lti.eigenvectors import EPS, balanced
 from lti.frequency_response import FrequencyResponse, refined_response, resonances
 from lti.hinf_level_test import LevelTest, hamiltonian_test, interval_test
+from lti.peak_search import climb
+from lti.small_norm import MAX_STATES, small_hinf_norm
 from lti.state_space_model import Matrices, checked_matrices
 
 sl: Any = scipy.linalg
@@ -27,8 +29,8 @@ FloatArray = NDArray[np.float64]
 
 MAX_ROUNDS = 40
 CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
-STENCIL_STEPS = 40  # of the search for a peak, to each side
-_STENCIL = np.linspace(-1.0, 1.0, 2 * STENCIL_STEPS + 1)
+CLIMBED = 3  # seeds from which a peak is searched
+RIVAL = 0.7  # of the largest gain: seeds below are not tried
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ def hinf_norm(
     rtol : float
         Relative distance of the two sides.
     certificate : {"auto", "interval", "hamiltonian"}
-        ``auto`` takes the interval test where the modal form is sound and the Hamiltonian otherwise.
+        ``auto`` takes the Hamiltonian for up to 40 states whose damping is far from rounding; else the interval test
+        where the modal form is sound and the Hamiltonian otherwise.
 
     Returns
     -------
@@ -181,6 +184,8 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     if len(A) == 0 or not (B.any() and C.any()):
         return _norm_of_feedthrough(A, D)
     A, B, C = balanced(A, B, C)
+    if certificate == "auto" and len(A) <= MAX_STATES and (peak := small_hinf_norm((A, B, C, D), rtol)):
+        return HInfNorm(peak.value, peak.upper, peak.omega, "hamiltonian")
     response = FrequencyResponse.of(A, B, C, D, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
     if response.poles[worst].real >= 0.0 or response.on_axis.size:
@@ -254,29 +259,15 @@ def _seeds(response: FrequencyResponse) -> tuple[FloatArray, float]:
 
 
 def _best_peak(response: FrequencyResponse, seeds: FloatArray, rtol: float) -> tuple[float, float]:
-    """Largest gain near the best three seeds: (gain, frequency).
-
-    Around each, points over two pole distances to both sides, then around the best of them, until they are so close
-    that the parabola of the peak falls by less than a tenth of `rtol` between them.
-    """
+    """Largest gain near the best `CLIMBED` seeds: (gain, frequency)."""
     gains = largest_gains(response.at(seeds))
-    chosen = np.argsort(gains)[::-1][:3]
+    chosen = np.argsort(gains)[::-1][:CLIMBED]
     best, omega = float(gains[chosen[0]]), float(seeds[chosen[0]])
-    centre = seeds[chosen[gains[chosen] >= 0.7 * best]]
-    centre = centre[np.isfinite(centre) & (centre > 0.0)]
-    if not centre.size:
-        return best, omega
-    width = np.abs(1j * centre[:, None] - response.poles).min(axis=1)
-    half = 2.0 * width
-    fine = np.sqrt(0.1 * rtol) * width
-    rows = np.arange(len(centre))
-    while np.any(half > np.maximum(fine, 1e-15 * centre)):
-        points = np.abs(centre[:, None] + half[:, None] * _STENCIL)
-        gains = largest_gains(response.at(points.ravel())).reshape(points.shape)
-        index = gains.argmax(axis=1)
-        centre = points[rows, index]
-        half = 1.5 * half / STENCIL_STEPS
-        top = int(gains[rows, index].argmax())
-        if gains[top, index[top]] > best:
-            best, omega = float(gains[top, index[top]]), float(centre[top])
+    for k in chosen[gains[chosen] >= RIVAL * best]:
+        if 0.0 < seeds[k] < np.inf:
+            start = float(seeds[k])
+            limit = float(np.abs(1j * start - response.poles).min())
+            frequency, gain = climb(response.with_derivatives, start, float(gains[k]), limit, rtol)
+            if gain > best:
+                best, omega = gain, frequency
     return best, omega
