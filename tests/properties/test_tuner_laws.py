@@ -36,7 +36,7 @@ def plant(seed: int, kinds: list[str], feedthrough: bool) -> StateSpace:
     )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     st.integers(0, 10_000),
     st.lists(st.sampled_from(sorted(BLOCKS)), min_size=1, max_size=3),
@@ -46,7 +46,7 @@ def plant(seed: int, kinds: list[str], feedthrough: bool) -> StateSpace:
 def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
     system = plant(seed, kinds, feedthrough)
     structure = state_space([("y", 2)], [("u", 2)], order)
-    options = TuningOptions(starts=1, seed=seed, iterations=25)
+    options = TuningOptions(starts=1, seed=seed, iterations=12)
     result = tune([system], [HinfGain("w", "z")], structure, options=options)
     if result.certificate is None:
         assert result.soft == np.inf and result.status in ("not_stabilised", "out_of_time")
