@@ -76,8 +76,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _leave(code)
     except typer.Abort:
         return _leave(130)
-    except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+    except KeyboardInterrupt as stop:
+        return _fail(str(stop) or "interrupted", 130)
     except ValueError as error:
         return _fail(str(error), 2)
     except (LoopDivergedError, OSError) as error:

@@ -191,10 +191,15 @@ def execute(config: RunConfig) -> tuple[Path, Results]:
             bar.report(ticks, config.ticks)
 
         if config.mode == "inprocess":
-            from los_testbed.loop.simulate import run_in_process
+            from los_testbed.loop.contract import RunFailedError
+            from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+            from los_testbed.run.bag_names import recorded
 
             path = Path(config.output)
-            run_in_process(config, path, progress=progress)
+            try:
+                run_in_process(config, path, progress=progress)
+            except (KeyboardInterrupt, LoopDivergedError, RunFailedError) as error:
+                raise type(error)(f"{str(error) or 'interrupted'}{recorded(path)}") from None
             return path, Results(bag=path)
         from los_testbed.run.runner import Runner
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,30 @@ def port_of(vector: NDArray[np.float64], where: NDArray[np.bool_]) -> str:
             if name.startswith(("accel", "camera", "fsm_angle")) and columns.start <= index < columns.stop:
                 return f"{name}[{index - columns.start}]"
     return f"[{index}]"
+
+
+class RunFailedError(RuntimeError):
+    """Plant, observer or controller failed during a run; the message says which, at which tick and how."""
+
+
+def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> tuple[int, str] | None:
+    """Row and port of the first value that is not finite, camera frames aside; None if all are.
+
+    Parameters
+    ----------
+    signals : name of the vector -> (n, size) values of consecutive ticks
+    rows : how many of the ticks are valid
+    """
+    found = []
+    for name, values in signals.items():
+        odd = ~np.isfinite(values[:rows])
+        if name == "measurement":
+            odd[:, PORTS[CAMERA]] = False
+        ticks = np.flatnonzero(odd.any(axis=1))
+        if ticks.size:
+            row = int(ticks[0])
+            found.append((row, f"{name} {port_of(values[row], odd[row])} is {values[row][odd[row]][0]:g}"))
+    return min(found, key=lambda one: one[0]) if found else None
 
 
 def check_plant(plant: Plant) -> None:
