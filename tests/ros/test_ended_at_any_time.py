@@ -29,27 +29,31 @@ def temporary() -> set[str]:
     return {name for name in os.listdir(tempfile.gettempdir()) if name.startswith(("los_testbed", ".los"))}
 
 
+def names_run(entry: Path, bag: Path) -> bool:
+    """Whether a process belongs to the run of this bag, by its environment."""
+    try:
+        return f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes()
+    except OSError:
+        return False
+
+
 def nodes_of(bag: Path) -> list[int]:
-    """Processes whose command line or environment names this run: the nodes have its domain and were started by it."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes():
-                found.append(int(entry.name))
-        except OSError:
-            continue
-    return found
+    """Processes of the run of this bag."""
+    return [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit() and names_run(entry, bag)]
 
 
 def ended(folder: Path, mode: str, name: str, wait: float) -> tuple[int, str]:
     """Exit code and error output of a run that gets a signal after `wait` seconds; its processes are gone."""
     bag = folder / "bag"
-    command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--mode={mode}", "--duration=600"]
+    # Until its modules are imported no program can answer a signal in its own way.
+    begin = "import sys, los_testbed.cli.app as app; print('begun', file=sys.stderr, flush=True); app.main()"
+    command = [sys.executable, "-c", begin, "run", f"--mode={mode}", "--duration=600"]
     command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
     process = subprocess.Popen(
         command, cwd=folder, env={**os.environ, "BAG_OF_TEST": str(bag)}, stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL, text=True, start_new_session=True,
     )  # fmt: skip
+    assert process.stderr is not None and process.stderr.readline() == "begun\n"
     time.sleep(wait)
     process.send_signal(getattr(signal, name))
     _, err = process.communicate(timeout=120)
@@ -60,15 +64,23 @@ def ended(folder: Path, mode: str, name: str, wait: float) -> tuple[int, str]:
     return process.returncode, err
 
 
+def opened(bag: Path) -> Run | None:
+    """The bag; None if no message was written yet."""
+    try:
+        return Run.open(bag)
+    except BagError as error:
+        if "must hold" in str(error) or "must begin with" in str(error):
+            return None
+        raise
+
+
 def check_bag(folder: Path) -> None:
     """The bag can be read, or repaired and then read, or holds no message yet, or is not there."""
     bag = folder / "bag"
     if not bag.exists():
         return
-    try:
-        run = Run.open(bag)
-    except BagError as error:
-        assert "must hold" in str(error) or "must begin with" in str(error)  # no message was written yet
+    run = opened(bag)
+    if run is None:
         return
     if any("cut off" in problem for problem in run.problems):
         repair_bag(bag, folder / "repaired")
@@ -79,11 +91,11 @@ def check_bag(folder: Path) -> None:
 
 def trial(folder: Path, mode: str, name: str, seed: int) -> None:
     before = temporary()
-    code, err = ended(folder, mode, name, random.Random(f"{mode} {name} {seed}").uniform(0.1, 9.0))
+    code, err = ended(folder, mode, name, random.Random(f"{mode} {name} {seed}").uniform(0.0, 9.0))
     assert code == (-signal.SIGKILL if name == "SIGKILL" else 130), err
     assert "Traceback" not in err
     if name != "SIGKILL":
-        assert "los-testbed: " in err or (folder / "bag").exists() or code in (130, -signal.SIGHUP)
+        assert "los-testbed: interrupted" in err or (folder / "bag").exists()
     assert temporary() <= before
     check_bag(folder)
 

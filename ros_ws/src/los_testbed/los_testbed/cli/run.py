@@ -16,7 +16,7 @@ from los_testbed.cli.output import Json, print_json
 from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
-from los_testbed.run.runner import Results
+from los_testbed.run.runner import Results, RunError
 from los_testbed.run.screen import say
 from los_testbed.variants import check_ranges, chosen_member, layered
 from lti.progress import Progress
@@ -198,8 +198,10 @@ def execute(config: RunConfig) -> tuple[Path, Results]:
             path = Path(config.output)
             try:
                 run_in_process(config, path, progress=progress)
-            except (KeyboardInterrupt, LoopDivergedError, RunFailedError) as error:
-                raise type(error)(f"{str(error) or 'interrupted'}{recorded(path)}") from None
+            except (LoopDivergedError, RunFailedError) as error:
+                raise type(error)(f"{error}{recorded(path)}") from None
+            except KeyboardInterrupt:
+                raise RunError(f"interrupted{recorded(path)}", 130) from None
             return path, Results(bag=path)
         from los_testbed.run.runner import Runner
 
