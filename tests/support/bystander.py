@@ -82,5 +82,7 @@ class Bystander:
         assert all(publisher.settle(deadline) for publisher in self._outputs.values())
 
     def close(self) -> None:
+        for end in (*self._outputs.values(), *self._inputs.values()):
+            end.close()
         self.node.destroy_node()
         self.context.shutdown()

@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, control, bag, plant, design."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import typer
 from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
+from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
@@ -36,6 +37,7 @@ app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.add_typer(bag_app, name="bag")
+app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")
 

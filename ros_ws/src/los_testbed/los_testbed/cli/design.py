@@ -170,7 +170,8 @@ def verify(
 ) -> None:
     """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
 
-    The exit code is 1 if a loop is unstable at any parameter point.
+    The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The
+    exit code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
     """
     number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
@@ -189,9 +190,17 @@ def verify(
 
 
 def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
+    from los_design.margins import rounded
     from los_design.store import load_designs
-    from los_design.verification import check_implemented, check_paper, failures, rounded, verification_points
-    from titop_plant.interface import design_warnings
+    from los_design.verification import (
+        broken_requirements,
+        check_implemented,
+        check_paper,
+        failures,
+        verification_points,
+    )
+    from los_design.worst_points import load_worst_points
+    from titop_plant.interface import MIRROR_STAGES, design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
@@ -201,14 +210,15 @@ def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
             sys.stderr.write(f"warning: {warning}\n")
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
+    adversarial = load_worst_points()
+    at += [dict(p.parameters) for stage in MIRROR_STAGES for p in adversarial[stage].values()]
+    some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     with Progress("loops as implemented") as bar:
-        some = at[:: max(1, len(at) // NOMINAL_POINTS)]
-        step = _counted(bar, len(at) + len(some) + 1)
-
+        step = _counted(bar, 2 * (len(at) + len(some) + 1))
         implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step)
         nominal = load_designs("implemented_nominal")
-        alone = check_implemented(system, parameters, *nominal, [{}], step)
-        spread = check_implemented(system, parameters, *nominal, some, step)
+        alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
+        spread = check_implemented(system, parameters, *nominal, some, step, changes=False)
     paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
     robust = load_designs("paper")
     for design in robust:
@@ -223,9 +233,8 @@ def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
         "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
         "implemented": implemented.to_mapping(),
         "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
-        "worst_parameters": {name: dict(values) for name, values in implemented.worst.items()},
     }
-    return result, failures(paper, checks)
+    return result, failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
 
 
 def _counted(bar: Progress, total: int) -> Callable[[], None]:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes
+from los_testbed.loop.changes import NAMES
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
@@ -76,6 +78,9 @@ class PlantLoop:
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
+        change = getattr(plant, "change", None)
+        names = NAMES["plant"] if change is not None else ()
+        self.changes = context.allow_changes({name: partial(change, name) for name in names if change is not None})
         self._faded = False
         self._second = ""
 
@@ -144,7 +149,10 @@ class PlantLoop:
             self.held += 1
 
     def _tick(self, now: int) -> None:
-        io, command = self.io, self._command
+        io, command, changes = self.io, self._command, self.changes
+        changes.now = now - io.start
+        if changes.now >= changes.due:
+            changes.advance(changes.now)
         io.fsm_gate.apply(now, command[MIRROR])
         io.pma_gate.apply(now, command[FORCES])
         self.plant.step(command, self._measurement, self._truth)
@@ -204,6 +212,7 @@ class PlantLoop:
             **self.execution.summary("execution"),
             **self.io.rejections(),
             **self.io.watch.statistics(),
+            **self.changes.record(),
             **plant_notes(self.plant),
         }
 

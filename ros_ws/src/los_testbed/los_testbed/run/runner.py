@@ -32,6 +32,7 @@ RESTARTS = 3
 
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 class RunError(RuntimeError):
@@ -106,7 +107,7 @@ def ros_arguments(config: RunConfig, parameters: str | Path) -> list[str]:
 def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
     """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
     variables = dict(os.environ)
-    variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    variables.setdefault(RANGE_VARIABLE, "LOCALHOST")
     if logs is not None:
         variables.setdefault("ROS_LOG_DIR", str(logs))
     variables["OPENBLAS_NUM_THREADS"] = "1"

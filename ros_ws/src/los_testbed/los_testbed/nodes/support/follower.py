@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.loop.changes import Changes
 from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
@@ -39,14 +40,23 @@ class Follower:
         Joins them by stamp.
     tick : callable
         What to do with a tick; publishes its result.
+    changes : Changes
+        Settings that may change during the run.
     """
 
     def __init__(
-        self, context: NodeContext, topics: Sequence[Topic], synchronizer: StampSynchronizer, tick: Tick
+        self,
+        context: NodeContext,
+        topics: Sequence[Topic],
+        synchronizer: StampSynchronizer,
+        tick: Tick,
+        changes: Changes,
     ) -> None:
         self._context = context
         self._synchronizer = synchronizer
         self._tick = tick
+        self._changes = changes
+        self._start = 0
         every = context.config.mode == "lockstep"
         self._subscriptions = [
             RawSubscription(context.node, t.name, t.type_name, READER_DEPTH, every, t.publisher) for t in topics
@@ -125,7 +135,14 @@ class Follower:
         vector = synchronizer.put(index, data, source)
         if vector is None:
             return False
-        stamp = synchronizer.stamp
+        stamp, changes = synchronizer.stamp, self._changes
+        if stamp == HOLD_STAMP:
+            self._start = 0
+        else:
+            self._start = self._start or stamp
+            changes.now = stamp - self._start
+            if changes.now >= changes.due:
+                changes.advance(changes.now)
         self._tick(stamp, vector, synchronizer.gap)
         if stamp != HOLD_STAMP:
             self.ticks += 1
@@ -141,6 +158,7 @@ class Follower:
             "gap_ticks": str(self._synchronizer.gaps),
             **self._execution.summary("execution"),
             **rejected,
+            **self._changes.record(),
         }
 
     def _report(self) -> None:

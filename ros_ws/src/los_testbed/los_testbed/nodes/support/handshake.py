@@ -24,6 +24,9 @@ LISTEN_S = 1.0
 
 HOLD_PERIOD_S = 0.02
 
+LEASE_S = 5.0
+"""A node that was killed has left the graph within this time."""
+
 
 def refuse_second_plant(context: NodeContext) -> None:
     """Check for another plant before anything is sent.
@@ -92,8 +95,13 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
         Another node has a publisher on a command topic.
     """
     expected = f"{context.node.get_namespace().rstrip('/')}/{FSM_COMMAND.publisher}"
+    end = time.monotonic() + LEASE_S
     for subscription in (io.fsm_input, io.pma_input):
-        nodes = {endpoint.node for endpoint in subscription.endpoints() if endpoint.node}
-        if len(nodes) > 1:
-            others = ", ".join(sorted(nodes - {expected}))
-            raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
+        while True:
+            nodes = {endpoint.node for endpoint in subscription.endpoints() if endpoint.node}
+            if len(nodes) < 2 or context.stop:
+                break
+            if time.monotonic() > end:
+                others = ", ".join(sorted(nodes - {expected}))
+                raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
+            time.sleep(HOLD_PERIOD_S)

@@ -14,11 +14,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from los_testbed.config import NAMESPACE
+from los_testbed.loop.changes import ACTIVE, NAMES, Apply, Changes
 from los_testbed.loop.scheduling import (
     CPU_INDEX,
     PRIORITIES,
@@ -27,8 +29,9 @@ from los_testbed.loop.scheduling import (
     end_with_parent,
     sharpen_timers,
 )
+from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
-from los_testbed.nodes.support.parameters import declare_config
+from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.security import refuse_missing_security
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
@@ -59,8 +62,12 @@ class NodeContext:
         choose_middleware(os.environ)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
         refuse_missing_security()
-        self.node = rclpy.create_node(name, namespace=NAMESPACE)
-        self.config = declare_config(self.node)
+        managed = name in MANAGED
+        self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
+        self.config = declare_config(self.node, NAMES.get(name, ()))
+        self._changing: ChangingParameters | None = None
+        if isinstance(self.node, ManagedNode):
+            self.node.begin()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
@@ -79,6 +86,20 @@ class NodeContext:
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True
+
+    def allow_changes(self, appliers: Mapping[str, Apply], limits: Mapping[str, float] | None = None) -> Changes:
+        """Let users change these settings during the run; the loop calls ``advance`` of the result at every tick.
+
+        Raises
+        ------
+        ValueError
+            The parameter ``fault`` was given a value that is none.
+        """
+        changes = Changes(self.config, appliers, limits or {})
+        if isinstance(self.node, ManagedNode):
+            self.node.on_active = lambda active: changes.enqueue(ACTIVE, active)
+        self._changing = ChangingParameters(self.node, changes)
+        return changes
 
     def become_real_time(self) -> None:
         """Raise the process to real time, or say once what was not permitted."""
@@ -100,8 +121,14 @@ class NodeContext:
                 self.node.get_logger().warning(line)
 
     def service(self) -> None:
-        """Answer parameter requests, if there are any; about 0.1 ms."""
-        self._executor.spin_once(timeout_sec=0.0)
+        """Answer requests, if there are any; about 0.1 ms."""
+        try:
+            self._executor.spin_once(timeout_sec=0.0)
+        except rclpy_implementation.RCLError as error:  # a request that cannot be read must not end the loop
+            self.node.get_logger().error(f"request refused: {error}")
+        if self._changing is not None:
+            self._changing.follow()
+        self.stop |= isinstance(self.node, ManagedNode) and self.node.ended
 
     def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
         """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads."""
