@@ -16,8 +16,8 @@ from pointing_analysis.topic import on_grid, read_only
 Floats = NDArray[np.float64]
 RAD_PER_ARCSEC = math.pi / 648_000
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000
-#: [s] the observer starts from zero beside a telescope in full motion: its washout and the camera need this long until
-#: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
+#: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
+#: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 

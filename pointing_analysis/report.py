@@ -33,6 +33,8 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
+KEEPS = "keeps its limits"
+"""Shown for a run that keeps a limit and is too short to prove it."""
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
@@ -64,7 +66,7 @@ def digits(value: float, places: int = 3) -> str:
 
 
 def _css(status: str) -> str:
-    return {"compliant": "ok", "not compliant": "bad"}.get(status, "open")
+    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
 
 
 def _row(label: str, v: Verdict) -> Row:
@@ -74,14 +76,14 @@ def _row(label: str, v: Verdict) -> Row:
         needed = (
             "no length of run decides it"
             if math.isinf(v.seconds_needed)
-            else f"{digits(v.seconds_needed)} s would decide"
+            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
         )
     return Row(
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=v.status,
-        css=_css(v.status),
+        status=_shown(v),
+        css=_css(_shown(v)),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
         exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
@@ -91,10 +93,15 @@ def _row(label: str, v: Verdict) -> Row:
     )
 
 
+def _shown(v: Verdict) -> str:
+    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
+    return KEEPS if v.status == "not enough data" and v.keeps else v.status
+
+
 def overall(verdicts: Sequence[Verdict]) -> str:
     """One word for several verdicts: the worst of them."""
-    found = {v.status for v in verdicts}
-    for status in ("not compliant", "not enough data", "not judged"):
+    found = {_shown(v) for v in verdicts}
+    for status in ("not compliant", "not enough data", "not judged", KEEPS):
         if status in found:
             return status
     return "compliant" if found else "not judged"
@@ -252,7 +259,7 @@ def _prediction(label: str, found: Prediction) -> dict[str, Any]:
     return {"label": label, "rows": rows, "part": part, "note": found.note}
 
 
-def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
+def _run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -> dict[str, Any]:
     status = overall(s.verdicts)
     return {
         "label": label,
@@ -264,7 +271,8 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
             ("APE max", f"{digits(s.ape_max)} arcsec"),
             ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
             ("RPE rms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 %", f"{digits(s.rpe_p997)} mas"),
+            ("RPE 99.7 % of windows", f"{digits(s.rpe_windows_p997)} mas"),
+            ("RPE 99.7 % of instants", f"{digits(s.rpe_p997)} mas"),
         ],
         "knowledge": s.knowledge
         and [
@@ -276,6 +284,7 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
             f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"
         ),
         "problems": s.problems,
+        "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
         "lines": _line_rows(v),
         "line_count": len(v.tones),
         "provenance": _provenance(v.run),
@@ -289,6 +298,7 @@ def render(
     requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -299,6 +309,7 @@ def render(
     requirements : by default those of the reference telescope
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
     predictions : for each run what a model predicts of its tones, or None; by default none at all
+    remarks : for each run sentences to print beside its verdict; by default none at all
 
     Raises
     ------
@@ -311,6 +322,8 @@ def render(
         raise ValueError("runs must hold at least one run, got none")
     if predictions and len(predictions) != len(runs):
         raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
+    if remarks and len(remarks) != len(runs):
+        raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
@@ -330,7 +343,7 @@ def render(
         title=" / ".join(names) if len(names) > 1 else names[0],
         several=len(runs) > 1,
         rows=rows,
-        cards=[_run_card(v, s, n) for v, s, n in zip(views, summaries, names)],
+        cards=[_run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
         pictures=[
             {
                 "id": p.name,
@@ -354,12 +367,13 @@ def write_report(
     requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions : see `render`
+    runs, transient, requirements, model, predictions, remarks : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -368,6 +382,8 @@ def write_report(
     """
     target = Path(path)
     check_output(target, "the report")
-    page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
+    page = render(
+        runs, transient=transient, requirements=requirements, model=model, predictions=predictions, remarks=remarks
+    )
     write_text(target, page)
     return target

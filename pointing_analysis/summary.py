@@ -23,6 +23,7 @@ from pointing_analysis.errors import (
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
+from pointing_analysis.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.topic_columns import KNOWN
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
@@ -59,6 +60,8 @@ class Summary:
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
+    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
+    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window
     """
 
     path: Path
@@ -82,6 +85,8 @@ class Summary:
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
     losses: tuple[TopicLoss, ...] = ()
+    budget: ToneBudget | None = None
+    rpe_windows_p997: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
@@ -97,7 +102,11 @@ class Summary:
             "ticks": self.ticks,
             "transient_s": self.transient,
             "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
-            "rpe_mas": {"rms": number(self.rpe_rms), "p997": number(self.rpe_p997)},
+            "rpe_mas": {
+                "rms": number(self.rpe_rms),
+                "p997": number(self.rpe_p997),
+                "windows_p997": number(self.rpe_windows_p997),
+            },
             "windows": self.windows,
             "windows_skipped": self.windows_skipped,
             "samples_lost": self.samples_lost,
@@ -113,6 +122,7 @@ class Summary:
                     "name": v.requirement.name,
                     "text": str(v.requirement),
                     "status": v.status,
+                    "statement": v.statement,
                     "quantile": number(v.quantile.value / v.requirement.scale),
                     "upper_bound": number(v.quantile.upper / v.requirement.scale),
                     "unit": v.requirement.unit,
@@ -128,6 +138,7 @@ class Summary:
                 loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
                 for loss in self.losses
             },
+            "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
         }
 
@@ -235,12 +246,15 @@ def summarise(
     ape = metrics.radial(series.values) / RAD_PER_ARCSEC
     nan = float("nan")
     rms: NDArray[np.float64] = np.full(2, nan)
-    p997, cut, skipped = nan, 0, 0
+    p997, of_windows, cut, skipped, budget = nan, nan, 0, 0, None
     if series.duration >= WINDOW:
         w = metrics.windows(series.values, series.dt, WINDOW)
         rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
         instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
         p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+        sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
+        of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
+        budget = tone_budget(run, series, WINDOW, of_windows)
     lost, problems, dropped = _integrity(run)
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
@@ -273,4 +287,6 @@ def summarise(
         verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
         losses=run.losses,
+        budget=budget,
+        rpe_windows_p997=of_windows,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 
 import numpy as np
@@ -55,7 +56,7 @@ def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> t
 
 
 def check_plant(plant: Plant) -> None:
-    """Try one step of a plant from its initial state, and put it back there.
+    """Try one step of a copy of a plant; one that cannot be copied is tried itself and reset afterwards.
 
     Raises
     ------
@@ -73,9 +74,13 @@ def check_plant(plant: Plant) -> None:
     measurement, truth = np.full(MEASUREMENTS, _UNTOUCHED), np.full(TRUTH, _UNTOUCHED)
     shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
     try:
-        plant.reset()
-        plant.step(command, measurement, truth)
-        plant.reset()
+        trial = copy.deepcopy(plant)
+    except Exception:
+        trial = plant
+    try:
+        trial.reset()
+        trial.step(command, measurement, truth)
+        trial.reset()
     except Exception as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {what}") from error
