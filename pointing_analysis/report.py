@@ -22,8 +22,9 @@ from pointing_analysis import figures, spectra
 from pointing_analysis.atomic_output import check_output, write_text
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.metrics import is_whole
 from pointing_analysis.prediction import Prediction, ToneComparison
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.summary import WINDOW, Summary, summarise
 from pointing_analysis.telescope_values import telescope_value
@@ -107,7 +108,7 @@ def overall(verdicts: Sequence[Verdict]) -> str:
     return "compliant" if found else "not judged"
 
 
-def labels(runs: Sequence[Run]) -> tuple[str, ...]:
+def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
     """Short names of the runs, unique: the loop stage; with scenario, seed or file name where that is not enough."""
     for make in (
         lambda r: r.title,
@@ -121,7 +122,7 @@ def labels(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(f"{name} ({i + 1})" for i, name in enumerate(names))
 
 
-def tones_of(run: Run) -> NDArray[np.float64]:
+def tones_of(run: Recording) -> NDArray[np.float64]:
     """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds ``wheel_speed``."""
     found: list[float] = []
     for key in ("tones_rad_s", "wheel_speed"):
@@ -131,7 +132,7 @@ def tones_of(run: Run) -> NDArray[np.float64]:
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
-def view(run: Run, label: str, transient: float | None = None) -> RunView:
+def view(run: Recording, label: str, transient: float | None = None) -> RunView:
     """Everything the pictures need from one run."""
     series = performance_error(run, transient)
     try:
@@ -142,12 +143,12 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
     return RunView(label, run, series, spectrum, tones, WINDOW)
 
 
-def _authority(runs: Sequence[Run]) -> dict[str, float]:
+def _authority(runs: Sequence[Recording]) -> dict[str, float]:
     """Largest values of the command topics, of the last run."""
     return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
-def intervals_us(run: Run) -> NDArray[np.float64]:
+def intervals_us(run: Recording) -> NDArray[np.float64]:
     """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
     topic = run["truth/los"]
     sent = topic.published
@@ -156,7 +157,7 @@ def intervals_us(run: Run) -> NDArray[np.float64]:
     return np.asarray(np.diff(sent) / 1e3)
 
 
-def latency_us(run: Run) -> NDArray[np.float64]:
+def latency_us(run: Recording) -> NDArray[np.float64]:
     """Time from the publication of a tick's sensors to that of its mirror command [us]; empty where unknown."""
     if "fsm/command" not in run or "isolator/accel" not in run:
         return np.empty(0)
@@ -180,7 +181,7 @@ def pictures(
         figures.cumulative(views) if any(v.spectrum for v in views) else None,
         figures.by_line(views, model or {}),
         figures.exceedance(views, "APE", limits["APE"]),
-        figures.exceedance(views, "RPE", limits["RPE"]) if all(v.series.duration > WINDOW for v in views) else None,
+        figures.exceedance(views, "RPE", limits["RPE"]) if all(map(_has_windows, views)) else None,
         figures.commands(views, _authority(runs)),
         figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
         figures.timing(
@@ -190,7 +191,13 @@ def pictures(
     return [p for p in made if p is not None]
 
 
-def _digest(run: Run) -> str:
+def _has_windows(v: RunView) -> bool:
+    return v.series.duration > WINDOW and is_whole(WINDOW, v.series.dt)
+
+
+def _digest(run: Recording) -> str:
+    if not run.path.exists():
+        return "no file"
     files = sorted(run.path.glob("*.mcap*")) if run.path.is_dir() else [run.path]
     if sum(f.stat().st_size for f in files) > HASH_LIMIT:
         return "not computed (large bag)"
@@ -213,7 +220,7 @@ def _flat(key: str, value: Any) -> list[tuple[str, str]]:
     return [(key, str(value) if value != "" else "none given")]
 
 
-def _provenance(run: Run) -> list[tuple[str, str]]:
+def _provenance(run: Recording) -> list[tuple[str, str]]:
     rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
     for key in sorted(run.parameters):
         rows += _flat(key, run.parameters[key])
@@ -292,7 +299,7 @@ def _run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -
 
 
 def render(
-    runs: Sequence[Run],
+    runs: Sequence[Recording],
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
@@ -360,7 +367,7 @@ def render(
 
 
 def write_report(
-    runs: Sequence[Run],
+    runs: Sequence[Recording],
     path: str | os.PathLike[str],
     *,
     transient: float | None = None,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pointing_analysis import confidence, metrics
 from pointing_analysis.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.requirement_text import DEFAULT_FILE, Requirement, RequirementError, load, parse
 
 __all__ = [
@@ -129,7 +129,7 @@ def _index(e: NDArray[np.float64], dt: float, requirement: Requirement) -> tuple
     return _norm(samples, requirement), cap
 
 
-def _reproducibility(requirement: Requirement, runs: Sequence[Run], transient: float | None) -> list[Samples]:
+def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
     """Samples of the PRE of every pair of runs: each window of the one against each of the other.
 
     The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
@@ -203,7 +203,7 @@ def _missing_note(missing: float, total: float) -> str:
     return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
 
 
-def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None = None) -> Verdict:
+def judge(requirement: Requirement, runs: Sequence[Recording], transient: float | None = None) -> Verdict:
     """Judge runs against one requirement.
 
     With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
@@ -233,7 +233,7 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
 
 
-def _collect(requirement: Requirement, runs: Sequence[Run], transient: float | None) -> list[Samples]:
+def _collect(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
     """Of each run, and for the PRE of each pair: the samples of the index."""
     if requirement.index == "PRE":
         return _reproducibility(requirement, runs, transient)

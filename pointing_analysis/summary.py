@@ -21,7 +21,7 @@ from pointing_analysis.errors import (
     performance_error,
 )
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.topic_columns import KNOWN
@@ -143,13 +143,13 @@ class Summary:
         }
 
 
-def applicable(requirements: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
+def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
     loop = run.parameters.get("loop")
     return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
 
 
-def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
+def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     """Lost samples by topic, defects of the bag, dropped camera frames."""
     lost: dict[str, int] = {}
     problems = list(run.problems)
@@ -209,7 +209,7 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
             problems.append(f"{name}: {short} samples missing at the start or the end of the run")
 
 
-def _knowledge(run: Run, transient: float | None) -> Knowledge | None:
+def _knowledge(run: Recording, transient: float | None) -> Knowledge | None:
     try:
         series = knowledge_error(run, transient)
         ake = np.nanquantile(metrics.radial(series.values), 0.997) / RAD_PER_ARCSEC
@@ -222,7 +222,7 @@ def _knowledge(run: Run, transient: float | None) -> Knowledge | None:
 
 
 def summarise(
-    run: Run,
+    run: Recording,
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
@@ -247,7 +247,8 @@ def summarise(
     nan = float("nan")
     rms: NDArray[np.float64] = np.full(2, nan)
     p997, of_windows, cut, skipped, budget = nan, nan, 0, 0, None
-    if series.duration >= WINDOW:
+    whole = metrics.is_whole(WINDOW, series.dt)
+    if whole and series.duration >= WINDOW:
         w = metrics.windows(series.values, series.dt, WINDOW)
         rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
         instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
@@ -256,6 +257,8 @@ def summarise(
         of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
         budget = tone_budget(run, series, WINDOW, of_windows)
     lost, problems, dropped = _integrity(run)
+    if not whole:
+        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, the observer may "

@@ -16,7 +16,7 @@ import numpy as np
 
 from pointing_analysis import metrics, spectra
 from pointing_analysis.errors import RAD_PER_MAS, ErrorSeries
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 
 BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
@@ -59,7 +59,7 @@ class ToneBudget:
         return {**shown, "allowances": dict(self.allowances)}
 
 
-def tone_budget(run: Run, series: ErrorSeries, window: float, total: float) -> ToneBudget:
+def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
     """Budget of a run whose bag names its tones; without tones all of the error is noise.
 
     Parameters

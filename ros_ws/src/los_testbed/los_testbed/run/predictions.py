@@ -17,6 +17,7 @@ from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.bag_metadata import value_of
 from pointing_analysis.prediction import Prediction
 from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.structured_text import load_yaml
 from titop_plant.interface import TICK_NS
 from titop_plant.simulation import configuration_hash
@@ -30,7 +31,7 @@ LATE = 100
 
 
 def predictions(
-    runs: Sequence[Run], transient: float | None = None, start: float = 0.0, stop: float = math.inf
+    runs: Sequence[Recording], transient: float | None = None, start: float = 0.0, stop: float = math.inf
 ) -> list[Prediction | None]:
     """For each run the predicted and measured amplitude of its tones.
 
@@ -38,7 +39,7 @@ def predictions(
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Recording
     transient : float, optional
         Seconds of start-up to leave out.
     start, stop : float
@@ -50,7 +51,7 @@ def predictions(
         None where there is nothing to predict: a bag of another program, no tones, a telescope that changes during the
         run, a plant of another kind, a replay. A prediction without tones says in its note why it failed.
     """
-    return [_prediction(run, transient, start, stop) for run in runs]
+    return [_prediction(run, transient, start, stop) if isinstance(run, Run) else None for run in runs]
 
 
 def _prediction(run: Run, transient: float | None, start: float, stop: float) -> Prediction | None:

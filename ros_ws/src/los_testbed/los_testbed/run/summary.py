@@ -17,8 +17,9 @@ from los_testbed.run.screen import say
 from pointing_analysis.atomic_output import check_output
 from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.report import digits, write_report
-from pointing_analysis.requirements import Verdict
+from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import Summary, summarise
 
 
@@ -44,20 +45,26 @@ class RunSummaries:
 
 
 def summarise_runs(
-    bags: Sequence[Path], report: Path | None, transient: float | None = None, max_chunk: int = MAX_CHUNK
+    bags: Sequence[Path | Recording],
+    report: Path | None,
+    transient: float | None = None,
+    max_chunk: int = MAX_CHUNK,
+    requirements: Sequence[Requirement] | None = None,
 ) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
 
     Parameters
     ----------
-    bags : sequence of Path
-        Folders or .mcap files.
+    bags : sequence of Path or Recording
+        Folders or .mcap files of the testbed, or what is open already.
     report : Path or None
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
     max_chunk : int
         Largest chunk that is unpacked [byte].
+    requirements : sequence of Requirement, optional
+        By default those of the reference telescope.
 
     Raises
     ------
@@ -66,13 +73,16 @@ def summarise_runs(
     """
     if report is not None:
         check_output(report, "the report")
-    opened = [Run.open(bag, max_chunk=max_chunk) for bag in bags]
-    summaries = tuple(summarise(run, transient=transient) for run in opened)
-    remarks = tuple(remarks_of(run, summary) for run, summary in zip(opened, summaries))
+    opened = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
+    summaries = tuple(summarise(run, transient=transient, requirements=requirements) for run in opened)
+    remarks = tuple(remarks_of(run, found) if isinstance(run, Run) else () for run, found in zip(opened, summaries))
     if report is not None:
         from los_testbed.run.predictions import predictions
 
-        write_report(opened, report, transient=transient, predictions=predictions(opened, transient), remarks=remarks)
+        expected = predictions(opened, transient)
+        write_report(
+            opened, report, transient=transient, requirements=requirements, predictions=expected, remarks=remarks
+        )
     metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
     return RunSummaries(summaries, metrics, report, remarks)
 
@@ -86,7 +96,7 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
     return tuple(text for text in (effect.remark if effect else "", str(note)) if text)
 
 
-def _metrics(run: Run, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
+def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
     plant, recorder = (_statistics(run, node) for node in ("plant", "recorder"))
     return {
@@ -103,7 +113,7 @@ def _metrics(run: Run, summary: Summary, remarks: Sequence[str]) -> dict[str, An
     }
 
 
-def _statistics(run: Run, node: str) -> dict[str, float]:
+def _statistics(run: Recording, node: str) -> dict[str, float]:
     """Statistics of a node as the bag has them; what is no number is left out."""
     statistics = run.parameters.get("statistics", {})
     found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
@@ -115,7 +125,7 @@ def _statistics(run: Run, node: str) -> dict[str, float]:
     return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
 
 
-def _latency(run: Run, plant: Mapping[str, float]) -> dict[str, float | None]:
+def _latency(run: Recording, plant: Mapping[str, float]) -> dict[str, float | None]:
     """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
@@ -143,8 +153,9 @@ def print_summary(console: Console, results: RunSummaries) -> None:
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
-    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
-    title += f"first {summary.transient:g} s (start-up) left out" if summary.transient else "steady start"
+    what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
+    title = ", ".join(part for part in what if part)
+    title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
     table = Table(title=Text(title, style="table.title"))
     table.add_column("metric")
     table.add_column("value", justify="right")
