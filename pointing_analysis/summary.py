@@ -177,10 +177,20 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if state.nan and name not in SAMPLES_CAMERA_MAY_MISS:
             problems.append(f"{name}: {state.nan} messages with NaN")
     _add_ends(lost, problems, stamps)
+    failure = _failure(run)
+    if failure:
+        problems.append(f"the run failed: {failure}")
     dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
     if dropped:
         problems.append(f"camera/los: {dropped} {'frame' if dropped == 1 else 'frames'} dropped (NaN)")
     return {k: v for k, v in lost.items() if v}, problems, dropped
+
+
+def _failure(run: Run) -> str:
+    """What the recorded statistics say of a run that failed; empty for one that did not."""
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant") if isinstance(statistics, dict) else None
+    return str(plant.get("failure", "")) if isinstance(plant, dict) else ""
 
 
 def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:

@@ -61,6 +61,10 @@ def _options(
     """Testbed for fine line-of-sight control of a flexible space telescope."""
 
 
+INTERRUPTED = 130
+"""Exit code after a signal."""
+
+
 def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
@@ -74,16 +78,13 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, _interrupt)
-    command: Callable[..., Any] = typer.main.get_command(app)
     try:
+        command: Callable[..., Any] = typer.main.get_command(app)
         result = command(args=arguments, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
-        code: int = stop.exit_code
-        return _leave(code)
-    except typer.Abort:
-        return _leave(130)
-    except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return _leave(int(stop.exit_code))
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted", INTERRUPTED)
     except ValueError as error:
         return _fail(str(error), 2)
     except (LoopDivergedError, OSError) as error:
@@ -94,6 +95,8 @@ def main(arguments: list[str] | None = None) -> int:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
             return _fail(error.format_message(), 2)
         return _fail(_unexpected(error), 1)
+    if result == INTERRUPTED:  # typer makes this of a KeyboardInterrupt
+        return _fail("interrupted", INTERRUPTED)
     return _leave(result if isinstance(result, int) else 0)
 
 
