@@ -16,6 +16,7 @@ from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
+from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
@@ -37,6 +38,7 @@ app.command(name="run", help=RUN_EXAMPLES)(run)
 app.command(name="analyse", help=ANALYSE_EXAMPLES)(analyse)
 app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
+app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
