@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, bag, plant, design."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
+from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
@@ -32,6 +33,7 @@ app.command(name="analyse", help=ANALYSE_EXAMPLES)(analyse)
 app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
+app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")
