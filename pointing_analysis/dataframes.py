@@ -12,7 +12,7 @@ def _package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ValueError(f"package {name} must be installed (pip install {name})") from None
+        raise ValueError(f"{name} must be installed: pip install 'los-testbed[dataframes]'") from None
 
 
 def to_pandas(topic: Topic) -> Any:

@@ -4,17 +4,21 @@ The numeric packages (titop_plant, los_estimator, ...) come from the distributio
 root of the repository: ``pip install .`` there, in the environment that builds this workspace.
 """
 
+import ast
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "los_testbed"
+TREE = ast.parse(Path(__file__).with_name(NAME).joinpath("__init__.py").read_text("utf-8"))
+VERSION = next(ast.literal_eval(node.value) for node in TREE.body if isinstance(node, ast.Assign))
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["profiles/*.xml", "*.yaml"]},
+    package_data={NAME: ["profiles/*.xml", "*.yaml", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

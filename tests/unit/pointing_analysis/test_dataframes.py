@@ -40,5 +40,5 @@ def test_xarray(topic: Topic) -> None:
 @pytest.mark.parametrize(("convert", "name"), [(to_pandas, "pandas"), (to_xarray, "xarray")])
 def test_missing_package_is_named(topic: Topic, monkeypatch, convert, name: str) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ValueError, match=f"package {name} must be installed"):
+    with pytest.raises(ValueError, match=rf"{name} must be installed: pip install 'los-testbed\[dataframes\]'"):
         convert(topic)

@@ -6,10 +6,11 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
+from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
@@ -37,6 +38,21 @@ app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 app.add_typer(bag_app, name="bag")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"los-testbed {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Testbed for fine line-of-sight control of a flexible space telescope."""
 
 
 def _interrupt(number: int, frame: Any) -> None:

@@ -79,7 +79,7 @@ def check_ros() -> None:
     if importlib.util.find_spec("rclpy") is None:
         raise ValueError(
             "rclpy must be installed for this mode: ROS 2 is not installed; install the extra with "
-            "`pip install los-testbed[ros]`, or use --mode inprocess"
+            "`pip install 'los-testbed[ros]'`, or use --mode inprocess"
         )
 
 

@@ -1,0 +1,106 @@
+"""Wheel and sdist: complete, installed and run outside the tree, without ROS and with it; one version everywhere."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import los_testbed
+import pytest
+import yaml
+from support.installed_wheel import ROOT, environment, run, sdist_and_wheel
+from support.ros_runs import private_domain
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+PACKAGES = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
+TOP = sorted({name.split(".")[0] for name in PACKAGES})
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return sdist_and_wheel(tmp_path_factory.mktemp("distribution"))
+
+
+@pytest.fixture(scope="module")
+def without_ros(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return environment(tmp_path_factory.mktemp("core") / "env", built[1], PROJECT["dependencies"])
+
+
+def test_the_version_is_written_down_once() -> None:
+    version = los_testbed.__version__
+    assert re.fullmatch(r"\d+\.\d+\.\d+", version)
+    assert "version" in PROJECT["dynamic"] and "version" not in PROJECT
+    assert f"<version>{version}</version>" in (ROOT / "ros_ws/src/los_testbed/package.xml").read_text("utf-8")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert str(citation["version"]) == version
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_the_wheel_from_the_sdist_has_every_file_of_the_packages(built: tuple[Path, Path]) -> None:
+    sdist, wheel = built
+    assert los_testbed.__version__ in sdist.name and los_testbed.__version__ in wheel.name
+    inside = set(zipfile.ZipFile(wheel).namelist())
+    folders = {name: ROOT / name for name in TOP if name != "los_testbed"}
+    folders["los_testbed"] = ROOT / "ros_ws/src/los_testbed/los_testbed"
+    expected = {
+        f"{name}/{path.relative_to(folder).as_posix()}"
+        for name, folder in folders.items()
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert not expected - inside
+    assert {f"{name}/py.typed" for name in TOP} <= inside
+    with tarfile.open(sdist) as archive:
+        names = {name.split("/", 1)[-1] for name in archive.getnames()}
+    assert {"CITATION.cff", "CHANGELOG.md", "LICENSE", "README.md"} <= names
+
+
+def test_the_wheel_runs_outside_the_tree_without_ros(without_ros: Path, tmp_path: Path) -> None:
+    program = without_ros / "los-testbed"
+    assert run(program, "--version", folder=tmp_path).stdout == f"los-testbed {los_testbed.__version__}\n"
+    options = ("--mode", "inprocess", "--duration", "2", "--output", "bag", "--json")
+    done = run(program, "run", *options, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["ticks"] == 2000
+    assert (tmp_path / "bag" / "report.html").stat().st_size > 100_000
+    missing = run(program, "run", "--duration", "1", folder=tmp_path)
+    assert missing.returncode == 2 and "pip install 'los-testbed[ros]'" in missing.stderr
+    where = run(without_ros / "python", "-c", "import lti, los_testbed; print(lti.__file__)", folder=tmp_path)
+    assert str(without_ros.parent) in where.stdout
+
+
+def test_messages_about_a_missing_package_name_the_extra(without_ros: Path, tmp_path: Path) -> None:
+    code = (
+        "from pointing_analysis.dataframes import to_pandas, to_xarray\n"
+        "from titop_plant.structures import nastran\n"
+        "open('a.bdf', 'w').close()\n"
+        "def read(_): nastran.read_nastran('a.bdf', 'a.op2', name='a', parent=('a', 1), ports={})\n"
+        "for call in (to_pandas, to_xarray, read):\n"
+        "    try:\n        call(None)\n    except (ValueError, ImportError) as error:\n        print(error)\n"
+    )
+    done = run(without_ros / "python", "-c", code, folder=tmp_path)
+    assert done.stdout.count("los-testbed[dataframes]") == 2, done.stdout + done.stderr
+    assert done.stdout.count("los-testbed[nastran]") == 1, done.stdout + done.stderr
+    assert {"dataframes", "nastran", "ros"} <= set(PROJECT["optional-dependencies"])
+
+
+@pytest.mark.ros
+def test_the_wheel_runs_outside_the_tree_with_ros(built: tuple[Path, Path], tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    needed = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["ros"]
+    programs = environment(tmp_path / "env", built[1], needed)
+    options = ("--mode", "lockstep", "--duration", "2", "--output", "bag", "--json", "--no-report")
+    domain = ("--domain", str(private_domain()))
+    done = run(programs / "los-testbed", "run", *domain, *options, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["ticks"] == 2000
