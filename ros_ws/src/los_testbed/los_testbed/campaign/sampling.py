@@ -69,9 +69,10 @@ def members(sampling: str, samples: int, seed: int, parameters: str = "") -> Flo
     if sampling == "lhs":
         from scipy.stats import qmc
 
-        unit = qmc.LatinHypercube(len(COLUMNS), seed=np.random.default_rng(_sequence(seed, 0))).random(samples)
+        rng = np.random.default_rng(_sequence(seed, 0))
+        unit: FloatArray = qmc.LatinHypercube(len(COLUMNS), seed=rng).random(samples)
     else:
-        unit = np.random.default_rng(_sequence(seed, 0)).random((samples, len(COLUMNS)))
+        unit = np.asarray(np.random.default_rng(_sequence(seed, 0)).random((samples, len(COLUMNS))))
     return np.asarray(ranges[:, 0] + unit * (ranges[:, 1] - ranges[:, 0]))
 
 
