@@ -10,12 +10,12 @@ import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import DEPTHS, MemberEvaluator, finished_row
 from los_testbed.config import RunConfig
@@ -39,13 +39,9 @@ def identity(base: RunConfig) -> dict[str, str]:
     """
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
 
-    try:
-        installed = version("los-testbed")
-    except PackageNotFoundError:  # run from the sources
-        installed = "not installed"
     controllers = {name: _digest(path) for name, path in controller_files(base).items()}
     return {
-        "version": installed,
+        "version": __version__,
         "numpy": np.__version__,
         "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
         **controllers,
@@ -71,7 +67,7 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise ValueError("a campaign needs the extra: pip install 'los-testbed[campaign]'") from None
+        raise ValueError("dask.distributed must be installed: pip install 'los-testbed[campaign]'") from None
     if scheduler:
         try:
             client = Client(scheduler, timeout=CONNECT)
