@@ -32,7 +32,7 @@ $(READY): requirements.lock pyproject.toml
 	@touch $(READY)
 
 run: $(READY)
-	$(BIN)/los-testbed run
+	$(BIN)/los-testbed run --domain free
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -54,7 +54,7 @@ stages: $(READY)
 
 reference-bag: $(READY)
 	rm -rf build/reference
-	$(BIN)/los-testbed run --mode inprocess --duration 4.5 --seed 1 --output build/reference --no-report
+	$(BIN)/los-testbed run --mode inprocess --duration 4.2 --seed 1 --output build/reference --no-report
 	rm -rf bags/reference && mv build/reference bags/reference
 
 report-picture: $(READY)

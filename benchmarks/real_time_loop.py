@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.run.runner import NODES, Results, Runner
+from los_testbed.run.runner import Results, Runner
+from los_testbed.topics import NODES
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"

@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 from los_testbed.config import RunConfig
-from los_testbed.run.runner import NODES, Runner
+from los_testbed.run.runner import Runner
+from los_testbed.topics import NODES
 from scipy.stats import t
 
 PAGE = os.sysconf("SC_PAGE_SIZE")

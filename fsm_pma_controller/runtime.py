@@ -86,15 +86,30 @@ class FsmPmaController:
                 raise ValueError(f"{name} must be positive and finite, got {value}")
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
         self.k_pma = k_pma
-        self.loop = loop
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
-        self._fsm_closed = loop in MIRROR_STAGES
-        self._pma_closed = loop in FORCE_STAGES
         self._limit = np.zeros(COMMANDS)
-        self._limit[MIRROR], self._limit[FORCES] = fsm_authority, pma_authority
-        self._negative_limit = -self._limit
+        self._negative_limit = np.zeros(COMMANDS)
+        self.limit(fsm_authority, pma_authority)
+        self._pma_closed = False
+        self.switch(loop)
         self._force = np.zeros(FORCES.stop - FORCES.start)
+
+    def switch(self, loop: str) -> None:
+        """Close the loops of a stage from the next step on; K_PMA starts from its zero state when its loop closes."""
+        self.loop = loop
+        closed, self._pma_closed = self._pma_closed, loop in FORCE_STAGES
+        self._fsm_closed = loop in MIRROR_STAGES
+        if self._pma_closed and not closed:
+            self.k_pma.reset()
+
+    def limit(self, fsm_authority: float | None = None, pma_authority: float | None = None) -> None:
+        """Saturate at these limits [rad], [N] from the next step on; None leaves one as it is."""
+        if fsm_authority is not None:
+            self._limit[MIRROR] = fsm_authority
+        if pma_authority is not None:
+            self._limit[FORCES] = pma_authority
+        np.negative(self._limit, out=self._negative_limit)
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""

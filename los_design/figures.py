@@ -12,19 +12,22 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import linalg
 
+from los_design.implemented_loop import ImplementedLoop
 from los_design.plant_figures import STYLE
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, loop_grid
 from los_design.store import continuous, load_designs
 from los_design.verification import ARCSEC
+from los_design.worst_points import load_worst_points
 from los_estimator.kalman import kalman_observer
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains, singular_values
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
 from titop_plant.disturbances import weight_amplitudes
-from titop_plant.interface import FRAME_TICKS, LOOP_DELAY
+from titop_plant.interface import FORCES, FRAME_TICKS, LOOP_DELAY, MIRROR
 from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.parameters import Parameters, load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -59,6 +62,7 @@ def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
             pair = load_designs(variant)
             paths += save_figure(_stages(parameters, pair, title, samples, seed), output / f"stages_{variant}")
         paths += save_figure(_controllers(parameters), output / "controllers")
+        paths += save_figure(_sensitivities(parameters, samples, seed), output / "sensitivity")
     return paths
 
 
@@ -136,6 +140,35 @@ def _controllers(parameters: Parameters) -> Figure:
         title="K_PMA, singular values", xlabel="frequency [rad/s]", ylabel="force per acceleration [N/SI]",
         ylim=(1e-4 * gains.max(), 2.0 * gains.max()),
     )  # fmt: skip
+    return figure
+
+
+def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
+    """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
+    system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
+    worst = load_worst_points()
+    rng = np.random.default_rng(seed)
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    omega = np.geomspace(0.1, 3e3, 500)
+    for axes, (stage, name, channels, title) in zip(
+        figure.subplots(1, 2, sharey=True),
+        (
+            ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
+            ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
+        ),
+    ):
+        loop = ImplementedLoop(system, parameters, *pair, stage)
+        members = [{}, *system.sample_values(rng, samples), dict(worst[stage][name].parameters)]
+        points = np.array([loop.point(values) for values in members])
+        S = [loop.sensitivities(loop.at(float(w)), points)[:, channels, channels] for w in omega]
+        gains = np.array([largest_gains(at) for at in S])
+        axes.semilogx(omega, gains[:, 1:-1], color="#1f5fa8", lw=0.5, alpha=0.45)
+        axes.semilogx(omega, gains[:, 0], color="#1f5fa8", lw=1.1, label="nominal")
+        axes.semilogx(omega, gains[:, -1], color="#c2308f", lw=1.1, label="worst point found")
+        axes.axhline(MAX_SENSITIVITY, color="#b00020", ls="--", lw=1.3, label="limit: 6 dB, 29 deg")
+        axes.set(title=title, xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]), ylim=(0.0, 2.4))
+        axes.legend(loc="lower left")
+    figure.axes[0].set_ylabel("largest singular value of S")
     return figure
 
 

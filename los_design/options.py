@@ -28,6 +28,8 @@ class DesignOptions:
         Processes for the starts.
     progress : bool
         Show a progress bar.
+    short : bool
+        Less effort for the robust design of the implemented loop.
     """
 
     nominal: bool = False
@@ -37,6 +39,7 @@ class DesignOptions:
     wall_limit: float = 1800.0
     workers: int = 1
     progress: bool = False
+    short: bool = False
 
     @property
     def implemented(self) -> bool:

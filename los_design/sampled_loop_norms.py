@@ -131,6 +131,13 @@ def weighted_response(
     root of 2: the amplitude of a tone of that power.
     """
     omega = loop_grid(plant, loop.hold[:-2, :-2], low)
+    return omega, *weighted_gains(loop, plant, parameters, omega)
+
+
+def weighted_gains(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """What :func:`weighted_response` gives, at the frequencies `omega` (k,) [rad/s]."""
     tone = tone_response(loop, plant, omega)
     size = weight_amplitudes(parameters, omega)[:, None, :]
     window = parameters["weights"]["rpe_window"]
@@ -145,7 +152,7 @@ def weighted_response(
         root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.conj().swapaxes(1, 2)
         stack.append(root @ tone.camera * size)
     relative = np.linalg.norm(np.concatenate(stack, axis=1), ord=2, axis=(1, 2))
-    return omega, tone.fundamental * size, np.asarray(relative)
+    return np.asarray(tone.fundamental * size), np.asarray(relative)
 
 
 def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
@@ -225,6 +232,25 @@ def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: Com
     near = np.abs(s - values) < 1e-9
     factor = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
     return np.asarray((rows @ (right @ vectors) * factor[:, None, :]) @ drive)
+
+
+def noise_metrics(
+    plant: StateSpace,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    parameters: Parameters,
+    *,
+    loop: str,
+    frame_ticks: int,
+    sensors: str | None = None,
+) -> tuple[float, float]:
+    """Line of sight due to sensor noise [rad rms, both axes], plain and as relative error; infinite if unstable.
+
+    The arguments are those of :func:`sampled_loop_metrics`.
+    """
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    return _noise(closed, parameters, sensors) if closed.spectral_radius() < 1.0 else (np.inf, np.inf)
 
 
 def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
+from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
 from los_design.store import design_ports
 from lti import SampledSystem, StateSpace, UncertainSystem
+from robust_design import ClosedLoopPoles
+from robust_design.problem import Problem
+from robust_design.structures import Structure
 from titop_plant.interface import DT, FRAME_TICKS
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
+FloatArray = NDArray[np.float64]
 SCREEN_SAMPLES = 32
 SCREEN_BANDS = (50.0, 300.0, 430.0, 520.0, 800.0)
 START_POLES = (20.0, 400.0)
@@ -62,6 +71,29 @@ def screened(
         if values not in unique:
             unique.append(values)
     return unique
+
+
+def stored_start(kind: str, plant: UncertainSystem) -> StateSpace:
+    """The stored continuous controller of a kind that a design of the implemented loop starts from.
+
+    Parameters
+    ----------
+    kind : {"k-fsm", "k-pma"}
+    plant : UncertainSystem
+        Of the design problem: the controller has its ports.
+    """
+    path = Path(__file__).with_name(f"start_{kind.replace('-', '_')}.json")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    inputs, outputs = design_ports(kind)
+    ports = tuple(plant.output_port(p.name) for p in inputs), tuple(plant.input_port(p.name) for p in outputs)
+    A, B, C, D = (np.array(content[key], dtype=float) for key in "ABCD")
+    return StateSpace(A, B, C, D, *ports, f"start of {kind}")
+
+
+def stabilises(x: FloatArray, models: Sequence[StateSpace], structure: Structure, loop_delay: float) -> bool:
+    """Whether the controller with the parameters `x` stabilises all models."""
+    problem = Problem(models, [ClosedLoopPoles(min_decay=1e-9)], structure, loop_delay=loop_delay)
+    return problem.abscissa(x) < 0.0
 
 
 def zero_controller(kind: str) -> SampledSystem:

@@ -1,8 +1,8 @@
 """Trade-off of K_FSM: sensor noise against disturbances in the relative error.
 
-For each bound on the disturbance's part (H-infinity, over the parameter points of the stored design) K_FSM is tuned for
-the least noise (H2); the other requirements of the implemented problem are hard. The curve is the best that the tuner
-found for an observer of this order.
+For each bound on the disturbance's part (H-infinity, slow and fast tones alike, over the parameter points of the stored
+design) K_FSM is tuned for the least noise (H2); the other requirements of the implemented problem are hard. The curve
+is the best that the tuner found for an observer of this order.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from los_estimator.problem import (
     observer_structure,
 )
 from lti import SampledSystem, StateSpace
-from robust_design import HinfGain, Requirement, TuningOptions, tune
+from robust_design import H2Gain, HinfGain, Requirement, TuningOptions, tune
 from robust_design.problem import Problem
 from titop_plant.interface import MEASURED
 from titop_plant.simulation import telescope
@@ -36,6 +36,7 @@ from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import load_parameters
 
 LEVELS = (0.17, 0.2, 0.25, 0.3, 0.4, 0.55, 0.75, 1.0)
+TONES = ("slow", "fast")
 MAX_POINTS = 4
 MAX_ITERATIONS = 40
 
@@ -92,19 +93,26 @@ def trade_off(levels: Sequence[float] = LEVELS, tick: Callable[[], None] = lambd
     points = stored.provenance.get("active_models", [{}])[:MAX_POINTS]
     models = [plant(values) for values in points]
     requirements = observer_requirements(parameters, implemented=True)
-    limit = 1e3 * parameters["weights"]["rpe_limit"] * 648000.0 / np.pi
+    rpe, mas = parameters["weights"]["rpe_limit"], 1e-3 * np.pi / 648000.0
+    bounds = {r.name: r.bound / mas for r in requirements if isinstance(r, HinfGain | H2Gain)}
     x = structure.parameters_of(_model(stored, plant))
     options = TuningOptions(starts=0, iterations=MAX_ITERATIONS, tolerance=1e-3, wall_limit=900.0)
 
     def point(bound: float | None, values: FloatArray, status: str) -> TradeOffPoint:
         worst = dict(zip((r.name for r in requirements), values.max(axis=1)))
-        return TradeOffPoint(bound, limit * (bound or 1.0) * worst["RPE"], limit * worst["noise -> RPE"], status)
+        tones = max(worst[name] * (bounds[name] if bound is None else bound * rpe / mas) for name in TONES)
+        return TradeOffPoint(bound, tones, bounds["noise -> RPE"] * worst["noise -> RPE"], status)
 
     present = Problem(models, requirements, structure, loop_delay=design.delay).evaluate(x, gradients=False)
     best: dict[float, TradeOffPoint] = {}
     for level in (*sorted(levels), *sorted(levels, reverse=True)):
         result = tune(
-            models, least_noise(requirements, level), structure, initial=[x], loop_delay=design.delay, options=options
+            models,
+            least_noise(requirements, level * rpe),
+            structure,
+            initial=[x],
+            loop_delay=design.delay,
+            options=options,
         )
         found = point(level, result.values, result.status)
         if level not in best or (not result.feasible, found.noise) < (best[level].infeasible, best[level].noise):
@@ -133,15 +141,15 @@ def check_levels(levels: Sequence[float]) -> None:
         raise ValueError(f"levels must be positive bounds on the relative error, got {list(levels)}")
 
 
-def least_noise(requirements: Sequence[Requirement], level: float) -> list[Requirement]:
+def least_noise(requirements: Sequence[Requirement], bound: float) -> list[Requirement]:
     """The implemented problem with the noise in the relative error as the only objective, all else hard.
 
-    The disturbance's relative error is bounded by `level` times its template.
+    Slow and fast tones are bounded by `bound` [rad].
     """
     changed: list[Requirement] = []
     for r in requirements:
-        if r.name == "RPE" and isinstance(r, HinfGain):
-            changed.append(replace(r, bound=level * r.bound, hard=True))
+        if r.name in TONES and isinstance(r, HinfGain):
+            changed.append(replace(r, bound=bound, hard=True))
         elif r.name == "noise -> RPE":
             changed.append(r)
         else:

@@ -3,18 +3,20 @@
 Plant: telescope, sensors with their filters, mirror driven by ``-estimate / los_sensitivity``. The observer is a
 controller of order 4 from the 22 measurements to the estimated line of sight.
 
-=============  ======  =============================================================================
-requirement    kind    value 1 means
-=============  ======  =============================================================================
-APE            soft    normalised disturbances make 10 arcsec of line of sight (H-infinity)
-RPE            soft    they make 100 mas through the weight of 20 ms (H-infinity)
-mirror         hard    they ask for 5.3 mrad of mirror (H-infinity)
-noise -> APE   soft    sensor noise makes 10 arcsec rms (H2), as implemented only
-noise -> RPE   soft    sensor noise makes 100 mas rms (H2), as implemented only
-=============  ======  =============================================================================
+============  ====  ==========================================================================================
+requirement   kind  value 1 means
+============  ====  ==========================================================================================
+APE           soft  normalised disturbances make 10 arcsec of line of sight (H-infinity)
+RPE           soft  they make 100 mas through the weight of 20 ms (H-infinity); the paper's problem only
+slow, fast    soft  the same for tones below and above 85 rad/s, with the amplitudes of the budget; as implemented
+noise -> RPE  soft  sensor noise makes the share of the budget, through the weight of 20 ms (H2); as implemented
+mirror        hard  disturbances ask for 5.3 mrad of mirror (H-infinity)
+sensitivity   hard  the sensitivity at the mirror's command has a peak of 2; as implemented
+============  ====  ==========================================================================================
 
 Source: the paper, equation of the FSM synthesis. As implemented: 1.5 ms of loop delay (one tick and the hold), a camera
-whose frames are held, and the noise requirements, without which the tuned observer amplifies the accelerometers' noise.
+whose frames are held, the budget of :mod:`titop_plant.telescope.budget` and a stability margin. Without the noise
+requirement the tuned observer amplifies the accelerometers' noise; without the margin the optimum has none.
 """
 
 from __future__ import annotations
@@ -25,12 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from los_estimator.kalman import kalman_observer
-from lti import StateSpace, UncertainSystem, connect, static_gain, transform
+from lti import Port, StateSpace, UncertainSystem, connect, static_gain, transform
 from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
 from titop_plant.interface import CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.budget import TUNED_SENSITIVITY, band_error_weight, error_budget
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
@@ -38,6 +41,9 @@ from titop_plant.telescope.weights import disturbance_weight, relative_error_wei
 NOISE = (ACCELEROMETER_NOISE.name, OPTICAL_NOISE.name)
 ORDER = 4
 (ESTIMATE,) = ESTIMATE_PORTS
+ADDED = Port("added_estimate", ESTIMATE.size, ESTIMATE.unit)
+APPLIED = "applied_estimate"
+"""Where the sensitivity is taken: an input that is added to the estimate, and their sum, which drives the mirror."""
 
 
 @dataclass(frozen=True)
@@ -79,33 +85,64 @@ def observer_plant(
     mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
     inputs = (*DISTURBANCES, *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})
-    command = COMMAND_PORTS[0]
+    command, applied = COMMAND_PORTS[0], f"sum.{ESTIMATE.name}"
+    law, total = static_gain(mirror, [ESTIMATE], [command]), static_gain(np.eye(2), [ESTIMATE], [ESTIMATE])
+    others = [p for p in driven.inputs if p != ESTIMATE]
     system = connect(
-        {"plant": driven, "law": static_gain(mirror, [ESTIMATE], [command])},
-        [*((p.name, f"plant.{p.name}") for p in driven.inputs), (ESTIMATE.name, "law.los_estimate")],
-        inputs=driven.inputs,
-        outputs={**{p.name: f"plant.{p.name}" for p in driven.outputs}, command.name: "law.fsm_command"},
-    )
+        {"plant": driven, "law": law, "sum": total},
+        [
+            *((p.name, f"plant.{p.name}") for p in others),
+            ((ESTIMATE.name, ADDED.name), applied),
+            (applied, f"plant.{ESTIMATE.name}"),
+            (ESTIMATE.name, f"law.{ESTIMATE.name}"),
+        ],
+        inputs=(*others, ADDED, ESTIMATE),
+        outputs={**{p.name: f"plant.{p.name}" for p in driven.outputs}, command.name: "law.fsm_command",
+                 APPLIED: applied},
+    )  # fmt: skip
     return ObserverPlant(system)
 
 
-def observer_requirements(parameters: Parameters, *, implemented: bool) -> tuple[Requirement, ...]:
-    """Requirements of K_FSM (see the module's table); `implemented` adds the two on sensor noise."""
+def observer_requirements(
+    parameters: Parameters, *, implemented: bool, relaxation: float = 0.0
+) -> tuple[Requirement, ...]:
+    """Requirements of K_FSM (see the module's table).
+
+    Parameters
+    ----------
+    parameters : mapping
+    implemented : bool
+        Problem of the implemented loop; otherwise that of the paper.
+    relaxation : float
+        Between 0, the shares of the budget, and 1, 100 mas for each of them (geometrically in between): the tuner
+        gets from the Kalman observer to the budget in steps.
+    """
     weights = parameters["weights"]
     expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")
     relative = relative_error_weight(weights["rpe_window"]).data_at({}).renamed("W_RPE")
     ape, rpe, los = weights["ape_limit"], weights["rpe_limit"], "los_controlled"
-    paper: tuple[Requirement, ...] = (
+    common = (
         HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
-        HinfGain(DISTURBANCES, (los,), rpe, weight_in=expected, weight_out=relative, name="RPE"),
         HinfGain(DISTURBANCES, ("fsm_command",), parameters["fsm"]["authority"], weight_in=expected, hard=True,
                  name="mirror"),
     )  # fmt: skip
-    noise: tuple[Requirement, ...] = (
-        H2Gain(NOISE, (los,), ape, name="noise -> APE"),
-        H2Gain(NOISE, (los,), rpe, weight_out=relative, name="noise -> RPE"),
+    if not implemented:
+        paper = HinfGain(DISTURBANCES, (los,), rpe, weight_in=expected, weight_out=relative, name="RPE")
+        return common[0], paper, common[1]
+    budget = error_budget(parameters)
+    slow, fast, noise = (
+        share * (rpe / share) ** relaxation for share in (budget.slow, budget.fast_mirror, budget.noise)
     )
-    return paper + noise if implemented else paper
+    return (
+        *common,
+        *(
+            HinfGain(DISTURBANCES, (los,), bound, weight_in=expected, weight_out=band_error_weight(parameters, band),
+                     name=band)
+            for band, bound in (("slow", slow), ("fast", fast))
+        ),
+        H2Gain(NOISE, (los,), noise, weight_out=relative, name="noise -> RPE"),
+        HinfGain((ADDED.name,), (APPLIED,), TUNED_SENSITIVITY, hard=True, name="sensitivity"),
+    )  # fmt: skip
 
 
 def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold: bool = False) -> AffineStructure:

@@ -169,6 +169,8 @@ class SampledSystem:
             raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
         except ValueError:
             raise ValueError(f"{path} is not a controller file: expected JSON, the text is not") from None
+        except RecursionError:
+            raise ValueError(f"{path} is not a controller file: it is nested too deep") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'{path} is not a controller file: expected "format": "{FORMAT}"')
         if content.get("version") != VERSION:
@@ -195,5 +197,7 @@ class SampledSystem:
             )
         except TypeError:
             raise ValueError(f"{path}: expected ports as objects with name, size and unit") from None
+        except OverflowError:
+            raise ValueError(f"{path}: numbers must be finite, got one that is too large") from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None

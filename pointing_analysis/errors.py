@@ -32,12 +32,14 @@ class ErrorSeries:
     dt : sampling period [s]
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
+    open_end : whether the recording was cut off and nothing says how many samples are missing at its end
     """
 
     values: Floats
     dt: float
     start: float
     missing: int
+    open_end: bool = False
 
     @property
     def time(self) -> Floats:
@@ -71,8 +73,8 @@ def transient_of(run: Run, transient: float | None, duration: float) -> float:
     return float(value)
 
 
-def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSeries:
-    first = round(transient / dt)
+def _drop(values: Floats, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
+    first = round(min(transient / dt, len(values)))
     if first >= len(values):
         raise BagError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
@@ -81,7 +83,7 @@ def _drop(values: Floats, dt: float, transient: float, path: object) -> ErrorSer
     missing = int(np.isnan(rest).any(axis=1).sum())
     if missing == len(rest):
         raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
-    return ErrorSeries(read_only(rest), dt, first * dt, missing)
+    return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
 
 
 def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
@@ -102,7 +104,7 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = on_grid(run["truth/los"])
-    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path)
+    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
 
 
 def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
@@ -150,7 +152,7 @@ def knowledge_error_of(
     full = np.full((len(grid), 2), np.nan)
     step = round(dt * 1e9)
     common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)
-    index, rest = np.divmod(common - truth.stamp[0], step)
+    index, rest = np.divmod(common - truth.grid_start, step)
     fits = (rest == 0) & (index >= 0) & (index < len(grid))
     full[index[fits]] = estimate[rows[fits], :2] + gain * angle.values[columns[fits], :2]
-    return _drop(full - grid[:, :2], dt, transient_of(run, transient, dt * len(grid)), run.path)
+    return _drop(full - grid[:, :2], dt, transient_of(run, transient, dt * len(grid)), run.path, truth.open_end)

@@ -6,164 +6,36 @@ zstd, lz4 or none, file-wise and message-wise zstd, split recordings, and record
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import yaml
 import zstandard
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from pointing_analysis import cdr
-from pointing_analysis.mcap_records import BODY, HEAD, BagError, Block, Channel, FileInfo, walk
-from pointing_analysis.message_types import COLUMNS, UNITS
-from pointing_analysis.topic import NANO, Topic, make_topic
+from pointing_analysis.bag_files import bag_files
+from pointing_analysis.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.bag_metadata import REPAIR_NAME, merged, value_of
+from pointing_analysis.mcap_records import MAX_CHUNK, BagError, Block, Channel, FileInfo
+from pointing_analysis.mcap_walk import walk
+from pointing_analysis.message_types import COLUMNS
+from pointing_analysis.topic import NANO, Topic
+from pointing_analysis.topic_columns import KNOWN, Column, decode_block
 
-METADATA_NAME = "los_testbed"
-#: topics of the testbed by their name without the namespace, with the unit of their values
-KNOWN: Mapping[str, str] = MappingProxyType(
-    {
-        "isolator/accel": "m/s2, rad/s2",
-        "m1/accel": "m/s2, rad/s2",
-        "m2/accel": "m/s2, rad/s2",
-        "fsm/strain_gauge": "rad",
-        "camera/los": "rad",
-        "los_estimate": "rad",
-        "fsm/command": "rad",
-        "pma/command": "N",
-        "truth/los": "rad",
-    }
-)
 MEMORY_LIMIT = 2_000_000_000
 
 
-def _natural(path: Path) -> list[int | str]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
-
-
-def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
-    """Files of a bag in order, its metadata.yaml, and problems."""
-    if not path.exists():
-        raise BagError(f"{path}: no such bag")
-    if path.is_file():
-        return [path], {}, []
-    info: dict[str, Any] = {}
-    problems: list[str] = []
-    on_disk = sorted((f for f in path.iterdir() if re.search(r"\.mcap(\.zst|\.zstd)?$", f.name)), key=_natural)
-    if (path / "metadata.yaml").is_file():
-        try:
-            info = (yaml.safe_load((path / "metadata.yaml").read_text()) or {}).get("rosbag2_bagfile_information", {})
-        except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
-            problems.append(f"metadata.yaml cannot be read ({str(error).splitlines()[0]}): files taken in name order")
-    else:
-        problems.append("no metadata.yaml (the recorder was stopped hard): files taken in name order")
-    named = [path / name for name in info.get("relative_file_paths", [])]
-    missing = [f.name for f in named if not f.is_file()]
-    if missing:
-        problems.append(f"files named in metadata.yaml are missing: {', '.join(missing)}")
-    files = [f for f in named if f.is_file()] or on_disk
-    if any(f.suffix == ".db3" for f in files):
-        raise BagError(f"{path}: the bag must be MCAP, got sqlite3 (convert it with `ros2 bag convert`)")
-    if not files:
-        raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got none")
-    return files, info, problems
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
-class _Column:
-    """Collects the decoded messages of one topic in arrays that grow by doubling.
-
-    The unused half of an array costs no memory (its pages are never touched), and there is no joining of pieces at the
-    end, which would take the memory twice.
-    """
-
-    def __init__(self, name: str, schema: str) -> None:
-        self.name, self.schema = name, schema
-        width = len(COLUMNS[schema])
-        self.size = 0
-        self.arrays: list[NDArray[Any]] = _nothing(width)
-
-    def add(self, stamp: NDArray[np.int64], values: NDArray[np.float64], sent: NDArray[np.int64]) -> None:
-        """Append messages: stamps, values (m, k), times of publishing."""
-        if not self.size and values.shape[1] != self.arrays[1].shape[1]:
-            self.arrays = _nothing(values.shape[1])
-        if values.shape[1] != self.arrays[1].shape[1]:
-            raise BagError(
-                f"all messages must have the same number of values, got {self.arrays[1].shape[1]} and {values.shape[1]}"
-            )
-        end = self.size + len(stamp)
-        for i, new in enumerate((stamp, values, sent)):
-            if end > len(self.arrays[i]):
-                larger = np.empty((max(end, 2 * len(self.arrays[i])), *new.shape[1:]), self.arrays[i].dtype)
-                larger[: self.size] = self.arrays[i][: self.size]
-                self.arrays[i] = larger
-            self.arrays[i][self.size : end] = new
-        self.size = end
-
-    @property
-    def nbytes(self) -> int:
-        """Memory in use [byte]."""
-        return self.size * sum(a.itemsize * (a.shape[1] if a.ndim > 1 else 1) for a in self.arrays)
-
-    def topic(self) -> Topic:
-        """The finished topic; the column is empty afterwards."""
-        columns = list(COLUMNS[self.schema])
-        stamp, values, published = (a[: self.size] for a in self.arrays)
-        if len(columns) != values.shape[1]:
-            columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
-        self.arrays = []
-        unit = KNOWN.get(self.name, UNITS[self.schema])
-        return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
-
-
-def _nothing(width: int) -> list[NDArray[Any]]:
-    return [np.empty(0, np.int64), np.empty((0, width)), np.empty(0, np.int64)]
-
-
-def _decode_block(column: _Column, block: Block, chosen: NDArray[np.bool_], packed: bool) -> None:
-    """Decode the chosen messages of a block; equal sizes go through one numpy view."""
-    buffer = np.frombuffer(block.data, np.uint8)
-    heads, offsets = block.heads[chosen], block.offsets[chosen]
-    sizes = heads["length"].astype(np.int64) - BODY
-    sent = heads["publish"].astype(np.int64)
-    if packed:
-        unzip = zstandard.ZstdDecompressor()
-        payloads = [
-            unzip.decompressobj().decompress(block.data[o + HEAD : o + HEAD + n]) for o, n in zip(offsets, sizes)
-        ]
-        buffer = np.frombuffer(b"".join(payloads), np.uint8)
-        sizes = np.array([len(p) for p in payloads], dtype=np.int64)
-        starts = np.cumsum(sizes) - sizes
-    else:
-        starts = offsets + HEAD
-    for size in np.unique(sizes):
-        same = np.flatnonzero(sizes == size)
-        begin = starts[same]
-        plan = cdr.layout(column.schema, buffer[begin[0] : begin[0] + size].tobytes())
-        rows = sliding_window_view(buffer, int(size))[begin]
-        stamp, values, fits = cdr.decode(rows, plan)
-        if fits.all():
-            column.add(stamp, values, sent[same])
-            continue
-        column.add(stamp[fits], values[fits], sent[same][fits])
-        odd = np.flatnonzero(~fits)
-        stamp, single = cdr.decode_any(column.schema, [rows[i].tobytes() for i in odd])
-        for i, row in enumerate(single):
-            column.add(stamp[i : i + 1], row[None, :], sent[same[odd[i : i + 1]]])
+def _repair_notes(table: Mapping[str, str]) -> list[str]:
+    """What the record of a repaired bag says, one sentence each."""
+    if not table:
+        return []
+    source = table.get("source", "another bag")
+    return [f"repaired from {source}", *(text for key, text in table.items() if key.startswith("note_"))]
 
 
 class Run:
@@ -183,12 +55,15 @@ class Run:
     pointing_analysis.mcap_records.BagError: no_such_bag: no such bag
     """
 
-    def __init__(self, path: Path, namespace: str | None, start: float, stop: float, memory_limit: int) -> None:
+    def __init__(
+        self, path: Path, namespace: str | None, start: float, stop: float, memory_limit: int, max_chunk: int
+    ) -> None:
         self.path = path
-        self._files, self._yaml, problems = _files(path)
-        self._noted = dict.fromkeys(problems)  # an ordered set: some are only met when a topic is read
+        self._files = bag_files(path)
+        self._noted = dict.fromkeys(self._files.problems)  # an ordered set: some are only met when a topic is read
         self._window = (start, stop)
-        self._limit = memory_limit
+        self._limit, self._max_chunk = memory_limit, max_chunk
+        self._losses: dict[str, TopicLoss] = {}
         self._topics: dict[str, Topic] = {}
         self._infos: list[FileInfo] = []
         self._asked_namespace = namespace
@@ -204,6 +79,7 @@ class Run:
         start: float = 0.0,
         stop: float = float("inf"),
         memory_limit: int | None = None,
+        max_chunk: int = MAX_CHUNK,
     ) -> Run:
         """Open a bag.
 
@@ -214,16 +90,19 @@ class Run:
         start, stop : only this part of the run [s], counted from the first recorded message by recording time
         memory_limit : bytes that the arrays may take (None: `MEMORY_LIMIT`, 2 GB); a larger bag is read topic by topic,
             or in parts
+        max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
 
         Raises
         ------
         BagError
             Not a bag, no known topic in it, several plants and no `namespace`, or too large.
         """
+        if not (math.isfinite(start) and start >= 0):
+            raise BagError(f"start must be zero or more seconds, got {start:g} s")
         if not stop > start:
             raise BagError(f"stop must be after start = {start:g} s, got {stop:g} s")
         limit = MEMORY_LIMIT if memory_limit is None else memory_limit
-        return cls(Path(path), namespace, float(start), float(stop), limit)
+        return cls(Path(path), namespace, float(start), float(stop), limit, max_chunk)
 
     # -- reading ------------------------------------------------------------------------------------------------
 
@@ -238,27 +117,26 @@ class Run:
             for c in info.channels.values()
             if c.topic.startswith(self.namespace + "/")
         }
-        merged: dict[str, str] = {}
-        for info in self._infos:
-            merged.update(info.metadata.get(METADATA_NAME, {}))
-        self.parameters: Mapping[str, Any] = MappingProxyType({k: _value(v) for k, v in merged.items()})
+        found, problems = merged(self._infos)
+        repaired, _ = merged(self._infos, REPAIR_NAME)
+        self._noted.update(dict.fromkeys([*problems, *_repair_notes(repaired)]))
+        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in found.items()})
         if fits:
             for topic, column in columns.items():
                 if topic.startswith(self.namespace + "/"):
-                    column.name = self.short(topic)
-                    self._topics[column.name] = column.topic()
+                    self._topics[self.short(topic)] = self._finished(column)
 
-    def _pass(self, selects: Callable[[str], bool] | None) -> tuple[dict[str, _Column], bool]:
+    def _pass(self, selects: Callable[[str], bool] | None) -> tuple[dict[str, Column], bool]:
         """One pass over the files; returns the columns and whether they stayed inside the memory limit.
 
         Without `selects` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
         """
         self._infos = []
-        columns: dict[str, _Column] = {}
+        columns: dict[str, Column] = {}
         origin: int | None = None
-        packed = str(self._yaml.get("compression_mode", "")).upper() == "MESSAGE"
-        for file in self._files:
-            info = FileInfo()
+        ledger = LossLedger()
+        for file in self._files.files:
+            info = FileInfo(max_chunk=self._max_chunk)
             self._infos.append(info)
             if origin is not None:
                 info.unpacks = self._in_window(origin)
@@ -269,11 +147,43 @@ class Run:
                 if selects is None:
                     info.unpacks = lambda first, last: False
                     continue
-                self._take(block, info, columns, selects, origin, packed)
+                ledger.add(info, block)
+                self._take(block, info, columns, selects, origin)
                 if sum(c.nbytes for c in columns.values()) > self._limit:
                     return self._pass(None)[0], False
             self._noted.update(dict.fromkeys(info.problems))
+        if selects is not None and origin is not None:
+            self._note_losses(ledger)
         return columns, True
+
+    def _note_losses(self, ledger: LossLedger) -> None:
+        """What the bag lacks; of a part of a bag, what lies inside it."""
+        whole = self._window == (0.0, math.inf)
+        losses = ledger.losses(self._infos, self._files.counts) if whole else ledger.inner_losses(self._infos)
+        self._losses = {loss.topic: loss for loss in losses}
+        self._noted.update(dict.fromkeys(str(loss) for loss in losses))
+        if losses or any(info.damage or not info.finished for info in self._infos):
+            self._noted[f"`los-testbed bag repair {self.path}` makes a new bag of all that can be read"] = None
+
+    def _finished(self, column: Column) -> Topic:
+        """The topic of a column, with what is known to be lost before and after it."""
+        name = self.short(column.name)
+        loss = self._losses.get(column.name)
+        column.name = name
+        topic = column.topic()
+        unfinished = self._window[1] == math.inf and not all(info.finished for info in self._infos)
+        before, after = (loss.before, loss.after) if loss is not None else (0, 0)
+        planned = self._planned(topic)
+        if unfinished and planned is not None:
+            after = max(planned - before - topic.span, 0)
+        return replace(topic, lost_before=before, lost_after=after, open_end=unfinished and planned is None)
+
+    def _planned(self, topic: Topic) -> int | None:
+        """Samples that the run was to have, by the duration in its configuration; None where it is not known."""
+        duration = self.parameters.get("duration")
+        if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not topic.period > 0:
+            return None
+        return round(duration / topic.period) if 0 < duration < 1e9 else None
 
     def _in_window(self, origin: int) -> Callable[[int, int], bool]:
         """Whether a chunk between two recording times [ns] can hold something of the part that was asked for."""
@@ -288,10 +198,9 @@ class Run:
         self,
         block: Block,
         info: FileInfo,
-        columns: dict[str, _Column],
+        columns: dict[str, Column],
         selects: Callable[[str], bool],
         origin: int,
-        packed: bool,
     ) -> None:
         start, stop = self._window
         inside = None
@@ -308,9 +217,9 @@ class Run:
             chosen = numbers == number if inside is None else (numbers == number) & inside
             if not chosen.any():
                 continue
-            column = columns.setdefault(channel.topic, _Column(channel.topic, channel.schema))
+            column = columns.setdefault(channel.topic, Column(channel.topic, channel.schema))
             try:
-                _decode_block(column, block, chosen, packed)
+                decode_block(column, block, chosen, self._files.message_wise)
             except (BagError, zstandard.ZstdError) as error:
                 raise BagError(f"{self.path}: {channel.topic}: {error}") from None
 
@@ -344,6 +253,11 @@ class Run:
         return tuple(self._noted)
 
     @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """Messages that were recorded and cannot be read, by topic; known once a topic was read."""
+        return tuple(self._losses.values())
+
+    @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics that can be read, without the namespace, sorted."""
         return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))
@@ -363,9 +277,7 @@ class Run:
                 f"{self.path}: {name} does not fit into the memory limit of {self._limit / 1e6:.0f} MB: open a part "
                 "with start= and stop= (seconds), or raise memory_limit="
             )
-        column = columns.get(full, _Column(full, self._schemas[name]))
-        column.name = name
-        topic = column.topic()
+        topic = self._finished(columns.get(full, Column(full, self._schemas[name])))
         if sum(t.nbytes for t in self._topics.values()) + topic.nbytes > self._limit:
             self._topics.clear()  # keep the latest; another one is read again when asked for
         self._topics[name] = topic
@@ -374,7 +286,7 @@ class Run:
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files in the bag (controllers, plant parameters), by name."""
-        return MappingProxyType({k: v for info in self._infos for k, v in info.attachments.items()})
+        return MappingProxyType({k: v.data for info in self._infos for k, v in info.attachments.items()})
 
     @property
     def title(self) -> str:

@@ -9,7 +9,6 @@ import base64
 import hashlib
 import math
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis import figures, spectra
+from pointing_analysis.atomic_output import check_output, write_text
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
 from pointing_analysis.prediction import Prediction, ToneComparison
@@ -87,7 +87,7 @@ def _row(label: str, v: Verdict) -> Row:
         exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
         effective=f"{digits(v.effective)} of {digits(v.samples, 6)}",
         needed=needed,
-        note=v.note,
+        note=v.note if v.status == "not judged" else f". {v.note}" if v.note and needed else v.note,
     )
 
 
@@ -367,11 +367,7 @@ def write_report(
     The path of the file.
     """
     target = Path(path)
+    check_output(target, "the report")
     page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
-    if not target.parent.is_dir():
-        raise ValueError(f"the folder of the report must exist, got {target.parent}")
-    with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=target.parent, suffix=".html", delete=False) as stream:
-        stream.write(page)
-    os.chmod(stream.name, 0o644)
-    os.replace(stream.name, target)
+    write_text(target, page)
     return target

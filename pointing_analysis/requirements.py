@@ -15,25 +15,19 @@ from __future__ import annotations
 import math
 import os
 import re
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from pointing_analysis import confidence, metrics
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found]
+from pointing_analysis.structured_text import StructuredTextError, load_toml, load_yaml, read_text
 
 ANGLES = {
     "mas": RAD_PER_MAS,
@@ -140,12 +134,12 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     if len(times) != INDICES[index]:
         raise RequirementError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
     probability, confidence = (
-        float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
+        _float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
     )
     for what, value in (("probability", probability), ("confidence", confidence)):
         if not 0 < value < 1:
             raise RequirementError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
-    limit = float(m["limit"]) * ANGLES[m["unit"]]
+    limit = _float(m["limit"]) * ANGLES[m["unit"]]
     if not 0 < limit < math.inf:
         raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
     return Requirement(
@@ -160,9 +154,17 @@ def _member(what: str, value: str, known: Any) -> None:
 
 def _time(text: str) -> float:
     m = re.fullmatch(r"\s*([\d.]+)\s*(us|ms|s|min)\s*", text)
-    if m is None or not float(m[1]) > 0:
+    if m is None or not 0 < _float(m[1]) < 1e9:
         raise RequirementError(f"time must read like '20 ms', got {text.strip()!r}")
     return float(m[1]) * TIMES[m[2]]
+
+
+def _float(text: str) -> float:
+    """A number, NaN where the text is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]:
@@ -177,12 +179,10 @@ def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]
     """
     file = Path(path)
     try:
-        raw = file.read_text(encoding="utf-8")
-        content = yaml.safe_load(raw) if file.suffix in (".yaml", ".yml") else tomllib.loads(raw)
-    except OSError as error:
-        raise RequirementError(f"{file}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RequirementError(f"{file}: must be TOML or YAML: {str(error).splitlines()[0]}") from None
+        read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
+        content = read(read_text(file), file)
+    except StructuredTextError as error:
+        raise RequirementError(str(error)) from None
     entries = content.get("requirement") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) and "text" in e for e in entries):
         raise RequirementError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
@@ -192,9 +192,10 @@ def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]
         if unknown:
             raise RequirementError(f"{file}: keys must be of text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
-        found.append(
-            parse(str(entry["text"]), str(entry.get("name", "")), [loops] if isinstance(loops, str) else loops)
-        )
+        loops = [loops] if isinstance(loops, str) else loops
+        if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
+            raise RequirementError(f"{file}: loop must be a name or a list of names, got {loops!r}")
+        found.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
     return tuple(found)
 
 
@@ -211,7 +212,8 @@ class Verdict:
     effective : independent samples they weigh as much as
     seconds : length of data that was used [s]
     seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
-    note : why it was not judged
+    note : why it was not judged, or how many samples are missing
+    missing : samples of the index that are missing in the judged span; `decide` says how they count
     """
 
     requirement: Requirement
@@ -223,16 +225,45 @@ class Verdict:
     seconds: float
     seconds_needed: float
     note: str = ""
+    missing: float = 0.0
 
 
-def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
-    """Samples of the judged index [rad] and the largest number of them that may count as independent.
+@dataclass(frozen=True)
+class Samples:
+    """Samples of the index of one run, or of one pair of runs for the PRE.
+
+    Attributes
+    ----------
+    values : those that are there [rad]
+    effective : independent samples they weigh as much as
+    seconds : length of the data [s]
+    missing : samples missing; infinite where the recording was cut off and nothing says how many
+    """
+
+    values: NDArray[np.float64]
+    effective: float
+    seconds: float
+    missing: float = 0.0
+
+
+def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float, float]:
+    """Samples of the judged index [rad], the largest number of them that may count as independent, and those missing.
 
     RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
     its mean, so no more than one per window counts.
     """
-    e, dt, times = series.values, series.dt, requirement.times
-    cap = math.inf
+    values, cap = _index(series.values, series.dt, requirement)
+    there = values[~np.isnan(values)]
+    if series.open_end:
+        return there, cap, math.inf
+    if not series.missing:
+        return there, cap, 0.0
+    whole, _ = _index(np.zeros_like(series.values), series.dt, requirement)
+    return there, cap, float(len(whole) - len(there))
+
+
+def _index(e: NDArray[np.float64], dt: float, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
+    times, cap = requirement.times, math.inf
     if requirement.index in ("APE", "AKE"):
         samples = e
     elif requirement.index in ("MPE", "MKE"):
@@ -242,13 +273,10 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
         cap = len(metrics.windows(e, dt, times[0]).mean)
     else:
         samples = metrics.pde(e, dt, times[0], times[1])
-    values = _norm(samples, requirement)
-    return values[~np.isnan(values)], cap
+    return _norm(samples, requirement), cap
 
 
-def _reproducibility(
-    requirement: Requirement, runs: Sequence[Run], transient: float | None
-) -> list[tuple[NDArray[np.float64], float, float]]:
+def _reproducibility(requirement: Requirement, runs: Sequence[Run], transient: float | None) -> list[Samples]:
     """Samples of the PRE of every pair of runs: each window of the one against each of the other.
 
     The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
@@ -260,9 +288,12 @@ def _reproducibility(
             window = requirement.times[0]
             samples = metrics.pre(first.values, second.values, first.dt, window)
             values = _norm(samples, requirement)
-            means = [metrics.radial(metrics.mpe(s.values, s.dt, window)) for s in (first, second)]
-            weight = min(confidence.effective_number(m) for m in means)
-            found.append((values, weight, first.duration + second.duration))
+            means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
+            weight = min(confidence.effective_number(metrics.radial(m)) for m in means)
+            pairs = math.prod(int(len(s.values) * s.dt / window + 1e-9) for s in (first, second))
+            cut = first.open_end or second.open_end
+            missing = math.inf if cut else float(max(pairs - len(values), 0))
+            found.append(Samples(values, weight, first.duration + second.duration, missing))
     return found
 
 
@@ -277,14 +308,25 @@ def _not_judged(requirement: Requirement, why: str) -> Verdict:
     return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
 
 
-def decide(requirement: Requirement, values: NDArray[np.float64], effective: float, seconds: float) -> Verdict:
-    """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record."""
+def decide(
+    requirement: Requirement, values: NDArray[np.float64], effective: float, seconds: float, missing: float = 0.0
+) -> Verdict:
+    """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record.
+
+    Missing samples count against either verdict: for ``compliant`` each of them as one above the limit, for ``not
+    compliant`` as one below it. Where both fail, and where an unknown number is missing and the rest complies, there is
+    not enough data.
+    """
     n = max(int(effective), 1)
-    rate = float(np.mean(values >= requirement.limit))
+    above = int(np.count_nonzero(values >= requirement.limit))
+    rate = above / len(values)
     p, c = requirement.probability, requirement.confidence
+    unknown = math.isinf(missing)
+    total = len(values) + (0.0 if unknown else missing)
+    worst, best = (1.0 if unknown else (above + missing) / total), above / total
     # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
-    upper = confidence.exceedance_upper(math.ceil(rate * n - 1e-9), n, c)
-    lower = confidence.exceedance_lower(math.floor(rate * n + 1e-9), n, c)
+    upper = confidence.exceedance_upper(math.ceil(worst * n - 1e-9), n, c)
+    lower = confidence.exceedance_lower(math.floor(best * n + 1e-9), n, c)
     status: Status = "not enough data"
     needed = seconds
     if upper <= 1 - p:
@@ -292,16 +334,28 @@ def decide(requirement: Requirement, values: NDArray[np.float64], effective: flo
     elif lower > 1 - p:
         status = "not compliant"
     else:
-        needed = confidence.samples_to_decide(p, c, rate) * seconds / effective
+        needed = confidence.samples_to_decide(p, c, rate if unknown else worst) * seconds / effective
     bounds = confidence.quantile(values, p, c, effective)
-    return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed)
+    note = _missing_note(missing, total)
+    if missing:  # what is not there may lie beyond any bound
+        bounds = replace(bounds, upper=math.inf)
+    return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
+
+
+def _missing_note(missing: float, total: float) -> str:
+    if not missing:
+        return ""
+    if math.isinf(missing):
+        return "the recording was cut off, how much is missing is not known"
+    return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
 
 
 def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None = None) -> Verdict:
     """Judge runs against one requirement.
 
     With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
-    worst instant of each run as one independent sample; the mixed one puts the samples of all runs together.
+    worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
+    puts the samples of all runs together.
     """
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
@@ -310,21 +364,24 @@ def judge(requirement: Requirement, runs: Sequence[Run], transient: float | None
         collected = _collect(requirement, runs, transient)
     except ValueError as error:
         return _not_judged(requirement, str(error))
+    seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
-        worst = np.array([values.max() for values, _, _ in collected])
-        return decide(requirement, worst, len(worst), sum(s for _, _, s in collected))
+        known = [one for one in collected if not one.missing or one.values.max() >= requirement.limit]
+        if not known:
+            return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
+        worst = np.array([one.values.max() for one in known])
+        return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
     if requirement.interpretation == "mixed":
-        values = np.concatenate([v for v, _, _ in collected])
-        return decide(requirement, values, sum(n for _, n, _ in collected), sum(s for _, _, s in collected))
-    verdicts = [decide(requirement, *one) for one in collected]
+        values = np.concatenate([one.values for one in collected])
+        missing = sum(one.missing for one in collected)
+        return decide(requirement, values, sum(one.effective for one in collected), seconds, missing)
+    verdicts = [decide(requirement, one.values, one.effective, one.seconds, one.missing) for one in collected]
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2, "not judged": 3}
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
 
 
-def _collect(
-    requirement: Requirement, runs: Sequence[Run], transient: float | None
-) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Of each run (for the PRE, of each pair): samples of the index, their effective number, seconds of data."""
+def _collect(requirement: Requirement, runs: Sequence[Run], transient: float | None) -> list[Samples]:
+    """Of each run, and for the PRE of each pair: the samples of the index."""
     if requirement.index == "PRE":
         return _reproducibility(requirement, runs, transient)
     make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
@@ -332,10 +389,11 @@ def _collect(
     for run in runs:
         series = make(run, transient)
         try:
-            values, cap = index_samples(series, requirement)
+            values, cap, missing = index_samples(series, requirement)
         except ValueError as error:
             raise BagError(f"{run.path}: {error}") from None
         if not values.size:
             raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
-        collected.append((values, min(cap, confidence.effective_number(values)), series.duration))
+        effective = min(cap, confidence.effective_number(values))
+        collected.append(Samples(values, effective, series.duration, missing))
     return collected

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis import metrics
+from pointing_analysis.bag_loss import TopicLoss
 from pointing_analysis.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
@@ -19,8 +20,9 @@ from pointing_analysis.errors import (
     knowledge_error,
     performance_error,
 )
-from pointing_analysis.read import KNOWN, Run
+from pointing_analysis.read import Run
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
+from pointing_analysis.topic_columns import KNOWN
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
@@ -103,6 +105,7 @@ class Summary:
     knowledge : knowledge errors, None without an estimate in the bag
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
+    losses : messages that were recorded and cannot be read, by topic
     """
 
     path: Path
@@ -125,6 +128,7 @@ class Summary:
     knowledge: Knowledge | None
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
+    losses: tuple[TopicLoss, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
@@ -162,10 +166,15 @@ class Summary:
                     "exceeding": number(v.exceeding),
                     "effective_samples": number(v.effective),
                     "seconds_needed": number(v.seconds_needed),
+                    "missing": number(v.missing),
                     "note": v.note,
                 }
                 for v in self.verdicts
             ],
+            "lost_messages": {
+                loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
+                for loss in self.losses
+            },
             "problems": list(self.problems),
         }
 
@@ -184,11 +193,16 @@ def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
     for name in (n for n in run.topics if n in KNOWN):
         topic = run[name]
         state = topic.integrity
-        if len(topic):
-            stamps[name] = (int(topic.stamp[0]), int(topic.stamp[-1]), topic.period)
-        lost[name] = state.missing
+        ends = topic.lost_before + topic.lost_after
+        if len(topic) and topic.period > 0:
+            after = round(topic.lost_after * topic.period * 1e9)
+            stamps[name] = (topic.grid_start, int(topic.stamp[-1]) + after, topic.period)
+        lost[name] = state.missing + ends
+        if topic.open_end:
+            problems.append(f"{name}: the recording was cut off, how many samples are missing at its end is not known")
         for count, what in (
             (state.missing, f"samples missing in {len(state.gaps)} gaps"),
+            (ends, "samples missing before the first one and after the last one"),
             (state.duplicates, "stamps twice"),
             (state.conflicts, "stamps with two different values (two publishers?)"),
             (state.out_of_order, "messages out of order"),
@@ -277,4 +291,5 @@ def summarise(
         knowledge=_knowledge(run, transient),
         verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
+        losses=run.losses,
     )

@@ -17,9 +17,9 @@ import yaml
 from mcap.writer import CompressionType, IndexType, Writer
 from numpy.typing import ArrayLike, NDArray
 
+from pointing_analysis.bag_metadata import METADATA_NAME
 from pointing_analysis.cdr import Encoder
 from pointing_analysis.message_types import ACCEL, DEFINITIONS, JOINT_STATE, VECTOR3
-from pointing_analysis.read import METADATA_NAME
 
 
 def _schema_of(width: int) -> str:

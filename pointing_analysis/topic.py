@@ -66,6 +66,9 @@ class Topic:
         know it
     period : sampling period [s]: the most frequent distance of two stamps; NaN with fewer than two messages
     integrity : gaps, duplicates and the like
+    lost_before, lost_after : samples that were recorded, or were to be, before the first stamp and after the last one,
+        and are not in the bag
+    open_end : whether the recording was cut off and nothing says how much is missing at its end
     """
 
     name: str
@@ -77,6 +80,9 @@ class Topic:
     published: NDArray[np.int64]
     period: float
     integrity: Integrity
+    lost_before: int = 0
+    lost_after: int = 0
+    open_end: bool = False
 
     def __len__(self) -> int:
         return int(self.stamp.size)
@@ -85,6 +91,17 @@ class Topic:
     def time(self) -> Floats:
         """(n,) seconds since the topic's first stamp."""
         return (self.stamp - self.stamp[:1]) / NANO
+
+    @property
+    def span(self) -> int:
+        """Periods from the first stamp to the last one, both counted."""
+        steps = (int(self.stamp[-1]) - int(self.stamp[0])) / (self.period * NANO) if self.period > 0 else 0.0
+        return round(steps) + 1 if len(self) else 0
+
+    @property
+    def grid_start(self) -> int:
+        """Stamp [ns] of the first row of `on_grid`."""
+        return int(self.stamp[0]) - round(self.lost_before * self.period * NANO)
 
     @property
     def nbytes(self) -> int:
@@ -181,7 +198,8 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
 
     Returns
     -------
-    values : (m, k), row i at the time i * period after the first stamp
+    values : (m, k), row i at the time i * period after `Topic.grid_start`; samples that were lost before the first
+        stamp and after the last one are rows, too
     period : [s]
 
     Raises
@@ -207,13 +225,14 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
             f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, not {state.irregular} others"
         )
     index = np.rint((topic.stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64)
-    if index[-1] + 1 > 4 * len(topic) + 100_000:
+    rows = int(index[-1]) + 1 + topic.lost_before + topic.lost_after
+    if rows > 4 * len(topic) + 100_000:
         raise BagError(
-            f"{topic.name}: recording must be continuous, got {len(topic)} samples in {index[-1] * topic.period:g} s: "
+            f"{topic.name}: recording must be continuous, got {len(topic)} samples in {rows * topic.period:g} s: "
             "the clock was stepped, or most samples are missing"
         )
-    if state.missing == 0 and index[-1] + 1 == len(topic):
+    if rows == len(topic):
         return topic.values, topic.period
-    grid = np.full((int(index[-1]) + 1, topic.values.shape[1]), np.nan)
-    grid[index] = topic.values
+    grid = np.full((rows, topic.values.shape[1]), np.nan)
+    grid[index + topic.lost_before] = topic.values
     return grid, topic.period

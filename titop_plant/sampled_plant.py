@@ -113,6 +113,7 @@ class SampledPlant:
         self._x, self._v = self._z[:n], self._z[n : n + COMMANDS]
         self._p = self._z[n + COMMANDS :].view(complex)
         self._out = np.zeros(n + MEASUREMENTS + TRUTH)
+        self._phasor = np.zeros(self._p.size, complex)
         self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
         self.reset()
@@ -123,9 +124,39 @@ class SampledPlant:
         self._noise, self._camera = np.random.default_rng(noise), np.random.default_rng(camera)
         self._x[:] = self._start
         self._p[:] = 1.0
+        self._noisy = self._disturbed = True
+        self._dropout = self._sensors.dropout
         self._v[:] = 0.0
         self.tick = 0
         self._index, self._left = 0, self._segments[0].ticks
+
+    def change(self, name: str, value: float) -> None:
+        """Change a setting from the next tick on; a reset undoes it.
+
+        Parameters
+        ----------
+        name : {"noise", "disturbance", "camera_dropout"}
+            Sensor noise (the bias stays); disturbance tones, whose phases go on; probability that a frame is lost.
+        value : float
+            0 or 1; for the drop-out a probability.
+
+        Raises
+        ------
+        ValueError
+            Another name.
+        """
+        if name == "noise":
+            self._noisy = bool(value)
+        elif name == "disturbance":
+            if self._disturbed and not value:
+                self._phasor[:], self._p[:] = self._p, 0.0
+            elif value and not self._disturbed:
+                self._p[:] = self._phasor
+            self._disturbed = bool(value)
+        elif name == "camera_dropout":
+            self._dropout = float(value)
+        else:
+            raise ValueError(f"name must be noise, disturbance or camera_dropout, got {name!r}")
 
     @property
     def state(self) -> FloatArray:
@@ -146,17 +177,18 @@ class SampledPlant:
         if row == 0:
             self._noise.standard_normal(out=self._block)
             self._block *= self._sensors.sigma
-        np.add(self._out[n : n + MEASUREMENTS], self._block[row], out=measurement)
+        np.add(self._out[n : n + MEASUREMENTS], self._block[row] if self._noisy else 0.0, out=measurement)
         measurement += self._sensors.bias
         truth[:] = self._out[n + MEASUREMENTS :]
         if self.tick % self.frame_ticks:
             measurement[CAMERA] = np.nan
-        elif self._sensors.dropout > 0.0:
+        elif self._dropout > 0.0:
             self._camera.random(out=self._frame)
-            if self._frame[0] < self._sensors.dropout:
+            if self._frame[0] < self._dropout:
                 measurement[CAMERA] = np.nan
         self._x[:] = self._out[:n]
-        np.multiply(self._p, segment.turn, out=self._p)
+        phasor = self._p if self._disturbed else self._phasor
+        np.multiply(phasor, segment.turn, out=phasor)
         self.tick += 1
         self._left -= 1
         if self._left == 0 and self._index + 1 < len(self._segments):

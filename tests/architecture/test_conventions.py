@@ -40,7 +40,7 @@ LAYERS = ("config", "topics", "variants", "factories", "bags", "loop", "run", "c
 """Modules and subpackages of los_testbed: each imports of the package only itself and what stands before it."""
 ROS = {
     "rclpy", "ament_index_python", "launch", "launch_ros", "rcl_interfaces", "std_msgs", "sensor_msgs", "geometry_msgs",
-    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces",
+    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs",
 }  # fmt: skip
 STACKS = {
     "lti/batched_linalg.py", "los_design/sampled_loop.py",

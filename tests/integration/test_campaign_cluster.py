@@ -135,7 +135,7 @@ def test_unreachable_scheduler_is_one_line(
         stopped.value.code == 2
         and "scheduler must be that of a running Dask cluster, got tcp://127.0.0.1:9" in captured
     )
-    assert not (tmp_path / "c").exists() and time.monotonic() - start < 120
+    assert not (tmp_path / "c").exists()
 
 
 def test_worker_with_other_parameters_is_refused(undisturbed: ResultFolder, tmp_path: Path) -> None:

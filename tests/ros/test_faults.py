@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from glob import glob
 from pathlib import Path
@@ -20,6 +19,7 @@ from los_testbed.config import RunConfig
 from los_testbed.run import replay
 from los_testbed.run.runner import RunError, Runner
 from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, M1_ACCEL, PMA_COMMAND, TRUTH_LOS
+from ros_faults import diagnostics, run_with_fault
 from ros_runs import (
     PLANT,
     PLANT_TOPICS,
@@ -35,49 +35,6 @@ from pointing_analysis.replay import compare
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000
-
-
-def run_with_fault(folder, at, fault, duration=None, after=500, **values):
-    """Run, and call `fault(runner)` once in a thread when `at` ticks are done.
-
-    The run goes on for `duration`; without one it is ended `after` ticks after the fault returned.
-    """
-    state, errors = {}, []
-
-    def act():
-        try:
-            fault(runner)
-        except BaseException as error:
-            errors.append(error)
-
-    def progress(ticks):
-        if ticks >= at and "thread" not in state:
-            state["thread"] = threading.Thread(target=act)
-            state["thread"].start()
-        over = duration is None and "thread" in state and not state["thread"].is_alive()
-        if over and ticks - state.setdefault("end", ticks) >= after:
-            raise KeyboardInterrupt
-
-    runner = Runner(config_for(folder, duration=duration or 60.0, **values), progress, {"plant": PLANT})
-    try:
-        return runner.run()
-    finally:
-        if "thread" in state:
-            state["thread"].join()
-        assert not errors, errors
-
-
-def diagnostics(bag, name):
-    """Times of arrival [ns], levels and messages of one node, in order."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    from mcap.reader import make_reader
-    from rclpy.serialization import deserialize_message
-
-    with next(bag.glob("*.mcap")).open("rb") as stream:
-        for _, _, message in make_reader(stream).iter_messages(topics=["/diagnostics"]):
-            for status in deserialize_message(message.data, DiagnosticArray).status:
-                if status.name == f"telescope: {name}":
-                    yield message.log_time, status.level[0], status.message
 
 
 def mirror_angle(bag):
@@ -304,7 +261,7 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     plant, estimator = results.statistics["plant"], results.statistics["estimator"]
     for reason in ("limit", "not_finite", "future", "off_grid", "size", "encoding"):
         assert plant[f"rejected_fsm_{reason}"] == "200", (reason, plant)
-    assert int(plant["rejected_fsm_late"]) >= 200, "the controller's own may be late, too, on a busy machine"
+    assert plant["rejected_fsm_foreign"] == "200", "valid but for their age and their sender"
     for reason in ("limit", "not_finite"):
         assert plant[f"rejected_pma_{reason}"] == "200", (reason, plant)
     assert estimator["rejected_off_grid"] == estimator["rejected_future"] == "200"
@@ -349,7 +306,7 @@ def test_a_full_disk_ends_the_run_with_the_reason_and_what_was_written_is_kept(t
     finally:
         subprocess.run(["umount", "-l", str(small)], check=True)
     run = Run.open(tmp_path / "saved")
-    assert salvage.chunks >= 1
+    assert salvage.messages > 8 * 300 and not salvage.finished
     assert len(run["truth/los"]) > 300
     assert len(run["truth/los"]) > 0.8 * len(span_of(run))
 

@@ -5,7 +5,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
-from los_testbed.nodes import recorder
+from los_testbed.loop.source_guard import OURS, SourceGuard
+from los_testbed.nodes.support import track as recording
 from los_testbed.topics import FSM_COMMAND
 
 from titop_plant.interface import TICK_NS
@@ -19,6 +20,7 @@ class Stamps:
 
     def __init__(self, ticks):
         self.codec = codec_for(FSM_COMMAND)
+        self.guard = SourceGuard()
         self.waiting = [bytes(self.codec.encode(tick * TICK_NS, np.zeros(2))) for tick in ticks]
 
     def take(self):
@@ -26,10 +28,13 @@ class Stamps:
             return None
         return self.waiting.pop(0), {"received_timestamp": 1, "source_timestamp": 1}
 
+    def sort(self, taken, now_ns):
+        return OURS
+
 
 def lost(ticks, last):
     source = Stamps(ticks)
-    track = recorder.Track("fsm/command", source, TICK_NS, source.codec)
+    track = recording.Track("fsm/command", source, TICK_NS, source.codec)
     track.drain()
     return track.lost(START * TICK_NS, last * TICK_NS)
 
@@ -51,5 +56,5 @@ def test_late_samples_are_not_lost(ticks, last, expected):
 
 
 def test_a_sample_that_is_later_than_the_limit_stays_lost():
-    far = START + 2 * recorder.MAX_DISORDER
+    far = START + 2 * recording.MAX_DISORDER
     assert lost([START, far, START + 1, far - 1], far) == far - START + 1 - 3

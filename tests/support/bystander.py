@@ -39,9 +39,11 @@ def middleware(ours=True):
 
 
 class Bystander:
-    """Node with publishers on `sends` and subscriptions on `hears`, matched with the run's nodes."""
+    """Node with publishers on `sends` and subscriptions on `hears`; with `wait`, matched with the run's nodes."""
 
-    def __init__(self, domain: int, sends: Sequence[Topic] = (), hears: Sequence[Topic] = ()) -> None:
+    def __init__(
+        self, domain: int, sends: Sequence[Topic] = (), hears: Sequence[Topic] = (), wait: bool = True
+    ) -> None:
         with middleware():
             self.context = Context()
             self.context.init(domain_id=domain)
@@ -49,7 +51,7 @@ class Bystander:
         # deep enough that nothing is pushed out before its reader has it
         self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
         self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + (10.0 if wait else 0.0)
         while not self._matched() and time.monotonic() < end:
             time.sleep(0.05)
         time.sleep(0.3)  # the other side may see the match a little later
@@ -80,5 +82,7 @@ class Bystander:
         assert all(publisher.settle(deadline) for publisher in self._outputs.values())
 
     def close(self) -> None:
+        for end in (*self._outputs.values(), *self._inputs.values()):
+            end.close()
         self.node.destroy_node()
         self.context.shutdown()

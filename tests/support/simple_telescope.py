@@ -22,6 +22,7 @@ class SimpleTelescope:
         self.frame_ticks = frame_ticks
         self.tones = np.array([2 * np.pi * 3.0])
         self._setting = (seed, noise, dropout)
+        self._disturbance = 1.0
         self.reset()
 
     def reset(self) -> None:
@@ -29,11 +30,20 @@ class SimpleTelescope:
         self._rng = np.random.default_rng(seed)
         self._sigma = 1e-8 if noise else 0.0
         self._tick = 0
+        self._disturbance = 1.0
         self.commands: list[np.ndarray] = []
+
+    def change(self, name: str, value: float) -> None:
+        if name == "noise":
+            self._sigma = 1e-8 if value else 0.0
+        elif name == "disturbance":
+            self._disturbance = float(value)
+        else:
+            self._dropout = float(value)
 
     def step(self, command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
         t = DT * self._tick
-        los = 1e-5 * np.array([np.sin(2 * np.pi * 3 * t), np.cos(2 * np.pi * 3 * t)])
+        los = 1e-5 * self._disturbance * np.array([np.sin(2 * np.pi * 3 * t), np.cos(2 * np.pi * 3 * t)])
         truth[:] = los + 0.1 * np.clip(command[:2], -5.3e-3, 5.3e-3)
         measurement[:] = self._sigma * self._rng.standard_normal(22)
         measurement[4] -= (2 * np.pi * 3) ** 2 * los[0]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg
 
-from lti import Port, SampledSystem, StateSpace
+from lti import Port, RealParameter, SampledSystem, StateSpace, UncertainSystem
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 FREQUENCIES = (12.0, 60.0, 180.0, 420.0)
@@ -61,6 +61,18 @@ def small_controllers() -> tuple[SampledSystem, SampledSystem]:
         K_PMA_INPUTS, K_PMA_OUTPUTS, DT, "force law",
     )  # fmt: skip
     return k_fsm, k_pma
+
+
+def small_family() -> UncertainSystem:
+    """The small plant as an uncertain system, with the ports' names that the loop needs: one channel."""
+    plant = small_plant()
+    square = FREQUENCIES[1] ** 2
+    B = np.hstack([np.zeros((10, 1)), plant.B])
+    B[3, 0] = -square
+    C = np.vstack([np.eye(10)[2:3], plant.C])
+    D = np.pad(plant.D, ((1, 0), (1, 0)))
+    stiffness = RealParameter("stiffness", 1.0, -5.0, 200.0)
+    return UncertainSystem(plant.A, B, C, D, INPUTS, OUTPUTS, ("stiffness",), (stiffness,))
 
 
 class SmallFamily:

@@ -82,7 +82,7 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     text = Path(path).read_text(encoding="utf-8")
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: file must be TOML, got {error}") from None
     reader = _Reader(str(path), text, table)
     data = reader.read()

@@ -64,7 +64,7 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path} is not a TOML file: {error}") from None
 
 

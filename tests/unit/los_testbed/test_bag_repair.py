@@ -27,7 +27,8 @@ def chunks(bag):
 
 def test_an_intact_bag_is_copied_message_by_message(bag, tmp_path):
     result = repair_bag(bag, tmp_path / "new")
-    assert (result.messages, result.chunks, result.damaged, result.cut_at) == (32_200, 4, [], None)
+    assert (result.messages, result.losses, result.damage, result.finished) == (32_200, (), (), True)
+    assert result.sentences() == ["nothing is lost"]
     old, new = Run.open(bag), Run.open(tmp_path / "new")
     for name in old.topics:
         assert np.array_equal(old[name].values, new[name].values, equal_nan=True)
@@ -43,27 +44,50 @@ def test_a_bag_that_ends_within_a_chunk_keeps_all_chunks_before(bag, tmp_path, p
     file.write_bytes(file.read_bytes()[: cut.chunk_start_offset + int(part * cut.chunk_length)])
     (bag / "metadata.yaml").unlink()
     result = repair_bag(bag, tmp_path / "new")
-    assert result.chunks == 3
-    assert result.cut_at == cut.chunk_start_offset
+    assert not result.finished and any("cut off" in text for text in result.sentences())
+    lost = {loss.topic: loss.missing for loss in result.losses}
+    assert sum(lost.values()) == 32_200 - result.messages, "the manifest before the chunk says what it held"
     with AnyReader([tmp_path / "new"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
         assert sum(1 for _ in reader.messages()) == result.messages
-    assert counts["/telescope/truth/los"] == 3000
+    assert counts["/telescope/truth/los"] == 4000 - lost.get("/telescope/truth/los", 0) >= 3000
     assert Run.open(tmp_path / "new").parameters["loop"] == "fsm+pma"
 
 
-def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(bag, tmp_path):
+def _torn(bag, number):
+    """Half of a chunk's compressed data overwritten; where the chunk begins."""
     file = bag / "bag_0.mcap"
-    data = bytearray(file.read_bytes())
-    hurt = chunks(bag)[1]
-    data[hurt.chunk_start_offset + hurt.chunk_length // 2] ^= 0x10
+    data, hurt = bytearray(file.read_bytes()), chunks(bag)[number]
+    middle = hurt.chunk_start_offset + hurt.chunk_length // 2
+    data[middle : hurt.chunk_start_offset + hurt.chunk_length] = bytes(hurt.chunk_length - hurt.chunk_length // 2)
     file.write_bytes(data)
+    return hurt.chunk_start_offset
+
+
+def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(bag, tmp_path):
+    offset = _torn(bag, 1)
     result = repair_bag(bag, tmp_path / "new")
-    assert [offset for offset, _ in result.damaged] == [hurt.chunk_start_offset]
-    truth = Run.open(tmp_path / "new")["truth/los"]
-    assert len(truth) == 3000
-    assert truth.integrity.missing == 1000
-    assert truth.integrity.gaps == ((0.999, 1000),)
+    assert [place for place, _ in result.damage] == [offset]
+    lost = {loss.topic: loss for loss in result.losses}
+    run = Run.open(tmp_path / "new")
+    for name in run.topics:
+        topic, loss = run[name], lost.get(f"/telescope/{name}")
+        assert topic.integrity.missing == (loss.missing if loss else 0)
+        for span in loss.spans if loss else ():
+            assert 0.9 < span.start < span.stop <= 2.0
+    assert any("repaired from bag_0.mcap" in text for text in run.problems)
+    for loss in result.losses:
+        assert any(str(loss) in text for text in run.problems), "every later reader repeats it"
+
+
+def test_a_wrong_byte_in_a_chunk_is_put_right_by_its_manifest(bag):
+    file = bag / "bag_0.mcap"
+    good, hurt = file.read_bytes(), chunks(bag)[0]
+    before = {name: Run.open(bag)[name].values.tobytes() for name in Run.open(bag).topics}
+    data = bytearray(good)
+    data[hurt.chunk_start_offset + 9 + 28 + 8 + 8] ^= 4  # magic number of zstd
+    file.write_bytes(data)
+    assert {name: Run.open(bag)[name].values.tobytes() for name in Run.open(bag).topics} == before
 
 
 def test_what_is_no_bag_is_refused(tmp_path, bag):
@@ -76,12 +100,12 @@ def test_what_is_no_bag_is_refused(tmp_path, bag):
         repair_bag(bag, bag)
 
 
-def test_a_reader_names_the_place_of_a_damaged_chunk_and_reads_the_others(bag):
-    file = bag / "bag_0.mcap"
-    hurt = chunks(bag)[2]
-    data = bytearray(file.read_bytes())
-    data[hurt.chunk_start_offset + hurt.chunk_length // 2] ^= 0x10
-    file.write_bytes(data)
+def test_a_reader_names_the_place_of_a_damaged_chunk_and_uses_what_is_whole(bag):
+    whole = Run.open(bag)["truth/los"]
+    offset = _torn(bag, 2)
     run = Run.open(bag)
-    assert any(f"byte {hurt.chunk_start_offset}:" in problem for problem in run.problems), run.problems
-    assert len(run["truth/los"]) == 3000
+    assert any(f"byte {offset}:" in problem for problem in run.problems), run.problems
+    assert any("los-testbed bag repair" in problem for problem in run.problems), run.problems
+    left = run["truth/los"]
+    assert 3000 <= len(left) < 4000
+    assert np.array_equal(left.values, whole.values[np.isin(whole.stamp, left.stamp)])

@@ -50,7 +50,7 @@ def metadata(name: str, table: dict[str, str]) -> bytes:
 
 def attachment(name: str, media_type: str, data: bytes) -> bytes:
     head = struct.pack("<QQ", 3, 4) + text(name) + text(media_type) + struct.pack("<Q", len(data))
-    return record(9, head + data + struct.pack("<I", 0x01020304))
+    return record(9, head + data + bytes(4))
 
 
 def repaired(tmp_path: Path, *records: bytes, end: bytes = END) -> tuple[RepairResult, Path]:
@@ -83,11 +83,17 @@ def test_tables_and_files_are_copied_and_the_description_is_written_anew(tmp_pat
     )
     found = tables(file)
     assert found["parameters"] == parameters and found["nothing"] == {}
-    assert "old" not in found["rosbag2"]["serialized_metadata"] and set(found) == {"parameters", "nothing", "rosbag2"}
+    assert found["rosbag2"]["serialized_metadata"].startswith("version: 9")
+    assert set(found) == {
+        "parameters",
+        "nothing",
+        "rosbag2",
+        "los_testbed_repair",
+    }
     with file.open("rb") as stream:
         files = {a.name: (a.media_type, a.data) for a in make_reader(stream).iter_attachments()}
     assert files == {"a.toml": ("text/plain", b"abc"), "empty": ("", b"")}
-    assert (result.messages, result.chunks, result.damaged, result.cut_at, result.last_stamp) == (0, 0, [], None, 0)
+    assert (result.messages, result.damage, result.finished, result.last_stamp) == (0, (), True, 0)
 
 
 def test_a_table_repeated_later_replaces_the_earlier_one(tmp_path: Path) -> None:
@@ -105,14 +111,14 @@ def test_messages_keep_times_bytes_and_order_whatever_their_lengths(tmp_path: Pa
     result, file = repaired(tmp_path, chunk(content))
     expected = [(FIRST, *row) for row in rows] + [(SECOND, log + 1, publish, data * 2) for log, publish, data in rows]
     assert messages(file) == sorted(expected, key=lambda row: row[0])
-    assert result == RepairResult(messages=14, chunks=1, damaged=[], cut_at=None, last_stamp=61)
+    assert result == RepairResult(messages=14, copied={FIRST: 7, SECOND: 7}, last_stamp=61)
 
 
 def test_last_stamp_is_the_newest_of_all_topics_and_chunks(tmp_path: Path) -> None:
     first = channel(1, FIRST) + message(1, 70, b"a") + message(1, 90, b"b")
     second = channel(2, SECOND) + message(2, 80, b"a") + message(1, 85, b"c")
     result, file = repaired(tmp_path, chunk(first), chunk(second))
-    assert (result.last_stamp, result.messages, result.chunks) == (90, 4, 2)
+    assert (result.last_stamp, result.messages) == (90, 4)
     assert {(m[0], m[1]) for m in messages(file)} == {(FIRST, 70), (FIRST, 90), (FIRST, 85), (SECOND, 80)}
 
 
@@ -125,7 +131,7 @@ def test_channels_of_an_earlier_chunk_hold_for_later_ones_and_unknown_ones_are_l
     )
     expected = [(DIAGNOSTICS_TOPIC, 9, 9, b"diagnosis"), (FIRST, 5, 5, b"a"), (FIRST, 6, 6, b"b")]
     assert sorted(messages(file)) == sorted(expected)
-    assert (result.messages, result.chunks, result.last_stamp) == (3, 3, 9)
+    assert (result.messages, result.last_stamp) == (3, 9)
 
 
 def test_chunks_without_compression_and_without_checksum_are_read(tmp_path: Path) -> None:
@@ -137,7 +143,7 @@ def test_chunks_without_compression_and_without_checksum_are_read(tmp_path: Path
         chunk(message(1, 7, b"c"), compression="", checksum=0),
     )
     assert [m[1:] for m in messages(file)] == [(5, 5, b"a"), (6, 6, b"b"), (7, 7, b"c")]
-    assert result.damaged == [] and result.chunks == 3
+    assert result.damage == () and result.problems == ()
 
 
 def test_damaged_chunks_are_named_by_offset_and_kind_and_the_next_is_copied(tmp_path: Path) -> None:
@@ -147,37 +153,49 @@ def test_damaged_chunks_are_named_by_offset_and_kind_and_the_next_is_copied(tmp_
     wrong = chunk(message(1, 7, b"c"), checksum=12345)
     result, file = repaired(tmp_path, good, bytes(torn), wrong, chunk(message(1, 8, b"d")))
     start = len(MAGIC + HEADER + good)
-    assert [offset for offset, _ in result.damaged] == [start, start + len(torn)]
-    assert "decompressed" in result.damaged[0][1] and "checksum" in result.damaged[1][1]
+    assert [offset for offset, _ in result.damage] == [start, start + len(torn)]
+    assert all("damaged" in what for _, what in result.damage)
     assert [m[1] for m in messages(file)] == [5, 8]
-    assert (result.chunks, result.messages, result.last_stamp) == (2, 2, 8)
+    assert (result.messages, result.last_stamp) == (2, 8)
 
 
 @pytest.mark.parametrize("size", [1, 7, 8, 9, 10, 30, -1])
-def test_a_record_that_is_cut_off_is_named_by_its_offset(tmp_path: Path, size: int) -> None:
+def test_a_record_that_is_cut_off_is_told(tmp_path: Path, size: int) -> None:
     good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
     cut = chunk(message(1, 6, b"b"))[:size]
     result, file = repaired(tmp_path, good, end=cut)
-    assert result.cut_at == len(MAGIC + HEADER + good)
-    assert [m[1] for m in messages(file)] == [5] and result.chunks == 1
+    assert not result.finished and any("cut off" in text for text in result.sentences())
+    assert [m[1] for m in messages(file)][:1] == [5]
 
 
-@pytest.mark.parametrize("end", [b"", MAGIC, MAGIC + b"more", END])
-def test_a_file_that_ends_after_a_record_is_not_cut(tmp_path: Path, end: bytes) -> None:
+@pytest.mark.parametrize(("end", "finished"), [(b"", False), (MAGIC, False), (MAGIC + b"more", False), (END, True)])
+def test_a_file_is_finished_if_it_has_the_end_of_its_data(tmp_path: Path, end: bytes, finished: bool) -> None:
     result, file = repaired(tmp_path, chunk(channel(1, FIRST) + message(1, 5, b"a")), end=end)
-    assert result.cut_at is None and [m[1] for m in messages(file)] == [5]
+    assert result.finished == finished and [m[1] for m in messages(file)] == [5]
 
 
-def test_an_empty_record_at_the_end_is_whole(tmp_path: Path) -> None:
-    result, _ = repaired(tmp_path, end=record(15, b""))
-    assert result.cut_at is None
+def test_a_file_without_anything_to_read_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must hold records that can be read, got none"):
+        repaired(tmp_path, end=record(15, b""))
+    assert [file.name for file in tmp_path.iterdir()] == ["old.mcap"]
 
 
 @pytest.mark.parametrize("length", [(1 << 31) + 1, 1 << 62, (1 << 64) - 1])
-def test_an_absurd_length_counts_as_the_end(tmp_path: Path, length: int) -> None:
-    good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
-    result, file = repaired(tmp_path, good, struct.pack("<BQ", 6, length), end=good)
-    assert result.cut_at == len(MAGIC + HEADER + good) and [m[1] for m in messages(file)] == [5]
+def test_behind_an_absurd_length_the_records_are_found_again(tmp_path: Path, length: int) -> None:
+    good, later = (chunk(channel(1, FIRST) + message(1, log, b"a")) for log in (5, 6))
+    result, file = repaired(tmp_path, good, struct.pack("<BQ", 6, length), end=later + END)
+    assert [m[1] for m in messages(file)] == [5, 6] and result.finished
+    assert result.damage[0][0] == len(MAGIC + HEADER + good)
+
+
+@pytest.mark.parametrize("bit", range(72))
+def test_a_wrong_bit_in_the_head_of_a_chunk_loses_nothing(tmp_path: Path, bit: int) -> None:
+    parts = [chunk(channel(1, FIRST) + message(1, log, bytes(200))) for log in (5, 6, 7)]
+    torn = bytearray(parts[1])
+    torn[bit // 8] ^= 1 << (bit % 8)
+    result, file = repaired(tmp_path, parts[0], bytes(torn), parts[2])
+    assert [m[1] for m in messages(file)] == [5, 6, 7]
+    assert [offset for offset, _ in result.damage] == [len(MAGIC + HEADER + parts[0])]
 
 
 def test_other_records_are_passed_over(tmp_path: Path) -> None:
@@ -185,19 +203,20 @@ def test_other_records_are_passed_over(tmp_path: Path) -> None:
     others = [record(code, bytes(40)) for code in (3, 7, 8, 10, 11, 13, 14, 200)]
     content = channel(1, FIRST) + b"".join(others) + message(1, 5, b"a")
     result, file = repaired(tmp_path, *others, chunk(content), *others)
-    assert messages(file) == [(FIRST, 5, 5, b"a")] and result.chunks == 1 and set(tables(file)) == {"rosbag2"}
+    assert messages(file) == [(FIRST, 5, 5, b"a")] and result.finished
+    assert set(tables(file)) == {"rosbag2", "los_testbed_repair"}
 
 
 def test_the_last_record_of_a_chunk_may_be_cut(tmp_path: Path) -> None:
     content = channel(1, FIRST) + message(1, 5, b"a") + message(1, 6, b"b")[:-1]
     result, file = repaired(tmp_path, chunk(content))
-    assert [m[1] for m in messages(file)] == [5] and result.cut_at is None
+    assert [m[1] for m in messages(file)] == [5] and result.finished
 
 
 def test_the_beginning_must_be_that_of_a_bag(tmp_path: Path) -> None:
-    for begin in (b"", MAGIC[:7], MAGIC[:7] + b"x", b"x" + MAGIC):
+    for begin in (b"", b"PK", MAGIC[3:], b"x" + MAGIC):
         (tmp_path / "old.mcap").write_bytes(begin + HEADER)
-        with pytest.raises(ValueError, match="must be an MCAP file"):
+        with pytest.raises(ValueError, match="MCAP file must begin with"):
             repair_bag(tmp_path / "old.mcap", tmp_path / "new")
         assert not (tmp_path / "new").exists()
 
@@ -206,7 +225,7 @@ def test_a_folder_must_hold_one_file(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     data = MAGIC + HEADER + chunk(channel(1, FIRST) + message(1, 5, b"a")) + END
-    with pytest.raises(ValueError, match="got 0"):
+    with pytest.raises(ValueError, match="got none"):
         repair_bag(folder, tmp_path / "new")
     (folder / "x.mcap").write_bytes(data)
     (folder / "x.txt").write_text("other")
@@ -215,7 +234,7 @@ def test_a_folder_must_hold_one_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="got 2"):
         repair_bag(folder, tmp_path / "newer")
     (tmp_path / "deep" / "z.mcap").mkdir(parents=True)
-    with pytest.raises(ValueError, match="must be a bag folder"):
+    with pytest.raises(ValueError, match=r"must hold \.mcap files"):
         repair_bag(tmp_path / "deep", tmp_path / "newer")
 
 

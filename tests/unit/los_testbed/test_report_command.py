@@ -126,7 +126,7 @@ def test_zero_length_run(call, tmp_path) -> None:
 def test_only_start_up(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(0.8)})
     refused(call, bag, words=["longer than its start-up transient", "0.8 s"])
-    refused(call, bag, "--transient", "-1", words=["transient must be zero or more"])
+    refused(call, bag, "--transient", "-1", words=["--transient must be between 0"])
 
 
 def test_mixed_sample_rates(call, tmp_path) -> None:

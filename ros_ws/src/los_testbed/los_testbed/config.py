@@ -10,14 +10,17 @@ import difflib
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from pointing_analysis.structured_text import load_yaml, read_text
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, STAGES, frame_ticks
+
+NAMESPACE = "/telescope"
+"""Namespace of nodes and topics where none is given."""
 
 MODES = ("realtime", "lockstep", "inprocess")
 
@@ -85,6 +88,7 @@ class RunConfig:
     hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
+    namespace: str = _parameter(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")
     domain: int = _parameter(-1, "ROS domain; -1 for ROS_DOMAIN_ID or 0", "", -1, 232)
     priority: bool = _parameter(True, "ask for real-time scheduling and locked memory")
     pin: bool = _parameter(True, "keep each node on one processor, if real-time scheduling is permitted")
@@ -98,6 +102,8 @@ class RunConfig:
         for name in ("wheel_speed", "wheel_acceleration"):
             if len(getattr(self, name)) not in (0, 4):
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
+        if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace, re.ASCII):
+            raise ValueError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
         if self.tau and self.theta:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise ValueError(f"one of theta or tau = tan(theta/4) must be 0, got both: {both}")
@@ -172,16 +178,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     ValueError
         No such file, not YAML, or not a table.
     """
-    try:
-        content = yaml.safe_load(path.read_text("utf-8"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise ValueError(f"{path} is not a configuration: expected YAML") from None
+    content = load_yaml(read_text(path), path)
     if isinstance(content, dict) and set(content) == {"/**"}:
         content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
     if not isinstance(content, dict):
-        raise ValueError(f"{path} is not a configuration: expected names and values")
+        raise ValueError(f"{path} must hold names and values, got another content")
     return content
 
 
@@ -191,10 +192,7 @@ def parse_value(name: str, text: str) -> Any:
         raise ValueError(unknown(name))
     if isinstance(FIELDS[name].default, str):
         return text
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise ValueError(f"{name}: cannot read the value {text!r}") from None
+    return load_yaml(text, name)
 
 
 def physical_hash(config: RunConfig) -> str:
@@ -226,7 +224,8 @@ def _checked(entry: Field[Any], value: Any) -> Any:
 
 def _number(name: str, unit: str, meta: Mapping[str, Any], kind: type, value: Any) -> Any:
     whole = kind is int
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or (whole and value != int(value)):
+    odd = isinstance(value, bool) or not isinstance(value, (int, float))
+    if odd or (whole and math.isfinite(value) and value != int(value)):
         raise ValueError(f"{name} must be {'a whole number' if whole else 'a number'}, got {value!r}")
     low, high = meta["low"], meta["high"]
     if not math.isfinite(value) or not low <= value <= high:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from los_testbed.config import NAMESPACE
 from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS
 
-NAMESPACE = "/telescope"
+NODES = ("plant", "estimator", "controller", "recorder")
+"""Nodes of a run, in the order in which they are started."""
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -22,7 +24,7 @@ class Topic:
     Parameters
     ----------
     name : str
-        Relative to the namespace ``/telescope``.
+        Relative to the namespace, by default ``/telescope``.
     type_name : str
         ROS message type.
     frame_id : str
@@ -50,8 +52,12 @@ class Topic:
 
     @property
     def path(self) -> str:
-        """Absolute name."""
-        return f"{NAMESPACE}/{self.name}"
+        """Absolute name in the default namespace."""
+        return self.path_in(NAMESPACE)
+
+    def path_in(self, namespace: str) -> str:
+        """Absolute name in a namespace."""
+        return f"{namespace.rstrip('/')}/{self.name}"
 
     @property
     def size(self) -> int:
@@ -86,5 +92,8 @@ again after the next heartbeat, 20 ms later; with the usual depth of 10 it would
 that was stopped for half a second made the plant send so much again that it missed 200 ticks."""
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
+OWN_DIAGNOSTICS = "diagnostics"
+"""Topic of one node, below its name: what it publishes on /diagnostics, where anybody publishes."""
+
 PROGRESS_TOPIC = "recorder/progress"
 """Header whose stamp is the newest tick the recorder has of every topic (0: ready, nothing yet)."""

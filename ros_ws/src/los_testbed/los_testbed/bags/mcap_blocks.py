@@ -2,13 +2,15 @@
 
 The records themselves are those of the `mcap` package; only the message records and their index, which
 at 8 000 a second would cost more than the control loop, are laid out with numpy. A chunk is compressed
-with zstd and carries a checksum of its content.
+with zstd and carries a checksum of its content. It can be read alone: it begins with all schemas and channels, and
+before it stands a manifest with a checksum of each of its records (`pointing_analysis.chunk_manifest`).
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,18 +35,15 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+from pointing_analysis.chunk_manifest import encode_manifest
+from pointing_analysis.mcap_records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_MANIFEST, RECORD
+
+MAX_CHUNK = 16_000_000
+"""Largest content of a chunk [byte]; a larger one is split."""
+
+
+def _part(values: NDArray[np.int64] | None, start: int, stop: int) -> NDArray[np.int64] | None:
+    return None if values is None else values[start:stop]
 
 
 class McapBlockWriter:
@@ -71,12 +70,13 @@ class McapBlockWriter:
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
-        self._new: list[McapRecord] = []
+        self._runs: list[tuple[int, ...]] = []
         self._blocks: list[NDArray[np.uint8]] = []
         self._index: dict[int, list[NDArray[np.void]]] = {}
         self._chunk_size = 0
         self._span: list[int] = []
         self.counts: dict[int, int] = {}
+        self._sequences: dict[int, int] = {}
         self.start_time = 0
         self.end_time = 0
         self._file.write(MAGIC)
@@ -90,7 +90,6 @@ class McapBlockWriter:
         if schema is None:
             schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode())
             self._schemas.append(schema)
-            self._new.append(schema)
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic,
@@ -99,8 +98,7 @@ class McapBlockWriter:
             metadata=dict(metadata or {}),
         )
         self._channels.append(channel)
-        self._new.append(channel)
-        self.counts[channel.id] = 0
+        self.counts[channel.id] = self._sequences[channel.id] = 0
         return int(channel.id)
 
     def add_block(
@@ -109,41 +107,71 @@ class McapBlockWriter:
         log_times: NDArray[np.int64],
         publish_times: NDArray[np.int64],
         messages: NDArray[np.uint8],
+        sequences: NDArray[np.int64] | None = None,
     ) -> None:
-        """Append messages (n, length) with their times (n,) [ns]; sequence numbers count from 1."""
+        """Append messages (n, length) with their times (n,) [ns].
+
+        The sequence numbers of a topic count from 1 unless they are given (n,), increasing: those of a repaired bag.
+        """
+        n, length = messages.shape
+        most = max((MAX_CHUNK - self._chunk_size) // (MESSAGE_HEAD.itemsize + length), 0)
+        if n > most and (self._span or most):
+            self._append(channel, log_times[:most], publish_times[:most], messages[:most], _part(sequences, 0, most))
+            self.flush_chunk()
+            rest = log_times[most:], publish_times[most:], messages[most:]
+            self.add_block(channel, *rest, _part(sequences, most, n))
+            return
+        self._append(channel, log_times, publish_times, messages, sequences)
+
+    def _append(
+        self,
+        channel: int,
+        log_times: NDArray[np.int64],
+        publish_times: NDArray[np.int64],
+        messages: NDArray[np.uint8],
+        sequences: NDArray[np.int64] | None,
+    ) -> None:
         n, length = messages.shape
         if n == 0:
             return
         self._begin()
-        record = np.dtype([("head", _HEAD), ("data", "u1", (length,))])
+        record = np.dtype([("head", MESSAGE_HEAD), ("data", "u1", (length,))])
         rows = np.zeros(n, record)
         head = rows["head"]
-        head["opcode"] = Opcode.MESSAGE
-        head["length"] = _HEAD.itemsize - 9 + length
+        if sequences is None:
+            sequences = np.arange(self._sequences[channel] + 1, self._sequences[channel] + n + 1)
+        head["op"] = Opcode.MESSAGE
+        head["length"] = BODY + length
         head["channel"] = channel
-        head["sequence"] = np.arange(self.counts[channel] + 1, self.counts[channel] + n + 1)
-        head["log_time"] = log_times
-        head["publish_time"] = publish_times
+        head["sequence"] = sequences
+        head["log"] = log_times
+        head["publish"] = publish_times
         rows["data"] = messages
-        entries = np.zeros(n, _INDEX_ENTRY)
-        entries["log_time"] = log_times
+        entries = np.zeros(n, INDEX_ENTRY)
+        entries["log"] = log_times
         entries["offset"] = self._chunk_size + record.itemsize * np.arange(n, dtype=np.uint64)
         self._blocks.append(rows.view(np.uint8).reshape(-1))
         self._index.setdefault(channel, []).append(entries)
         self._chunk_size += n * record.itemsize
         self.counts[channel] += n
+        self._sequences[channel] = int(sequences[-1])
         self._span += [int(np.min(log_times)), int(np.max(log_times))]
+        edges = [0, *(np.flatnonzero(np.diff(sequences) != 1) + 1).tolist(), n]
+        for begin, end in pairwise(edges):
+            times = (int(log_times[begin]), int(log_times[end - 1]))
+            self._runs.append((channel, end - begin, record.itemsize, int(sequences[begin]), *times))
 
     def _begin(self) -> None:
-        """Schemas and channels go into the first chunk after they were registered."""
-        if self._new:
+        """Every chunk begins with all schemas and channels."""
+        if self._blocks:
+            return
+        for record in (*self._schemas, *self._channels):
             builder = RecordBuilder()
-            for record in self._new:
-                record.write(builder)
-            self._new.clear()
-            head = np.frombuffer(builder.end(), np.uint8)
-            self._blocks.append(head)
-            self._chunk_size += len(head)
+            record.write(builder)
+            data = np.frombuffer(builder.end(), np.uint8)
+            self._blocks.append(data)
+            self._runs.append((0, 1, len(data), 0, 0, 0))
+            self._chunk_size += len(data)
 
     def flush_chunk(self) -> None:
         """Compress what was added since the last chunk and hand it to the operating system."""
@@ -159,6 +187,8 @@ class McapBlockWriter:
             uncompressed_crc=zlib.crc32(content),
             uncompressed_size=len(content),
         )
+        body = encode_manifest(content, self._runs)
+        self._file.write(RECORD.pack(OP_MANIFEST, len(body)) + body)
         offset, length = self._write(chunk)
         offsets, index_length = {}, 0
         for channel, entries in self._index.items():
@@ -180,13 +210,13 @@ class McapBlockWriter:
         self._file.flush()
         self.start_time = start if len(self._chunks) == 1 else min(self.start_time, start)
         self.end_time = max(self.end_time, end)
-        self._blocks, self._index, self._chunk_size, self._span = [], {}, 0, []
+        self._blocks, self._index, self._chunk_size, self._span, self._runs = [], {}, 0, [], []
 
     def _write_index(self, channel: int, entries: NDArray[np.void]) -> tuple[int, int]:
         """Message index record (opcode, length, channel, byte length, entries) in one piece."""
         body = channel.to_bytes(2, "little") + entries.nbytes.to_bytes(4, "little") + entries.tobytes()
         offset = self._file.tell()
-        self._file.write(bytes([Opcode.MESSAGE_INDEX]) + len(body).to_bytes(8, "little") + body)
+        self._file.write(RECORD.pack(Opcode.MESSAGE_INDEX, len(body)) + body)
         return offset, 9 + len(body)
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
@@ -212,13 +242,17 @@ class McapBlockWriter:
 
     def finish(self) -> None:
         """Write the summary with all indexes and close the file."""
-        self._begin()
-        if not self._span and self._blocks:  # channels without a message
-            self._file.write(np.concatenate(self._blocks).tobytes())
         self.flush_chunk()
+        if not self._chunks:  # channels without a message
+            self._begin()
+            self._file.write(np.concatenate(self._blocks).tobytes())
         self._write(DataEnd(data_section_crc=0))
         self._write_summary()
         self._file.write(MAGIC)
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
         self._file.close()
 
     def _write_summary(self) -> None:

@@ -12,10 +12,10 @@ import yaml
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from pointing_analysis.bag_metadata import METADATA_NAME
 from titop_plant.interface import RATE
 
-METADATA_NAME = "los_testbed"
-"""Name of the metadata record; it is written at the start and, with the results, at the end."""
+__all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
 def run_metadata(config: RunConfig) -> dict[str, str]:

@@ -1,155 +1,170 @@
-"""Repair of a bag whose recorder was killed or whose file is damaged: every reader opens the new bag."""
+"""Repair of a bag whose recorder was killed or whose file is damaged: every reader opens the new bag.
+
+The messages come through the same pass over the file as those of the reader (`pointing_analysis.mcap_walk`), so the
+new bag holds what an analysis of the damaged one uses, and says the same of what is lost.
+"""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import zstandard
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from los_testbed.bags.mcap_blocks import MAGIC
 from los_testbed.bags.writer import BagWriter, check_new_bag
-
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQI")
-_MESSAGE = struct.Struct("<HIQQ")
-_CHANNEL, _MESSAGE_CODE, _CHUNK_CODE, _ATTACHMENT, _METADATA = 4, 5, 6, 9, 12
-_LARGEST = 1 << 31
+from pointing_analysis.atomic_output import atomic_folder, check_space
+from pointing_analysis.bag_files import bag_files
+from pointing_analysis.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
+from pointing_analysis.mcap_records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
+from pointing_analysis.mcap_walk import walk
+from pointing_analysis.topic_columns import KNOWN
 
 
 @dataclass
 class RepairResult:
-    """What was copied and what is damaged.
+    """What was copied and what is lost.
 
     Attributes
     ----------
     messages : messages in the new bag
-    chunks : complete chunks found
-    damaged : offset of each damaged chunk in the file [byte] and what is wrong with it
-    cut_at : where the file ends in the middle of a record [byte]; None if it does not
+    copied : messages of each topic in the new bag
+    losses : what was recorded and cannot be read, topic by topic
+    damage : offset [byte] in the file and description of each damaged place
+    problems : the same and further defects as sentences
+    finished : whether the file has the end of its data; False if the recorder was killed or the file cut off
     last_stamp : log time of the newest message [ns]
     """
 
     messages: int = 0
-    chunks: int = 0
-    damaged: list[tuple[int, str]] = field(default_factory=list)
-    cut_at: int | None = None
+    copied: dict[str, int] = field(default_factory=dict)
+    losses: tuple[TopicLoss, ...] = ()
+    damage: tuple[tuple[int, str], ...] = ()
+    problems: tuple[str, ...] = ()
+    finished: bool = True
     last_stamp: int = 0
 
+    def sentences(self) -> list[str]:
+        """What is lost and what is damaged, one sentence each."""
+        found = [*(str(loss) for loss in self.losses), *self.problems]
+        if not self.finished:
+            found.append("the recording was cut off: what came after its last message is not in the file")
+        return found or ["nothing is lost"]
 
-def repair_bag(source: Path, target: Path) -> RepairResult:
-    """Copy every complete message of `source` (folder or file) into the new bag `target`.
+
+def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> RepairResult:
+    """Copy everything of `source` (folder or file) that can be read into the new bag `target`.
+
+    The new bag has the sequence numbers of the old one and a record of what was lost, which every reader of this
+    testbed shows. It appears whole or not at all.
+
+    Parameters
+    ----------
+    source, target : the damaged bag, and the new one
+    max_chunk : largest chunk that is unpacked [byte]
 
     Raises
     ------
     ValueError
-        `source` is no bag of this testbed, or `target` exists.
+        `source` is no bag or holds nothing that can be read, or `target` exists.
     """
     check_new_bag(target)
-    file = _file(source)
-    data = file.read_bytes()
-    if data[:8] != MAGIC:
-        raise ValueError(f"{file} must be an MCAP file, got one that begins with {data[:8]!r}")
-    result = RepairResult()
-    metadata: dict[str, dict[str, str]] = {}
-    attachments: dict[str, tuple[str, bytes]] = {}
-    chunks: list[tuple[int, bytes]] = []
-    for code, offset, body in _records(data, 8, result):
-        if code == _METADATA:
-            name, at = _text(body, 0)
-            metadata[name] = _table(body, at)
-        elif code == _ATTACHMENT:
-            name, at = _text(body, 16)
-            media_type, at = _text(body, at)
-            size = int.from_bytes(body[at : at + 8], "little")
-            attachments[name] = (media_type, body[at + 8 : at + 8 + size])
-        elif code == _CHUNK_CODE:
-            chunks.append((offset, body))
-    metadata.pop("rosbag2", None)
-    names: dict[int, str] = {}
-    with BagWriter(target, metadata, attachments, diagnostics=True) as bag:
-        for offset, body in chunks:
-            _copy_chunk(offset, body, bag, names, result)
+    found = bag_files(source)
+    if len(found.files) != 1:
+        raise BagError(f"{source} must be a bag folder with one .mcap file, got {len(found.files)}")
+    check_space(target, 1.5 * found.files[0].stat().st_size, "the repaired bag")
+    info = FileInfo(max_chunk=max_chunk)
+    ledger = LossLedger()
+    with atomic_folder(target) as folder:
+        result = _copy(found.files[0], info, ledger, folder, target.name)
+        result.losses = ledger.losses([info], found.counts)
+        result.damage, result.finished = tuple(info.damage), info.finished
+        result.problems = (*found.problems, *info.problems)
+        if not result.messages and not info.channels and not info.metadata:
+            raise BagError(f"{source} must hold records that can be read, got none")
     return result
 
 
-def _file(source: Path) -> Path:
-    files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
-    if len(files) != 1 or not files[0].is_file():
-        raise ValueError(f"{source} must be a bag folder with one .mcap file, got {len(files)}")
-    return files[0]
+def _copy(file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: str) -> RepairResult:
+    """Two passes: what stands beside the messages, which goes first, then the messages."""
+    beside = FileInfo(max_chunk=info.max_chunk, unpacks=lambda first, last: False)
+    for _ in walk(file, beside):
+        pass
+    tables, problems = _tables(beside)
+    files = {key: (a.media_type, a.data) for key, a in beside.attachments.items()}
+    result = RepairResult()
+    namespace = _namespace(beside)
+    with BagWriter(folder, tables, files, diagnostics=True, name=name, namespace=namespace) as bag:
+        for block in walk(file, info):
+            ledger.add(info, block)
+            for topic, part in _by_topic(info, block, bag):
+                _copy_messages(bag, topic, block, part)
+                result.messages += part.size
+                result.copied[topic] = result.copied.get(topic, 0) + int(part.size)
+                result.last_stamp = max(result.last_stamp, int(block.heads["log"][part].max()))
+            bag.end_chunk()
+        info.problems += problems
+        losses = ledger.losses([info], {})
+        bag.close({REPAIR_NAME: _record(file, info, losses, result)})
+    return result
 
 
-def _records(data: bytes, at: int, result: RepairResult | None = None) -> Iterator[tuple[int, int, bytes]]:
-    """Code, offset and content of the records, up to the first that is cut off."""
-    while at + _RECORD.size <= len(data) and data[at : at + 8] != MAGIC:
-        code, length = _RECORD.unpack_from(data, at)
-        end = at + _RECORD.size + length
-        if length > _LARGEST or end > len(data):
-            if result is not None:
-                result.cut_at = at
-            return
-        yield code, at, data[at + _RECORD.size : end]
-        at = end
-    if result is not None and at < len(data) and data[at : at + 8] != MAGIC:
-        result.cut_at = at
+def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """Metadata records of the new bag: of those of the run only what agrees with its hash."""
+    run, problems = merged([beside])
+    tables = {name: records[-1] for name, records in beside.metadata.items() if name not in ("rosbag2", METADATA_NAME)}
+    return ({METADATA_NAME: run} if run else {}) | tables, problems
 
 
-def _copy_chunk(offset: int, body: bytes, bag: BagWriter, names: dict[int, str], result: RepairResult) -> None:
-    _, _, size, checksum = _CHUNK.unpack_from(body)
-    compression, at = _text(body, _CHUNK.size)
-    packed = body[at + 8 :]
-    try:
-        content = zstandard.decompress(packed, max_output_size=size) if compression == "zstd" else packed
-    except zstandard.ZstdError as error:
-        result.damaged.append((offset, f"cannot be decompressed ({error})"))
-        return
-    if checksum and zlib.crc32(content) != checksum:
-        result.damaged.append((offset, "its checksum does not fit"))
-        return
-    result.chunks += 1
-    collected: dict[str, list[tuple[int, int, bytes]]] = {}
-    for code, _, record in _records(content, 0):
-        if code == _CHANNEL:
-            names[int.from_bytes(record[:2], "little")] = _text(record, 4)[0]
-        elif code == _MESSAGE_CODE:
-            number, _, log, publish = _MESSAGE.unpack_from(record)
-            if names.get(number) in bag.topics:
-                collected.setdefault(names[number], []).append((log, publish, record[_MESSAGE.size :]))
-    for name, messages in collected.items():
-        _copy_messages(bag, name, messages)
-        result.messages += len(messages)
-        result.last_stamp = max(result.last_stamp, messages[-1][0])
-    bag.end_chunk()
+def _namespace(beside: FileInfo) -> str | None:
+    """What stands before the names of the topics; None where no channel tells."""
+    names = [channel.topic for channel in beside.channels.values()]
+    found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
+    return next(iter(found)) if len(found) == 1 else None
 
 
-def _copy_messages(bag: BagWriter, name: str, messages: list[tuple[int, int, bytes]]) -> None:
-    """Messages of one topic in their order; those of equal length in one block."""
-    start = 0
-    for stop in range(1, len(messages) + 1):
-        if stop < len(messages) and len(messages[stop][2]) == len(messages[start][2]):
+def _record(file: Path, info: FileInfo, losses: Sequence[TopicLoss], result: RepairResult) -> Mapping[str, str]:
+    """What every later reader of the new bag shows."""
+    notes = [*(str(loss) for loss in losses), *info.problems]
+    return {
+        "source": file.name,
+        "messages": str(result.messages),
+        "finished": json.dumps(info.finished),
+        "lost": json.dumps({loss.topic: loss.missing for loss in losses}),
+        "expected": json.dumps({loss.topic: loss.missing + loss.recovered for loss in losses}),
+        **{f"note_{i:03d}": text for i, text in enumerate(notes[:200])},
+    }
+
+
+def _by_topic(info: FileInfo, block: Block, bag: BagWriter) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Topics of a block that the new bag can hold, with the rows of their messages."""
+    numbers = block.heads["channel"]
+    for number in np.unique(numbers).tolist():
+        channel = info.channels.get(number)
+        if channel is None:
             continue
-        part = messages[start:stop]
-        block = np.frombuffer(b"".join(m[2] for m in part), np.uint8).reshape(len(part), -1)
-        log, publish = (np.array([m[i] for m in part], np.int64) for i in (0, 1))
-        bag.write(name, log, publish, block)
-        start = stop
+        if channel.topic not in bag.topics:
+            if channel.encoding != "cdr" or not channel.definition:
+                info.problems.append(f"{channel.topic}: messages without a definition of their type are left out")
+                continue
+            definition = channel.definition.decode(errors="replace")
+            bag.add_topic(channel.topic, channel.schema, definition, dict(channel.metadata).get("topic_type_hash", ""))
+        yield channel.topic, np.flatnonzero(numbers == number)
 
 
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    length = int.from_bytes(data[at : at + 4], "little")
-    return data[at + 4 : at + 4 + length].decode(), at + 4 + length
-
-
-def _table(data: bytes, at: int) -> dict[str, str]:
-    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
-    at += 4
-    table = {}
-    while at < end:
-        key, at = _text(data, at)
-        table[key], at = _text(data, at)
-    return table
+def _copy_messages(bag: BagWriter, topic: str, block: Block, rows: NDArray[np.int64]) -> None:
+    """Messages of one topic in their order; those of equal length together."""
+    heads = block.heads[rows]
+    sizes = heads["length"].astype(np.int64) - BODY
+    data = np.frombuffer(block.data, np.uint8)
+    log, publish, sequence = (heads[name].astype(np.int64) for name in ("log", "publish", "sequence"))
+    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(rows)]):
+        begin = block.offsets[rows[start:stop]] + HEAD
+        size = int(sizes[start])
+        payload = sliding_window_view(data, size)[begin] if size else np.zeros((stop - start, 0), np.uint8)
+        bag.write(topic, log[start:stop], publish[start:stop], payload, sequence[start:stop])

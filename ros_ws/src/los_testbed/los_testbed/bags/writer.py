@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.config import NAMESPACE
 from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
+from pointing_analysis.atomic_output import check_output
+from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
 
 QOS = [
     {
@@ -40,15 +43,9 @@ def check_new_bag(path: Path) -> None:
     Raises
     ------
     ValueError
-        Something is there already, or the parent is no folder one may write to.
+        Something is there already, the name is too long, or the parent is no folder one may write to.
     """
-    if path.exists():
-        raise ValueError(f"bag must have a new name, got {path}: it exists already, and bags are never overwritten")
-    parent = path.absolute().parent
-    while not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir():
-        raise ValueError(f"the bag {path} cannot be made: {parent} is not a folder")
+    check_output(path, "the bag", new=True, folder=True)
 
 
 class _PlainDumper(yaml.SafeDumper):
@@ -62,6 +59,14 @@ def _yaml(content: Any) -> str:
     return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
 
 
+_QOS_TEXT = _yaml(QOS).strip()
+
+
+def _sealed(name: str, table: Mapping[str, str]) -> Mapping[str, str]:
+    """Tables of the run and of a repair carry a hash."""
+    return with_hash(table) if name in (METADATA_NAME, REPAIR_NAME) else table
+
+
 class BagWriter:
     """A new bag with all topics of the table.
 
@@ -70,11 +75,16 @@ class BagWriter:
     path : Path
         Folder to make; its file is called ``<folder>_0.mcap``.
     metadata : mapping of str to mapping
-        Named tables of strings for the head of the file (run parameters, seed, hashes).
+        Named tables of strings for the head of the file (run parameters, seed, hashes). The run's ``namespace`` is that
+        of the topics.
     attachments : mapping of str to (media type, bytes)
         Files to keep with the data: controllers, run configuration.
     diagnostics : bool
         Whether ``/diagnostics`` has a channel.
+    name : str, optional
+        Name of the bag, if the folder is renamed to it afterwards.
+    namespace : str, optional
+        Of the topics; default: that in the metadata.
 
     Raises
     ------
@@ -88,6 +98,8 @@ class BagWriter:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         diagnostics: bool = False,
+        name: str | None = None,
+        namespace: str | None = None,
     ) -> None:
         check_new_bag(path)
         try:
@@ -95,26 +107,28 @@ class BagWriter:
         except OSError as error:
             raise ValueError(f"the bag {path} cannot be made: {error.strerror}") from None
         self.path = path
-        self.file_name = f"{path.name}_0.mcap"
+        self.file_name = f"{name or path.name}_0.mcap"
         self._mcap = McapBlockWriter(path / self.file_name)
-        self._types = {topic.path: topic.type_name for topic in TOPICS}
+        self.namespace = (
+            namespace if namespace is not None else metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
+        )
+        self._types = {topic.path_in(self.namespace): topic.type_name for topic in TOPICS}
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():
-            self._mcap.add_metadata(name, table)
+            self._mcap.add_metadata(name, _sealed(name, table))
         for name, (media_type, data) in (attachments or {}).items():
             self._mcap.add_attachment(name, media_type, data)
-        qos = _yaml(QOS).strip()
-        self._channels = {
-            name: self._mcap.add_channel(
-                name,
-                type_name,
-                DEFINITIONS[type_name],
-                {"offered_qos_profiles": qos, "topic_type_hash": TYPE_HASHES[type_name]},
-            )
-            for name, type_name in self._types.items()
-        }
+        self._channels: dict[str, int] = {}
+        for name, type_name in list(self._types.items()):
+            self.add_topic(name, type_name, DEFINITIONS[type_name], TYPE_HASHES[type_name])
         self._closed = False
+
+    def add_topic(self, name: str, type_name: str, definition: str, type_hash: str = "") -> None:
+        """Another topic than those of the table, with the definition of its type."""
+        metadata = {"offered_qos_profiles": _QOS_TEXT, "topic_type_hash": type_hash}
+        self._types[name] = type_name
+        self._channels[name] = self._mcap.add_channel(name, type_name, definition, metadata)
 
     def write(
         self,
@@ -122,9 +136,10 @@ class BagWriter:
         log_times: NDArray[np.int64],
         publish_times: NDArray[np.int64],
         messages: NDArray[np.uint8],
+        sequences: NDArray[np.int64] | None = None,
     ) -> None:
-        """Append messages (n, length) of one topic with their times (n,) [ns]."""
-        self._mcap.add_block(self._channels[topic], log_times, publish_times, messages)
+        """Append messages (n, length) of one topic with their times (n,) [ns]; see `McapBlockWriter.add_block`."""
+        self._mcap.add_block(self._channels[topic], log_times, publish_times, messages, sequences)
 
     def end_chunk(self) -> None:
         """Compress and write out what came since the last call; called once per second of data."""
@@ -146,7 +161,7 @@ class BagWriter:
         self._closed = True
         self._mcap.flush_chunk()
         for name, table in (metadata or {}).items():
-            self._mcap.add_metadata(name, table)
+            self._mcap.add_metadata(name, _sealed(name, table))
         description = self._description()
         text = _yaml(description)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
@@ -177,7 +192,7 @@ class BagWriter:
                         "type": type_name,
                         "serialization_format": "cdr",
                         "offered_qos_profiles": QOS,
-                        "type_description_hash": TYPE_HASHES[type_name],
+                        "type_description_hash": TYPE_HASHES.get(type_name, ""),
                     },
                     "message_count": counts[name],
                 }

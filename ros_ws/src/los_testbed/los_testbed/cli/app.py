@@ -1,11 +1,13 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, plant, design."""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -14,6 +16,7 @@ from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
+from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
@@ -36,6 +39,7 @@ app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 app.add_typer(bag_app, name="bag")
+app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")
 app.add_typer(design_app, name="design")
 
@@ -60,9 +64,14 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point: mistakes are one line on the error output and exit code 2, failures 1."""
+    """Entry point: mistakes are one line on the error output and exit code 2, failures 1.
+
+    SIGINT, SIGTERM and SIGHUP end a command alike: what it was writing is removed or completed, the exit code is 130.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, _interrupt)
     command: Callable[..., Any] = typer.main.get_command(app)
     try:
         result = command(args=arguments, prog_name="los-testbed", standalone_mode=False)
@@ -82,8 +91,17 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
             return _fail(error.format_message(), 2)
-        raise
+        return _fail(_unexpected(error), 1)
     return _leave(result if isinstance(result, int) else 0)
+
+
+def _unexpected(error: Exception) -> str:
+    """One line about an error that no check has foreseen; the whole of it where LOS_TESTBED_TRACEBACK asks for it."""
+    if os.environ.get("LOS_TESTBED_TRACEBACK"):
+        traceback.print_exception(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
+    return f"unexpected {type(error).__name__} in {place}: {error} (a mistake of this program: please report it)"
 
 
 def _leave(code: int) -> int:

@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json
+from los_testbed.run.screen import say
+
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
+
+It copies everything that a checksum proves right, says of each topic what is missing and where, and marks the new bag:
+every later verdict about it repeats this.
 
 **Example**
 
@@ -27,16 +33,21 @@ def bag_group() -> None:
 def repair(
     source: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
     output: Annotated[Path | None, typer.Option(help="New bag; default: the old name with -repaired.")] = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
 ) -> None:
     """See REPAIR_EXAMPLES."""
     from los_testbed.bags.repair import repair_bag
 
-    target = output or source.with_name(f"{source.stem if source.is_file() else source.name}-repaired")
-    found = repair_bag(source, target)
-    console = Console()
-    console.print(f"{found.messages} messages in {found.chunks} chunks", soft_wrap=True)
-    for offset, reason in found.damaged:
-        console.print(f"chunk at byte {offset}: {reason}; its messages are lost", soft_wrap=True)
-    if found.cut_at is not None:
-        console.print(f"the file is cut at byte {found.cut_at}: up to a second of data is missing", soft_wrap=True)
-    console.print(f"bag     {target}", soft_wrap=True)
+    limit = chunk_limit(max_chunk)
+    target = output or source.with_name(f"{source.stem if source.is_file() else source.resolve().name}-repaired")
+    found = repair_bag(source, target, limit)
+    console = Console(stderr=json_)
+    say(console, f"{found.messages} messages of {len(found.copied)} topics copied")
+    for sentence in found.sentences():
+        say(console, sentence)
+    say(console, f"bag     {target}")
+    if json_:
+        lost = {loss.topic: {"messages": loss.missing, "places": [str(s) for s in loss.spans]} for loss in found.losses}
+        content = {"bag": str(target), "messages": found.messages, "copied": found.copied, "lost": lost}
+        print_json({**content, "finished": found.finished, "problems": list(found.problems)})

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -71,11 +71,10 @@ def k_pma(
 def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
     from los_design.options import DesignOptions
 
-    for name, value, least in (("loop-delay", loop_delay, 0.0), ("seed", seed, 0), ("starts", starts, 0)):
-        if not value >= least:
-            raise ValueError(f"--{name} must not be negative, got {value}")
-    if not time_limit > 0.0:
-        raise ValueError(f"--time-limit must be positive, got {time_limit} s")
+    number("--loop-delay", loop_delay, 0.0, 1.0, "s")
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--starts", starts, 0, 10_000)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
     return DesignOptions(
         nominal=nominal,
         loop_delay=loop_delay,
@@ -91,9 +90,12 @@ def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -
     from los_design.synthesis import design_actuators, design_observer
     from lti import SampledSystem
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
     from titop_plant.simulation import telescope
     from titop_plant.telescope.parameters import load_parameters
 
+    path = output or design_file(kind, options.variant)
+    check_output(path, "--output")
     parameters, assembled = load_parameters(), telescope()
     with one_thread():
         if kind == "k-fsm":
@@ -101,7 +103,6 @@ def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -
         else:
             observer = SampledSystem.from_file(design_file("k-fsm", options.variant))
             system = design_actuators(assembled, parameters, observer, options)
-    path = output or design_file(kind, options.variant)
     system.to_file(path)
     _show_design(system, path, json_)
 
@@ -169,10 +170,10 @@ def verify(
 ) -> None:
     """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
 
-    The exit code is 1 if a loop is unstable at any parameter point.
+    The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The
+    exit code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
     """
-    if samples < 0:
-        raise ValueError(f"--samples must not be negative, got {samples}")
+    number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
 
     with one_thread():
@@ -189,9 +190,17 @@ def verify(
 
 
 def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
+    from los_design.margins import rounded
     from los_design.store import load_designs
-    from los_design.verification import check_implemented, check_paper, failures, rounded, verification_points
-    from titop_plant.interface import design_warnings
+    from los_design.verification import (
+        broken_requirements,
+        check_implemented,
+        check_paper,
+        failures,
+        verification_points,
+    )
+    from los_design.worst_points import load_worst_points
+    from titop_plant.interface import MIRROR_STAGES, design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
@@ -201,14 +210,15 @@ def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
             sys.stderr.write(f"warning: {warning}\n")
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
+    adversarial = load_worst_points()
+    at += [dict(p.parameters) for stage in MIRROR_STAGES for p in adversarial[stage].values()]
+    some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     with Progress("loops as implemented") as bar:
-        some = at[:: max(1, len(at) // NOMINAL_POINTS)]
-        step = _counted(bar, len(at) + len(some) + 1)
-
+        step = _counted(bar, 2 * (len(at) + len(some) + 1))
         implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step)
         nominal = load_designs("implemented_nominal")
-        alone = check_implemented(system, parameters, *nominal, [{}], step)
-        spread = check_implemented(system, parameters, *nominal, some, step)
+        alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
+        spread = check_implemented(system, parameters, *nominal, some, step, changes=False)
     paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
     robust = load_designs("paper")
     for design in robust:
@@ -223,9 +233,8 @@ def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
         "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
         "implemented": implemented.to_mapping(),
         "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
-        "worst_parameters": {name: dict(values) for name, values in implemented.worst.items()},
     }
-    return result, failures(paper, checks)
+    return result, failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
 
 
 def _counted(bar: Progress, total: int) -> Callable[[], None]:

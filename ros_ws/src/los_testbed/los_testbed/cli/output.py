@@ -1,18 +1,52 @@
-"""What the commands share: the option ``--json`` and its one line of output."""
+"""What the commands share: ``--json`` and ``--max-chunk``, lines of JSON, checks of numbers."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 
+MAX_CHUNK_MB = 64.0
 Json = Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")]
+MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write one line of JSON to the standard output."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
+
+
+def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:
+    """A number within its range.
+
+    Raises
+    ------
+    ValueError
+        It is not finite or outside.
+
+    Examples
+    --------
+    >>> number("--transient", 1e308, 0.0, 1e6, "s")
+    Traceback (most recent call last):
+    ...
+    ValueError: --transient must be between 0 and 1e+06 s, got 1e+308
+    """
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {value:g}")
+    return value
+
+
+def seconds(name: str, value: float | None, high: float = 1e7) -> None:
+    """Check an optional time [s]; raises as `number`."""
+    if value is not None:
+        number(name, value, 0.0, high, "s")
+
+
+def chunk_limit(megabytes: float) -> int:
+    """``--max-chunk`` in bytes."""
+    return round(1e6 * number("--max-chunk", megabytes, 0.001, 100_000.0, "MB"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from los_testbed.cli.output import Json, print_json
 from los_testbed.variants import CASES, check_ranges, named_cases
@@ -77,6 +78,9 @@ def figures(
 ) -> None:
     """See FIGURES_EXAMPLES."""
     from los_design.plant_figures import draw_figures
+    from pointing_analysis.atomic_output import check_output
+
+    check_output(output, "--output", folder=True)
     from lti.threads import one_thread
 
     with one_thread():
@@ -97,7 +101,7 @@ def cases(
     for name, settings in named_cases(file).items():
         given = {key: value for key, value in settings.items() if key != "description"}
         check_ranges(RunConfig.from_mapping(given))
-        table.add_row(name, str(settings.get("description", given)))
+        table.add_row(Text(name), Text(str(settings.get("description", given))))
     Console().print(table)
 
 

@@ -11,7 +11,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, number, print_json, seconds
+from los_testbed.run.screen import say
 from lti.progress import Progress
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def replay(
     to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
     domain: Annotated[int, typer.Option(help="ROS domain for --to-ros; -1 for ROS_DOMAIN_ID or 0.")] = -1,
     timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
     """See REPLAY_EXAMPLES."""
@@ -67,9 +69,12 @@ def replay(
         raise ValueError(
             "--to-ros must be given without --k-fsm, --k-pma and --loop: the nodes have their own controllers"
         )
+    seconds("--transient", transient)
+    number("--timeout", timeout, 0.0, 86400.0, "s")
+    number("--domain", domain, -1, 232)
     if output is not None:
         check_new_bag(output)
-    run, console = Run.open(bag), Console(stderr=json_)
+    run, console = Run.open(bag, max_chunk=chunk_limit(max_chunk)), Console(stderr=json_)
     if to_ros:
         content = _to_ros(console, run, output, domain, timeout)
     else:
@@ -101,7 +106,7 @@ def _through(
     content = replay_run.as_dict(run, chosen, comparison, found)
     if output is not None:
         replay_run.write_bag(output, run, replayed, chosen)
-        console.print(f"bag     {output}", soft_wrap=True, highlight=False)
+        say(console, f"bag     {output}")
     return {**content, "output": None if output is None else str(output)}
 
 
@@ -118,7 +123,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeou
     with Progress("sensors to ROS [ticks]") as bar:
         played = play(run, domain, timeout, bar.report)
     for warning in played.warnings:
-        console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
+        say(console, warning, "warning")
     console.print(f"{played.ticks} ticks sent, {played.late} of them a millisecond or more late", highlight=False)
     content: dict[str, Any] = {"bag": str(run.path), "as_recorded": False, "ticks": played.ticks, "late": played.late}
     content["answers"] = {name: len(stamps) for name, (stamps, _) in played.answers.items()}
@@ -131,14 +136,14 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeou
         signals = {name: (run[name].stamp, run[name].values) for name in played.sent}
         with BagWriter(output, {METADATA_NAME: {"mode": "replay to ROS", "replay_of": run.path.name}}) as bag:
             replay_run.write_signals(bag, {**signals, **played.answers})
-        console.print(f"bag     {output}", soft_wrap=True, highlight=False)
+        say(console, f"bag     {output}")
     return {**content, "output": None if output is None else str(output)}
 
 
 def _show(
     console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool
 ) -> None:
-    console.print(f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}", soft_wrap=True)
+    say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
     table = Table(title="Recorded and replayed", title_justify="left")

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json, seconds
+from los_testbed.run.screen import say
+from pointing_analysis.atomic_output import check_output
 
 if TYPE_CHECKING:
     from pointing_analysis.summary import Summary
@@ -45,6 +48,7 @@ def report(
     start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
     namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
@@ -54,15 +58,21 @@ def report(
     from pointing_analysis.requirements import load
     from pointing_analysis.summary import summarise
 
+    for option, value in (("--transient", transient), ("--start", start)):
+        seconds(option, value)
+    if not stop > start:
+        raise ValueError(f"--stop must be after --start = {start:g} s, got {stop:g} s")
     given = None if requirements is None else load(requirements)
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
-    runs = [Run.open(bag, namespace=namespace, start=start, stop=stop) for bag in bags]
+    check_output(target, "--output")
+    limit = chunk_limit(max_chunk)
+    runs = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
     found = [summarise(run, transient=transient, requirements=given) for run in runs]
     expected = predictions(runs, transient, start, stop)
     write_report(runs, target, transient=transient, requirements=given, predictions=expected)
     console = Console(stderr=json_)
     show(console, labels(runs), found)
-    console.print(f"report  {target}", soft_wrap=True, highlight=False)
+    say(console, f"report  {target}")
     if json_:
         print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
 
@@ -78,8 +88,8 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
         table.add_column(head, justify="right")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
-        table.add_row(name, overall(s.verdicts), ape, rpe, f"{s.transient:g} s", str(s.samples_lost))
+        table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", str(s.samples_lost))
     console.print(table)
     for name, s in zip(names, found):
         for problem in s.problems:
-            console.print(f"[yellow]note:[/yellow] {name}: {problem}", soft_wrap=True)
+            say(console, f"{name}: {problem}", "note")

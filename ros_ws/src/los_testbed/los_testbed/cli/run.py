@@ -13,9 +13,11 @@ from rich.console import Console
 
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.output import Json, print_json
-from los_testbed.config import RunConfig, parse_value, read_yaml
+from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
+from los_testbed.run.domains import free_domain
 from los_testbed.run.runner import Results
+from los_testbed.run.screen import say
 from los_testbed.variants import check_ranges, chosen_member, layered
 from lti.progress import Progress
 
@@ -58,7 +60,10 @@ def run(
     k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
-    domain: Annotated[str | None, typer.Option(metavar="INTEGER", help="ROS domain.")] = None,
+    domain: Annotated[
+        str | None, typer.Option(metavar="INTEGER", help="ROS domain; free: one that nobody uses on this machine.")
+    ] = None,
+    namespace: Annotated[str | None, typer.Option(help="Namespace of nodes and topics.")] = None,
     theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
     tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), instead of theta.")] = None,
     wheel_speed: Annotated[
@@ -89,12 +94,15 @@ def run(
     json_: Json = False,
 ) -> None:
     """See RUN_EXAMPLES."""
+    if domain == "free":
+        domain = str(free_domain(namespace or NAMESPACE))
+        sys.stderr.write(f"ROS domain {domain}\n")
     given = {
         "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
         "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
-        "ramp_duration": ramp_duration, "parameters": parameters,
+        "ramp_duration": ramp_duration, "parameters": parameters, "namespace": namespace,
     }  # fmt: skip
     from los_testbed.run.summary import print_summary, summarise_runs
 
@@ -106,7 +114,7 @@ def run(
     console = Console(stderr=json_)
     bag, results = execute(chosen)
     for warning in [*results.warnings, *results.failures]:
-        console.print(f"[yellow]warning:[/yellow] {warning}")
+        say(console, warning, "warning")
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
     print_summary(console, summaries)
     if json_:

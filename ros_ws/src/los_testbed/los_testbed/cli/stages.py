@@ -13,7 +13,9 @@ import typer
 from rich.console import Console
 
 from los_testbed.cli.output import Json, print_json
+from los_testbed.run.screen import say
 from lti.progress import Progress
+from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import CAMERA_RATE
 
 if TYPE_CHECKING:
@@ -95,13 +97,13 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
         console.print(table)
     for result in results:
         if result.note:
-            console.print(f"[yellow]note:[/yellow] {result.run.name}: {result.note}", soft_wrap=True)
+            say(console, f"{result.run.name}: {result.note}", "note")
     content = stages_tables.as_json(results, plan)
-    (plan.folder / "stages.md").write_text(stages_tables.markdown(results, plan), "utf-8")
+    write_text(plan.folder / "stages.md", stages_tables.markdown(results, plan))
     content["reports"] = [str(path) for path in _reports(results, plan)]
-    (plan.folder / "stages.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+    write_text(plan.folder / "stages.json", json.dumps(content, indent=1) + "\n")
     for path in (plan.folder / "stages.md", plan.folder / "stages.json", *content["reports"]):
-        console.print(str(path), soft_wrap=True, highlight=False)
+        say(console, str(path))
     return content
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError
+from los_testbed.loop.source_guard import OURS
 from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
@@ -19,7 +20,7 @@ class CommandGate:
 
     A command is accepted if it can be read, is finite, within the actuator's limit and stamped with a
     tick that is newer than the last accepted one, not in the future and not older than the hold time. Reasons are
-    looked for in this order, and the first one counts.
+    looked for in this order, and the first one counts; before the last two comes a sender that is not the matched one.
     Without a valid command the last one is held for `hold_ticks` and then faded to zero along a raised
     cosine of `fade_ticks`; when commands return they fade in along the same ramp, so there is no jump.
 
@@ -53,14 +54,18 @@ class CommandGate:
         self._ramp = fade_ticks
         self._weights = [0.5 - 0.5 * math.cos(math.pi * i / fade_ticks) for i in range(fade_ticks)] + [1.0]
 
-    def offer(self, data: bytes, now_ns: int) -> bool:
-        """Take one message at the tick `now_ns`; True if it is the valid command of an earlier tick."""
+    def offer(self, data: bytes, now_ns: int, source: str = OURS) -> bool:
+        """Take one message at the tick `now_ns`; True if it is the valid command of an earlier tick.
+
+        `source` is what :class:`~los_testbed.loop.source_guard.SourceGuard` says of the message; it is the reason of a
+        rejection unless it is empty.
+        """
         try:
             stamp = self.codec.decode(data, self._candidate)
         except CodecError as error:
             self.rejected[error.reason] += 1
             return False
-        reason = self._fault(stamp, now_ns)
+        reason = self._fault(stamp, now_ns, source)
         if reason:
             self.rejected[reason] += 1
             return False
@@ -69,7 +74,7 @@ class CommandGate:
         self.accepted += 1
         return True
 
-    def _fault(self, stamp: int, now_ns: int) -> str:
+    def _fault(self, stamp: int, now_ns: int, source: str) -> str:
         """Reason to reject the candidate: its values are checked before its stamp."""
         largest = float(np.max(np.abs(self._candidate, out=self._magnitude)))
         if not largest <= self.limit:
@@ -78,6 +83,8 @@ class CommandGate:
             return "off_grid"
         if stamp >= now_ns:
             return "future"
+        if source:
+            return source
         if stamp == self.last_stamp:
             return "duplicate"
         if stamp < self.last_stamp or stamp < now_ns - (self.hold_ticks + 1) * TICK_NS:

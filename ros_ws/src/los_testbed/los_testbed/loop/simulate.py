@@ -116,7 +116,7 @@ class BagSink:
             times = stamps
             if topic.rate == "camera":
                 values, times = values[frames], stamps[frames]
-            self._bag.write(topic.path, times, times, codec.encode_many(times, values))
+            self._bag.write(topic.path_in(self._bag.namespace), times, times, codec.encode_many(times, values))
         self._bag.end_chunk()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
+from los_testbed.loop.source_guard import OURS
 from titop_plant.interface import TICK_NS
 
 FloatArray = NDArray[np.float64]
@@ -86,8 +87,11 @@ class StampSynchronizer:
         """Whether a tick newer than the last complete one is under way."""
         return self._newest > self.last
 
-    def put(self, index: int, data: bytes) -> FloatArray | None:
+    def put(self, index: int, data: bytes, source: str = OURS) -> FloatArray | None:
         """Add one message of part `index`; the joined vector if that made its tick complete.
+
+        `source` is what :class:`~los_testbed.loop.source_guard.SourceGuard` says of the message; it is the reason of a
+        rejection unless it is empty.
 
         `stamp` then is the tick's, `gap` the number of ticks left out before it.
         """
@@ -98,11 +102,16 @@ class StampSynchronizer:
             if stamp < 0 or stamp % TICK_NS:
                 self.rejected["off_grid" if stamp >= 0 else "size"] += 1
                 return None
-            if stamp != HOLD_STAMP and (stamp <= self.last or self._stamps[slot] > stamp):
-                self.rejected["late"] += 1
-                return None
             if self.last and stamp > self.horizon:
                 self.rejected["future"] += 1
+                return None
+            if source and stamp == HOLD_STAMP:  # repeated until they are answered
+                return None
+            if source:
+                self.rejected[source] += 1
+                return None
+            if stamp != HOLD_STAMP and (stamp <= self.last or self._stamps[slot] > stamp):
+                self.rejected["late"] += 1
                 return None
             if self._stamps[slot] != stamp:
                 self._stamps[slot], self._seen[slot] = stamp, 0

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fsm_pma_controller.runtime import FsmPmaController
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, check_controllers
+from los_testbed.factories import build_controller, check_controllers, telescope_basis
+from los_testbed.loop.changes import ACTIVE, Apply, Fade
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -42,6 +44,8 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
         step = GapStepper(lambda sample, out: controller.step(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
+        fade = Fade(context.config.fade_ticks)
+        changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(context.config))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
@@ -51,15 +55,35 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
                     publisher.publish(codec.encode(stamp, zero))
                 return
             step(sample, gap, command)
+            if not fade.whole:
+                np.multiply(command, fade.weight(), out=command)
             for publisher, codec, values, _ in slots:
                 publisher.publish(codec.encode(stamp, values))
 
-        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick)
+        follower = Follower(
+            context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick, changes
+        )
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code
 
     return run_node("controller", arguments, body)
+
+
+def _appliers(controller: Controller) -> dict[str, Apply]:
+    """Settings that a controller can change, those of the package's own at least."""
+    if not isinstance(controller, FsmPmaController):
+        return {}
+    return {
+        "loop": controller.switch,
+        "fsm_authority": lambda value: controller.limit(fsm_authority=value),
+        "pma_authority": lambda value: controller.limit(pma_authority=value),
+    }
+
+
+def _limits(config: RunConfig) -> dict[str, float]:
+    """Authorities of the start: the plant rejects more."""
+    return dict(zip(("fsm_authority", "pma_authority"), telescope_basis(config).authority))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_estimator
+from los_testbed.loop.changes import ACTIVE, Fade
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -34,6 +35,8 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
+        fade = Fade(context.config.fade_ticks)
+        changes = context.allow_changes({ACTIVE: fade.turn})
         step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
 
         def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
@@ -42,9 +45,11 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
                 publisher.publish(codec.encode(stamp, nothing))
                 return
             step(measurement, gap, los)
+            if not fade.whole:
+                np.multiply(los, fade.weight(), out=los)
             publisher.publish(codec.encode(stamp, los))
 
-        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick)
+        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick, changes)
         code = follower.run()
         settle([publisher])
         return code

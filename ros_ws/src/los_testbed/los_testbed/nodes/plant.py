@@ -10,11 +10,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes
+from los_testbed.loop.changes import NAMES
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
@@ -76,7 +78,11 @@ class PlantLoop:
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
+        change = getattr(plant, "change", None)
+        names = NAMES["plant"] if change is not None else ()
+        self.changes = context.allow_changes({name: partial(change, name) for name in names if change is not None})
         self._faded = False
+        self._second = ""
 
     def run(self) -> int:
         """Handshake, the ticks of the run, the last report."""
@@ -130,11 +136,11 @@ class PlantLoop:
 
     def _take_commands(self, now: int) -> None:
         """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
-        io = self.io
+        io, steady = self.io, time.monotonic_ns()
         while (taken := io.pma_input.take()) is not None:
-            io.pma_gate.offer(taken[0], now)
+            io.pma_gate.offer(taken[0], now, io.pma_input.sort(taken, steady))
         while (taken := io.fsm_input.take()) is not None:
-            if io.fsm_gate.offer(taken[0], now):
+            if io.fsm_gate.offer(taken[0], now, io.fsm_input.sort(taken, steady)):
                 tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
                 latency = taken[1]["received_timestamp"] - self._woke[tick % RING]
                 if 0 <= latency < CLOCK_STEP_NS:
@@ -143,7 +149,10 @@ class PlantLoop:
             self.held += 1
 
     def _tick(self, now: int) -> None:
-        io, command = self.io, self._command
+        io, command, changes = self.io, self._command, self.changes
+        changes.now = now - io.start
+        if changes.now >= changes.due:
+            changes.advance(changes.now)
         io.fsm_gate.apply(now, command[MIRROR])
         io.pma_gate.apply(now, command[FORCES])
         self.plant.step(command, self._measurement, self._truth)
@@ -153,7 +162,11 @@ class PlantLoop:
     def _background(self, k: int, now: int) -> None:
         """Work that is not urgent, one kind per tick, after the work of the tick."""
         phase = k % 200
-        if phase == 50 or phase == 150:
+        if phase % 20 == 10 and (news := self.io.watch.look(time.monotonic_ns())):
+            self._second = f"second publisher on {news[0][0]}"
+            self.context.report_second_publishers(news)
+            self._report(now)
+        elif phase == 50 or phase == 150:
             self.context.event("progress", tick=self.ticks)
         elif phase == 100:
             self.context.service()
@@ -176,6 +189,8 @@ class PlantLoop:
             if not pacer.wait(now):
                 break
             self.latency.add(time.monotonic_ns() - start_time)
+            if k % 20 == 0:
+                context.report_second_publishers(self.io.watch.look(time.monotonic_ns()))
             if k % 500 == 0:
                 context.event("progress", tick=self.ticks)
                 context.service()
@@ -196,6 +211,8 @@ class PlantLoop:
             **({} if lockstep else {"period_max_us": f"{self.period.maximum_us:g}"}),
             **self.execution.summary("execution"),
             **self.io.rejections(),
+            **self.io.watch.statistics(),
+            **self.changes.record(),
             **plant_notes(self.plant),
         }
 
@@ -208,6 +225,8 @@ class PlantLoop:
         self._faded = self.io.fading()
         if self._faded:
             level, message = ERROR, "no valid commands: actuators brought to zero"
+        elif self._second:
+            level, message, self._second = ERROR, self._second, ""
         elif news[1]:
             level, message = WARN, f"{news[1]} commands rejected"
         elif news[0] > 10:

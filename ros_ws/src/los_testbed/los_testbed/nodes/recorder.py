@@ -12,17 +12,19 @@ from pathlib import Path
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message
 
-from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
+from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.loop.health import OK, STALE, WARN
+from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.topics import DIAGNOSTICS_TOPIC, PROGRESS_TOPIC, TOPICS
-from pointing_analysis.cdr import ENCAPSULATION, Encoder
+from los_testbed.nodes.support.source_watch import SourceWatch
+from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.run.bag_names import free_name
+from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
+from pointing_analysis.cdr import Encoder
 from pointing_analysis.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
@@ -30,8 +32,8 @@ DEPTH = 5000
 PERIOD_S = 0.01
 QUIET_S = 0.2
 CHUNK_S = 1.0
-MAX_DISORDER = 1000
-"""Periods that a sample may come after a later one and still count."""
+LOOK_NS = 20_000_000
+"""Time between looks at the publishers of the topics."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,87 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def default_bag() -> Path:
     """New name under bags/ of the working directory."""
     return Path("bags") / datetime.now().strftime("run-%Y%m%d-%H%M%S")
-
-
-class Track:
-    """What came on one topic since the last chunk, and what is known of it altogether."""
-
-    def __init__(self, path: str, subscription: RawSubscription, period_ns: int, codec: Codec | None = None) -> None:
-        self.path = path
-        self.codec = codec
-        self.unreadable = 0
-        self._numbers = np.zeros(codec.size if codec else 0)
-        self.subscription = subscription
-        self.period_ns = period_ns
-        self.data: list[bytes] = []
-        self.received: list[int] = []
-        self.sent: list[int] = []
-        self.held = False
-        self.first = 0
-        self.last = 0
-        self.distinct = 0
-        self._missing: set[int] = set()
-
-    def drain(self) -> int:
-        """Take everything that waits; the number of samples taken."""
-        take, before = self.subscription.take, len(self.data)
-        data, received, sent = self.data.append, self.received.append, self.sent.append
-        while (taken := take()) is not None:
-            message, times = taken
-            if not self._readable(message):
-                continue
-            if len(message) >= 12 and stamp_of(message) == HOLD_STAMP and self.period_ns:
-                self.held = True
-                continue
-            self.held = False
-            data(message)
-            received(times["received_timestamp"])
-            sent(times["source_timestamp"])
-        if len(self.data) > before and self.period_ns:
-            self._note(self.data[before:])
-        return len(self.data) - before
-
-    def _readable(self, message: bytes) -> bool:
-        """A message cut short would make the bag unreadable for others; it is counted instead."""
-        if self.codec is None or (len(message) == self.codec.length and message[:2] == ENCAPSULATION[:2]):
-            return True
-        try:
-            self.codec.decode(message, self._numbers)
-        except CodecError:
-            self.unreadable += 1
-            return False
-        return True
-
-    def _note(self, messages: list[bytes]) -> None:
-        for message in messages:
-            stamp = stamp_of(message) if len(message) >= 12 else 0
-            if stamp <= 0 or stamp % self.period_ns:
-                continue
-            if stamp > self.last:
-                if self.last and stamp - self.last > self.period_ns:
-                    self._note_gap(stamp)
-                self.first = self.first or stamp
-                self.last = stamp
-                self.distinct += 1
-            elif stamp in self._missing:  # out of order, not lost
-                self._missing.remove(stamp)
-                self.distinct += 1
-
-    def _note_gap(self, stamp: int) -> None:
-        """The periods between the last sample and this one may still come, out of order."""
-        oldest = stamp - MAX_DISORDER * self.period_ns
-        self._missing = {old for old in self._missing if old > oldest}
-        self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
-
-    def begin_again(self) -> None:
-        """Another run begins: what is known of the last one is forgotten."""
-        self.first = self.last = self.distinct = self.unreadable = 0
-        self._missing.clear()
-
-    def lost(self, first: int, last: int) -> int:
-        """Samples that should lie in this span of stamps and did not come."""
-        expected = last // self.period_ns - (first - 1) // self.period_ns
-        return max(0, expected - self.distinct)
 
 
 class Recorder:
@@ -138,15 +59,22 @@ class Recorder:
         frame_ns = config.frame_ticks * TICK_NS
         self.tracks = [
             Track(
-                topic.path,
-                RawSubscription(node, topic.name, topic.type_name, DEPTH),
+                topic.path_in(config.namespace),
+                RawSubscription(node, topic.name, topic.type_name, DEPTH, publisher=topic.publisher),
                 frame_ns if topic.rate == "camera" else TICK_NS,
                 codec_for(topic),
             )
             for topic in TOPICS
         ]
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
-        self.diagnostics = Track(DIAGNOSTICS_TOPIC, RawSubscription(node, DIAGNOSTICS_TOPIC, DiagnosticArray), 0)
+        # /diagnostics is for everybody's reports: those of the run are read from the topics of its own nodes
+        self.reports = {
+            name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
+            for name in NODES
+        }
+        self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
+        self._second = ""
+        self._next_look = 0
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
         self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
@@ -162,8 +90,9 @@ class Recorder:
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
         while True:
             count = sum(track.drain() for track in self.tracks)
-            count += self.diagnostics.drain()
+            count += sum(report.drain() for report in self.reports.values())
             now = time.monotonic()
+            self._look()
             if count:
                 quiet_since = now
             if self._another_run():
@@ -181,6 +110,18 @@ class Recorder:
             time.sleep(PERIOD_S if not self.simulated else PERIOD_S / 4)
         self._close()
         return 0
+
+    def _look(self) -> None:
+        """Match publishers; report at once where there is a second one."""
+        now = time.monotonic_ns()
+        waiting = any(track.waiting for track in (*self.tracks, *self.reports.values()))
+        if now < self._next_look and not waiting:
+            return
+        self._next_look = now + LOOK_NS
+        if news := self.watch.look(now):
+            self._second = ", ".join(f"{topic} (node {node})" for topic, node in news)
+            self.context.report_second_publishers(news)
+            self._report()
 
     def _tell_progress(self) -> None:
         """Stamp of the newest tick that is here of every topic; zero while the plant holds."""
@@ -208,7 +149,7 @@ class Recorder:
         self._finish_bag()
         self.finished += 1
         self.context.event("bag", path=str(self.path))
-        self.path = _free_name(self._base)
+        self.path = free_name(self._base)
         self.bag, self.statistics = None, {}
         for track in self.tracks:
             track.begin_again()
@@ -226,10 +167,12 @@ class Recorder:
             )
         for track in self.tracks:
             self._write(self.bag, track)
-        self._keep_statistics()
+        for name, report in self.reports.items():
+            if report.statistics:
+                self.statistics[name] = report.statistics
+        merged = merge(list(self.reports.values()))
         if not self.simulated:  # values of the wall clock would make two equal runs differ
-            self._write(self.bag, self.diagnostics)
-        self.diagnostics.data, self.diagnostics.received, self.diagnostics.sent = [], [], []
+            self._write(self.bag, merged)
         self.bag.end_chunk()
 
     def _write(self, bag: BagWriter, track: Track) -> None:
@@ -245,24 +188,20 @@ class Recorder:
             bag.write(track.path, log[start:stop], sent[start:stop], block)
         track.data, track.received, track.sent = [], [], []
 
-    def _keep_statistics(self) -> None:
-        """Last word of each node; it goes into the metadata at the end."""
-        for message in self.diagnostics.data:
-            for status in deserialize_message(message, DiagnosticArray).status:
-                name = status.name.partition(": ")[2]
-                self.statistics[name] = {entry.key: entry.value for entry in status.values}
-
     def own_statistics(self) -> dict[str, str]:
         """Messages and losses so far."""
         started = [track for track in self.tracks if track.first]
         first = min((track.first for track in started), default=0)
         last = max((track.last for track in started), default=0)
         lost = {t.path: t.lost(first, last) for t in self.tracks} if started else {}
+        unreadable = {t.path: t.unreadable for t in (*self.tracks, *self.reports.values())}
         return {
             "messages": str(sum(track.distinct for track in self.tracks)),
             "samples_lost": str(sum(lost.values())),
-            **{f"unreadable_{t.path}": str(t.unreadable) for t in self.tracks if t.unreadable},
+            **{f"unreadable_{name}": str(count) for name, count in unreadable.items() if count},
             **{f"lost_{name}": str(count) for name, count in lost.items() if count},
+            **{f"foreign_{t.path}": str(t.foreign) for t in self.reports.values() if t.foreign},
+            **self.watch.statistics(),
         }
 
     def _report(self) -> None:
@@ -270,7 +209,9 @@ class Recorder:
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}
         self.context.plot(dict(news))
-        if self.bag is None:
+        if self._second:
+            level, message, self._second = ERROR, f"second publisher on {self._second}", ""
+        elif self.bag is None:
             level, message = STALE, "no samples yet"
         else:
             level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
@@ -289,11 +230,6 @@ class Recorder:
         self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
             raise ValueError("a plant must run on this domain, got no message to record")
-
-
-def _free_name(base: Path) -> Path:
-    """Name of another bag beside `base`."""
-    return next(path for n in itertools.count(2) if not (path := base.with_name(f"{base.name}-{n}")).exists())
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
+from los_testbed.config import NAMESPACE
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.loop.tick_clock import wait_until
 from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, refuse_second_plant
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.run.runner import domain_lock
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, NAMESPACE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
+from los_testbed.run.domains import domain_lock
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.replay import Replayed
@@ -94,7 +95,7 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
     if domain >= 0:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
-    with domain_lock(os.environ.get("ROS_DOMAIN_ID", "0")):
+    with domain_lock(int(os.environ.get("ROS_DOMAIN_ID", "0")), NAMESPACE):
         context = NodeContext("replay", [])
         try:
             refuse_second_plant(context)
@@ -177,7 +178,7 @@ class _Player:
         """Go on without an answer if a node subscribes to the sensors."""
         node = self.context.node
         if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
-            raise BagError(f"a node must subscribe to {NAMESPACE}/... within {timeout:g} s, got none")
+            raise BagError(f"a node must subscribe to {node.get_namespace()}/... within {timeout:g} s, got none")
         return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
 
     def _drain(self) -> None:

@@ -13,7 +13,9 @@ from typing import IO, Any
 class NodeProcess:
     """One node as a child process; its events come line by line."""
 
-    def __init__(self, name: str, command: Sequence[str], variables: Mapping[str, str]) -> None:
+    def __init__(
+        self, name: str, command: Sequence[str], variables: Mapping[str, str], inherited: Sequence[int] = ()
+    ) -> None:
         self.name = name
         self.process = subprocess.Popen(
             command,
@@ -21,6 +23,7 @@ class NodeProcess:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            pass_fds=tuple(inherited),
             start_new_session=True,  # the terminal's interrupt is for the runner, which ends them in order
         )
         self.errors = ""

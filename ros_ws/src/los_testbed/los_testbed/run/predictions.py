@@ -6,18 +6,17 @@ must still be those of the run, by the hash in the bag.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-
-import yaml
 
 from los_design.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
 from los_testbed.run.replay import controller_of
+from pointing_analysis.bag_metadata import value_of
 from pointing_analysis.prediction import Prediction
 from pointing_analysis.read import Run
+from pointing_analysis.structured_text import load_yaml
 from titop_plant.interface import TICK_NS
 from titop_plant.simulation import configuration_hash
 
@@ -60,17 +59,17 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
     if run.parameters.get("mode") == "replay":
         return None
     try:
-        config = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
+        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         physical = plant_config(config)
         if physical.ramps:
             return None
-        if _as_read(configuration_hash(physical)) != known:
+        if value_of(configuration_hash(physical)) != known:
             raise ValueError("the telescope's figures are no longer those of the run")
         _check(run, config, start, stop)
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
         model = tone_model(config, controllers)
         tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
-    except (ValueError, TypeError, OSError, yaml.YAMLError) as error:
+    except (ValueError, TypeError, OSError, OverflowError) as error:
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)
         return Prediction(note=text)
     if not tones:
@@ -87,6 +86,8 @@ def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
         raise ValueError("camera frames were dropped at random and the model has them all")
     if start > 0:
         raise ValueError("the prediction starts with the run, and only a later part of it is shown")
+    if run["truth/los"].lost_before:
+        raise ValueError("the record does not begin with the run: its first samples are lost")
     stamp = run["truth/los"].stamp
     statistics = run.parameters.get("statistics")
     plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
@@ -94,11 +95,3 @@ def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
     if not recorded or int(stamp[0]) % (config.frame_ticks * TICK_NS) or missing > LATE:
         raise ValueError("the record does not begin with the run")
-
-
-def _as_read(text: str) -> object:
-    """A text as the reader of bags gives it back: digits alone are a number there."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text

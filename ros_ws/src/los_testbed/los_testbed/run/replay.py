@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import assemble_controller, compare_with_telescope
 from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.run.memory_file import memory_file
 from los_testbed.topics import TOPICS
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
@@ -78,13 +78,11 @@ def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[Sampl
             f"{run.path}: the bag must hold the controller {name}.json, got "
             f"{', '.join(sorted(run.attachments)) or 'no files'}: give --{name.replace('_', '-')} FILE"
         )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.json"
-        path.write_bytes(data)
+    with memory_file(data, name) as file:
         try:
-            return SampledSystem.from_file(path), data
+            return SampledSystem.from_file(file.path), data
         except ValueError as error:
-            raise BagError(str(error).replace(str(path), f"{run.path}: {name}.json")) from None
+            raise BagError(str(error).replace(file.path, f"{run.path}: {name}.json")) from None
 
 
 def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, loop: str | None = None) -> Controllers:
@@ -219,7 +217,8 @@ def write_signals(bag: BagWriter, signals: Signals) -> None:
             low, high = np.searchsorted(stamps, (begin, begin + CHUNK_NS))
             if high > low:
                 part = np.ascontiguousarray(values[low:high, : topic.size])
-                bag.write(topic.path, stamps[low:high], stamps[low:high], codec.encode_many(stamps[low:high], part))
+                times, name = stamps[low:high], topic.path_in(bag.namespace)
+                bag.write(name, times, times, codec.encode_many(times, part))
         bag.end_chunk()
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import importlib
 import importlib.util
 import os
 import selectors
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,15 +19,20 @@ import yaml
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
+from los_testbed.run.bag_names import free_name, recorded
+from los_testbed.run.domains import domain_lock
+from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.topics import NODES
+from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import RATE
 
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
-NODES = ("plant", "estimator", "controller", "recorder")
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 class RunError(RuntimeError):
@@ -83,18 +86,30 @@ def check_ros() -> None:
         )
 
 
-def parameter_file(config: RunConfig, path: Path) -> None:
-    """Write the ROS parameter file of a run."""
+def parameter_text(config: RunConfig) -> str:
+    """ROS parameter file of a run."""
     values = {name: value for name, value in config.to_mapping().items() if value != []}
     values["use_sim_time"] = config.mode == "lockstep"
-    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), "utf-8")
+    return str(yaml.safe_dump({"/**": {"ros__parameters": values}}))
 
 
-def environment(config: RunConfig, logs: Path) -> dict[str, str]:
+def parameter_file(config: RunConfig, path: Path) -> None:
+    """Write the ROS parameter file of a run."""
+    write_text(path, parameter_text(config))
+
+
+def ros_arguments(config: RunConfig, parameters: str | Path) -> list[str]:
+    """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
+    quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
+    return ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
+
+
+def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
     """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
     variables = dict(os.environ)
-    variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    variables.setdefault("ROS_LOG_DIR", str(logs))
+    variables.setdefault(RANGE_VARIABLE, "LOCALHOST")
+    if logs is not None:
+        variables.setdefault("ROS_LOG_DIR", str(logs))
     variables["OPENBLAS_NUM_THREADS"] = "1"
     variables[EVENTS_VARIABLE] = "1"
     if config.domain >= 0:
@@ -102,32 +117,6 @@ def environment(config: RunConfig, logs: Path) -> dict[str, str]:
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     return variables
-
-
-@contextlib.contextmanager
-def domain_lock(domain: str) -> Iterator[None]:
-    """Hold the domain for one run on this machine.
-
-    Raises
-    ------
-    ValueError
-        Another run holds it.
-    """
-    path = Path(tempfile.gettempdir()) / f"los_testbed_domain_{domain}.lock"
-    try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError:  # another user's file: the plant still listens before it talks
-        yield
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise ValueError(f"--domain must be a ROS domain without another run on this machine, got {domain}") from None
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def run_alone(name: str, config: RunConfig) -> int:
@@ -149,12 +138,9 @@ def run_alone(name: str, config: RunConfig) -> int:
         check_new_bag(Path(config.output))
     if config.domain >= 0:
         os.environ["ROS_DOMAIN_ID"] = str(config.domain)
-    with tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
-        parameters = Path(folder) / "run.yaml"
-        parameter_file(config, parameters)
-        os.environ.setdefault("ROS_LOG_DIR", folder)
+    with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{name}")
-        return int(node.main(["--ros-args", "--params-file", str(parameters)]))
+        return int(node.main(ros_arguments(config, parameters.path)))
 
 
 class Runner:
@@ -186,7 +172,7 @@ class Runner:
         self._restarts = 0
         self._ticks_done = 0
         self._before = 0
-        self._parameters = Path()
+        self._parameters: MemoryFile | None = None
         self._variables: Mapping[str, str] = {}
         self.results = Results()
 
@@ -219,12 +205,16 @@ class Runner:
         check_ros()
         check_new_bag(Path(self._config.output))
         self.results.warnings += check_controllers(self._config)
-        with domain_lock(str(self.domain)), tempfile.TemporaryDirectory(prefix="los_testbed_") as folder:
-            self._parameters = Path(folder) / "run.yaml"
-            parameter_file(self._config, self._parameters)
-            self._variables = environment(self._config, Path(folder) / "log")
+        text = parameter_text(self._config).encode()
+        with (
+            domain_lock(self.domain, self._config.namespace),
+            memory_file(text, "run.yaml") as self._parameters,
+        ):
+            self._variables = environment(self._config)
             try:
                 self._perform()
+            except RunError as error:
+                raise RunError(f"{error}{recorded(Path(self._config.output))}", error.code) from None
             finally:
                 self._end_all()
         return self.results
@@ -264,12 +254,13 @@ class Runner:
             self.results.failures.append(f"what came before the plant was started again is in {path}")
 
     def _start(self, name: str) -> None:
-        command = [*self._commands[name], "--ros-args", "--params-file", str(self._parameters)]
+        assert self._parameters is not None
+        command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
         if name == "recorder" and self._restarts:  # what the first one wrote is left alone
-            command += ["-p", f"output:={self._config.output}-{self._restarts + 1}"]
+            command += ["-p", f"output:={free_name(Path(self._config.output))}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
-        node = self._nodes[name] = NodeProcess(name, command, self._variables)
+        node = self._nodes[name] = NodeProcess(name, command, self._variables, [self._parameters.descriptor])
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)
@@ -280,8 +271,21 @@ class Runner:
         while (name, kind) not in self._seen:
             self._poll(0.1)
             self._check()
+            self._check_awaited(name, kind)
             if end is not None and time.monotonic() > end:
                 raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s")
+
+    def _check_awaited(self, name: str, kind: str) -> None:
+        """Raise if the node that is waited for has ended, also one that was asked to."""
+        node = self._nodes[name]
+        code = node.process.poll()
+        if code is None:
+            return
+        self._poll(0.1)
+        if (name, kind) not in self._seen:
+            told = [message for who, message in self._errors if who == name]
+            last = told[-1:] or node.errors.strip().splitlines()[-1:] or [f"it ended with code {code}"]
+            raise RunError(f"{name}: {last[0]}")
 
     def _poll(self, timeout: float) -> None:
         for key, _ in self._selector.select(timeout):
@@ -304,6 +308,10 @@ class Runner:
             message = str(event["message"])
             if message not in self.results.warnings:
                 self.results.warnings.append(message)
+        elif kind == "second_publisher":
+            message = f"{event['topic']} had a second publisher (node {event['publisher']}): its messages were not used"
+            if message not in self.results.failures:
+                self.results.failures.append(message)
         elif kind == "bag":
             self.results.earlier.append(Path(event["path"]))
         elif kind == "error":
@@ -339,13 +347,20 @@ class Runner:
         self._restarts += 1
         if node.name == "plant":
             self._before = self._ticks_done
-        self.results.failures.append(f"{what}; it was started again")
+        self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
         for stream in node.streams:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(stream)
             stream.close()
         self._seen.pop((node.name, "done"), None)
         self._start(node.name)
+
+    def _left_by(self, node: NodeProcess) -> str:
+        """What a recorder that ended unexpectedly has left."""
+        last = [path for path in (Path(self._config.output), *self.results.earlier) if path.is_dir()][-1:]
+        if node.name != "recorder" or not last:
+            return ""
+        return f"; what it had recorded is in {last[0]}: los-testbed bag repair {last[0]}"
 
     def _await_exit(self, names: Sequence[str]) -> None:
         end = time.monotonic() + STOP_S

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.loop.changes import Changes
 from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
@@ -17,6 +18,9 @@ from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawSubscription, 
 from los_testbed.topics import Topic
 
 WAIT_NS = 50_000_000
+DECISION_NS = 20_000_000
+"""Time between looks at the graph while a topic has messages of a publisher that is not yet decided on."""
+
 HORIZON_NS = 50_000_000
 """A stamp may be this much ahead of the plant's clock."""
 
@@ -36,16 +40,27 @@ class Follower:
         Joins them by stamp.
     tick : callable
         What to do with a tick; publishes its result.
+    changes : Changes
+        Settings that may change during the run.
     """
 
     def __init__(
-        self, context: NodeContext, topics: Sequence[Topic], synchronizer: StampSynchronizer, tick: Tick
+        self,
+        context: NodeContext,
+        topics: Sequence[Topic],
+        synchronizer: StampSynchronizer,
+        tick: Tick,
+        changes: Changes,
     ) -> None:
         self._context = context
         self._synchronizer = synchronizer
         self._tick = tick
+        self._changes = changes
+        self._start = 0
         every = context.config.mode == "lockstep"
-        self._subscriptions = [RawSubscription(context.node, t.name, t.type_name, READER_DEPTH, every) for t in topics]
+        self._subscriptions = [
+            RawSubscription(context.node, t.name, t.type_name, READER_DEPTH, every, t.publisher) for t in topics
+        ]
         self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
         self._on_any = Waiter(context.node, self._subscriptions)
         self._execution = LatencyHistogram()
@@ -61,7 +76,7 @@ class Follower:
         context.become_real_time()
         context.event("ready")
         paced = context.config.mode == "realtime"  # in lockstep no time is too early
-        next_report, next_service, last = time.monotonic_ns(), 0, 0
+        next_report, next_service, next_decision, last = time.monotonic_ns(), 0, 0, 0
         while not context.stop:
             (self._on_any if synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
             before = time.monotonic_ns()
@@ -75,6 +90,10 @@ class Follower:
                 if last:
                     self._period.add(before - last)
                 last = before
+            if before >= next_decision:
+                next_decision = before + DECISION_NS
+                for subscription in self._subscriptions:
+                    subscription.decide(before)
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 context.service()
@@ -91,32 +110,39 @@ class Follower:
         The trigger is taken first. It carries the newest stamp, and the other topics are taken up to
         that stamp: no take is spent on asking whether there is more.
         """
-        synchronizer, done = self._synchronizer, False
+        synchronizer, done, steady = self._synchronizer, False, time.monotonic_ns()
         trigger = len(self._subscriptions) - 1
         waiting, newest = [], -1
         while (taken := self._subscriptions[trigger].take()) is not None:
-            waiting.append(taken[0])
+            waiting.append(taken)
             newest = stamp_of(taken[0]) if len(taken[0]) >= 12 else newest
         for index in range(trigger):
             period = synchronizer.parts[index].period_ns
             due = newest - newest % period if newest > 0 else newest
-            take, seen = self._subscriptions[index].take, -1
+            subscription, seen = self._subscriptions[index], -1
             while seen < due or newest <= 0:
-                taken = take()
+                taken = subscription.take()
                 if taken is None:
                     break
                 seen = stamp_of(taken[0]) if len(taken[0]) >= 12 else seen
-                done |= self._put(index, taken[0])
-        for data in waiting:
-            done |= self._put(trigger, data)
+                done |= self._put(index, taken[0], subscription.sort(taken, steady))
+        for taken in waiting:
+            done |= self._put(trigger, taken[0], self._subscriptions[trigger].sort(taken, steady))
         return done
 
-    def _put(self, index: int, data: bytes) -> bool:
+    def _put(self, index: int, data: bytes, source: str) -> bool:
         synchronizer = self._synchronizer
-        vector = synchronizer.put(index, data)
+        vector = synchronizer.put(index, data, source)
         if vector is None:
             return False
-        stamp = synchronizer.stamp
+        stamp, changes = synchronizer.stamp, self._changes
+        if stamp == HOLD_STAMP:
+            self._start = 0
+        else:
+            self._start = self._start or stamp
+            changes.now = stamp - self._start
+            if changes.now >= changes.due:
+                changes.advance(changes.now)
         self._tick(stamp, vector, synchronizer.gap)
         if stamp != HOLD_STAMP:
             self.ticks += 1
@@ -132,6 +158,7 @@ class Follower:
             "gap_ticks": str(self._synchronizer.gaps),
             **self._execution.summary("execution"),
             **rejected,
+            **self._changes.record(),
         }
 
     def _report(self) -> None:

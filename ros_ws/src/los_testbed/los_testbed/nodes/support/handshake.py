@@ -16,13 +16,16 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import RawSubscription
-from los_testbed.topics import ISOLATOR_ACCEL, NAMESPACE
+from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL
 from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
 
 HOLD_PERIOD_S = 0.02
+
+LEASE_S = 5.0
+"""A node that was killed has left the graph within this time."""
 
 
 def refuse_second_plant(context: NodeContext) -> None:
@@ -67,13 +70,38 @@ def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
         time.sleep(HOLD_PERIOD_S)
         for name, subscription in list(waiting_for.items()):
             while (taken := subscription.take()) is not None:
-                if stamp_of(taken[0]) == HOLD_STAMP:
+                ours = not subscription.sort(taken, time.monotonic_ns())
+                if ours and len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
                     waiting_for.pop(name, None)
+            subscription.decide(time.monotonic_ns())
         if not waiting_for:
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
+            _refuse_second_commander(context, io)
             return
         if time.monotonic() - start_time > context.config.start_timeout:
-            missing = ", ".join(f"{NAMESPACE}/{name}" for name in waiting_for)
+            _refuse_second_commander(context, io)
+            missing = ", ".join(subscription.name for subscription in waiting_for.values())
             raise ValueError(
                 f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
             )
+
+
+def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
+    """Nobody but one node may send commands when a run begins.
+
+    Raises
+    ------
+    ValueError
+        Another node has a publisher on a command topic.
+    """
+    expected = f"{context.node.get_namespace().rstrip('/')}/{FSM_COMMAND.publisher}"
+    end = time.monotonic() + LEASE_S
+    for subscription in (io.fsm_input, io.pma_input):
+        while True:
+            nodes = {endpoint.node for endpoint in subscription.endpoints() if endpoint.node}
+            if len(nodes) < 2 or context.stop:
+                break
+            if time.monotonic() > end:
+                others = ", ".join(sorted(nodes - {expected}))
+                raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
+            time.sleep(HOLD_PERIOD_S)

@@ -40,10 +40,10 @@ class LockstepPacer:
         """Return when both commands of tick `now` are at the gates; False if the run was stopped."""
         io, following = self._io, now + TICK_NS
         while True:
-            while (taken := io.pma_input.take()) is not None:
-                io.pma_gate.offer(taken[0], following)
-            while (taken := io.fsm_input.take()) is not None:
-                io.fsm_gate.offer(taken[0], following)
+            steady = time.monotonic_ns()
+            for source, gate in ((io.pma_input, io.pma_gate), (io.fsm_input, io.fsm_gate)):
+                while (taken := source.take()) is not None:
+                    gate.offer(taken[0], following, source.sort(taken, steady))
             if io.fsm_gate.last_stamp == now and io.pma_gate.last_stamp == now:
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:
@@ -61,6 +61,8 @@ class LockstepPacer:
         deadline = time.monotonic() + self._context.config.start_timeout
         while now - self._recorded > ahead:
             while (taken := self._io.progress_input.take()) is not None:
+                if self._io.progress_input.sort(taken, time.monotonic_ns()):
+                    continue
                 self._recorded = max(self._recorded, stamp_of(taken[0]))
             if now - self._recorded <= ahead:
                 break

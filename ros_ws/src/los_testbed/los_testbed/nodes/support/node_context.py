@@ -11,12 +11,16 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from los_testbed.config import NAMESPACE
+from los_testbed.loop.changes import ACTIVE, NAMES, Apply, Changes
 from los_testbed.loop.scheduling import (
     CPU_INDEX,
     PRIORITIES,
@@ -25,17 +29,18 @@ from los_testbed.loop.scheduling import (
     end_with_parent,
     sharpen_timers,
 )
+from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
-from los_testbed.nodes.support.parameters import declare_config
+from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.security import refuse_missing_security
-from los_testbed.topics import DIAGNOSTICS_TOPIC, NAMESPACE
+from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """If set, a node tells its parent process what happens, one JSON object per line on its output."""
 
 
 class NodeContext:
-    """A node in namespace ``/telescope`` with the run's configuration as parameters.
+    """A node, by default in namespace ``/telescope``, with the run's configuration as parameters.
 
     Parameters
     ----------
@@ -57,15 +62,44 @@ class NodeContext:
         choose_middleware(os.environ)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
         refuse_missing_security()
-        self.node = rclpy.create_node(name, namespace=NAMESPACE)
-        self.config = declare_config(self.node)
+        managed = name in MANAGED
+        self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
+        self.config = declare_config(self.node, NAMES.get(name, ()))
+        self._changing: ChangingParameters | None = None
+        if isinstance(self.node, ManagedNode):
+            self.node.begin()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10))
+        self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
+        own, depth = f"{name}/{OWN_DIAGNOSTICS}", QoSProfile(depth=10)
+        before = self._publishers(own)
+        self._diagnostics = [
+            self.node.create_publisher(DiagnosticArray, topic, depth) for topic in (DIAGNOSTICS_TOPIC, own)
+        ]
+        self._identifier = next(iter(sorted(self._publishers(own) - before)), "")
         self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
+
+    def _publishers(self, topic: str) -> set[str]:
+        """Identifiers of this node's publishers on a topic."""
+        infos = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topic))
+        return {bytes(info.endpoint_gid).hex() for info in infos if info.node_name == self.node.get_name()}
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True
+
+    def allow_changes(self, appliers: Mapping[str, Apply], limits: Mapping[str, float] | None = None) -> Changes:
+        """Let users change these settings during the run; the loop calls ``advance`` of the result at every tick.
+
+        Raises
+        ------
+        ValueError
+            The parameter ``fault`` was given a value that is none.
+        """
+        changes = Changes(self.config, appliers, limits or {})
+        if isinstance(self.node, ManagedNode):
+            self.node.on_active = lambda active: changes.enqueue(ACTIVE, active)
+        self._changing = ChangingParameters(self.node, changes)
+        return changes
 
     def become_real_time(self) -> None:
         """Raise the process to real time, or say once what was not permitted."""
@@ -87,23 +121,31 @@ class NodeContext:
                 self.node.get_logger().warning(line)
 
     def service(self) -> None:
-        """Answer parameter requests, if there are any; about 0.1 ms."""
-        self._executor.spin_once(timeout_sec=0.0)
+        """Answer requests, if there are any; about 0.1 ms."""
+        try:
+            self._executor.spin_once(timeout_sec=0.0)
+        except rclpy_implementation.RCLError as error:  # a request that cannot be read must not end the loop
+            self.node.get_logger().error(f"request refused: {error}")
+        if self._changing is not None:
+            self._changing.follow()
+        self.stop |= isinstance(self.node, ManagedNode) and self.node.ended
 
     def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
-        """Publish the state of this node on /diagnostics."""
+        """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads."""
         array = DiagnosticArray()
+        array.header.frame_id = self._identifier  # the recorder tells its own nodes' reports by it
         array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
         array.status = [
             DiagnosticStatus(
                 level=bytes([level]),
-                name=f"telescope: {self.name}",
+                name=self._label,
                 message=message,
                 hardware_id="los_testbed",
                 values=[KeyValue(key=key, value=value) for key, value in values.items()],
             )
         ]
-        self._diagnostics.publish(array)
+        for publisher in self._diagnostics:
+            publisher.publish(array)
 
     def plot(self, values: Mapping[str, float]) -> None:
         """Publish values since the last report on ``~/statistics``.
@@ -123,8 +165,16 @@ class NodeContext:
             except OSError:
                 self._events = False
 
+    def report_second_publishers(self, news: Sequence[tuple[str, str]]) -> None:
+        """Tell the runner, or log, which topics have a second publisher, and of which node."""
+        for topic, node in news:
+            self.event("second_publisher", topic=topic, publisher=node)
+            if not self._events:
+                self.node.get_logger().error(f"{topic} must have one publisher, got a second one: node {node}")
+
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph when the recorder has the last report."""
+        self._diagnostics[1].wait_for_all_acked(Duration(seconds=1.0))
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()

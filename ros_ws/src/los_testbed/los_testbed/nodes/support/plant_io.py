@@ -10,6 +10,7 @@ from los_testbed.factories import telescope_basis
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
+from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.message_types import HEADER
 from titop_plant.interface import TICK_NS
@@ -30,9 +31,15 @@ class PlantIo:
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
         self._frame_ns = config.frame_ticks * TICK_NS
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
-        self.fsm_input = RawSubscription(node, FSM_COMMAND.name, FSM_COMMAND.type_name, READER_DEPTH, every)
-        self.pma_input = RawSubscription(node, PMA_COMMAND.name, PMA_COMMAND.type_name, READER_DEPTH, every)
-        self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER)
+
+        def subscribe(topic: Topic) -> RawSubscription:
+            return RawSubscription(node, topic.name, topic.type_name, READER_DEPTH, every, topic.publisher)
+
+        self.fsm_input = subscribe(FSM_COMMAND)
+        self.pma_input = subscribe(PMA_COMMAND)
+        self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
+        self.progress_input.guard.paced = False
+        self.watch = SourceWatch(node, [self.fsm_input, self.pma_input])
         hold = config.hold_ticks, config.fade_ticks
         mirror, force = telescope_basis(config).authority
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)

@@ -1,0 +1,279 @@
+"""Response of the implemented loop as a linear fractional function of the parameters, with gradients.
+
+At one frequency the loop of the sampled controllers is closed around the telescope's LFT; what remains is a small
+matrix with the 48 Delta channels, and every response at any parameter values is a solution of order 48::
+
+    T(w, Delta) = T11 + T12 Delta (I - M Delta)^-1 T21
+    d sigma / d Delta_c = Re( (sigma-left vector side)_c (right vector side)_c )
+
+Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
+line of sight (2), the 8 commands applied to the plant.
+
+A command in force is held for a tick. Its fundamental, with the factor ``h = (1 - exp(-i w dt)) / (i w dt)``, drives
+the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the **nominal** telescope: they are above
+4700 rad/s for tones below 1500 rad/s, and what the parameters change there is below 1e-4 of the loop. The hold of the
+camera value between frames is its fundamental, the mean of the delays of one frame period: sidebands are left out.
+:func:`los_design.sampled_loop_norms.tone_response` has both exactly and confirms what is found here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import largest_gains, solve
+from lti.eigenvectors import eigenpairs
+from lti.frequency_response import FrequencyResponse
+from titop_plant.disturbances import weight_amplitudes
+from titop_plant.interface import (
+    CAMERA,
+    COMMANDS,
+    DT,
+    FORCE_STAGES,
+    FRAME_TICKS,
+    MEASUREMENTS,
+    MIRROR_STAGES,
+    PLATFORM,
+    DesignBasis,
+)
+from titop_plant.telescope.budget import BAND_EDGE, MAX_SENSITIVITY
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+LOS, MIRROR_OUT, FORCE_OUT = slice(0, 2), slice(2, 4), slice(4, 10)
+DISTURBANCE_IN, MIRROR_IN, FORCE_IN = slice(0, 22), slice(22, 24), slice(24, 30)
+HIGHEST = 3000.0
+"""Highest frequency of a search [rad/s]: just below half of the sampling rate."""
+
+
+@dataclass(frozen=True)
+class LoopMetric:
+    """A gain of the implemented loop that has a limit.
+
+    Parameters
+    ----------
+    name : str
+    rows, columns : slice
+        Of the outputs (line of sight, commands) and inputs (disturbances, added commands).
+    limit : float
+        Gain that counts as 1.
+    band : (float, float)
+        Frequencies [rad/s] at which it counts.
+    relative : bool
+        Whether the weight of the relative error is applied.
+    disturbed : bool
+        Whether the inputs are normalised disturbances.
+    """
+
+    name: str
+    rows: slice
+    columns: slice
+    limit: float
+    band: tuple[float, float] = (1e-2, HIGHEST)
+    relative: bool = False
+    disturbed: bool = True
+
+
+def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Metrics of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
+
+    The limit of slow and fast tones is 100 mas without the proof-mass actuators, 40 mas with them; that of a
+    sensitivity is 2.
+    """
+    weights = parameters["weights"]
+    rpe = weights["rpe_limit_fine"] if stage in FORCE_STAGES else weights["rpe_limit"]
+    los = LoopMetric("APE", LOS, DISTURBANCE_IN, weights["ape_limit"])
+    found = [
+        los,
+        replace(los, name="slow", limit=rpe, band=(1e-2, BAND_EDGE), relative=True),
+        replace(los, name="fast", limit=rpe, band=(BAND_EDGE, HIGHEST), relative=True),
+    ]
+    if stage in MIRROR_STAGES:
+        found.append(LoopMetric("mirror", MIRROR_OUT, DISTURBANCE_IN, parameters["fsm"]["authority"]))
+        found.append(LoopMetric("sensitivity, mirror", MIRROR_OUT, MIRROR_IN, MAX_SENSITIVITY, disturbed=False))
+    if stage in FORCE_STAGES:
+        found.append(LoopMetric("force", FORCE_OUT, DISTURBANCE_IN, parameters["pma"]["authority"]))
+        found.append(LoopMetric("sensitivity, forces", FORCE_OUT, FORCE_IN, MAX_SENSITIVITY, disturbed=False))
+    return {metric.name: metric for metric in found}
+
+
+@dataclass(frozen=True)
+class ClosedAt:
+    """The loop at one frequency as an LFT in Delta: matrix from (Delta, disturbances, commands added) to outputs."""
+
+    omega: float
+    M: ComplexArray
+    T12: ComplexArray
+    T21: ComplexArray
+    T11: ComplexArray
+
+
+class ImplementedLoop:
+    """The loop of one stage around the uncertain telescope.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        As :func:`titop_plant.simulation.control_loop_plant` makes it.
+    parameters : mapping
+        Telescope parameters.
+    k_fsm, k_pma : SampledSystem
+    stage : {"none", "isolator", "fsm", "fsm+pma"}
+        The loops that are closed; for ``none`` the system is that of the hard-mounted payload.
+    """
+
+    def __init__(
+        self, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+    ) -> None:
+        self.system, self.parameters, self.stage = system, parameters, stage
+        self.names = tuple(p.name for p in system.parameters)
+        self._q = q = len(system.channels)
+        self._channel = np.array([self.names.index(c) for c in system.channels])
+        self._nominal = np.array([p.nominal for p in system.parameters])
+        self._low = np.array([p.lower for p in system.parameters])
+        self._width = np.array([p.upper for p in system.parameters]) - self._low
+        self._response = FrequencyResponse.of(system.A, system.B, system.C, system.D)
+        self._u = slice(q, q + COMMANDS)
+        values, vectors = eigenpairs(system.A)
+        self._poles = values
+        self._left = system.C[q:] @ vectors
+        self._right = linalg.solve(vectors, system.B[:, self._u])
+        self._controllers = (k_fsm, k_pma)
+        self._gains = self._stage_gains(k_fsm)
+
+    def _stage_gains(self, k_fsm: SampledSystem) -> tuple[float, float]:
+        mirror = 0.0
+        if self.stage in MIRROR_STAGES:
+            own = DesignBasis(los_sensitivity=float(self.parameters["fsm"]["los_sensitivity"]))
+            mirror = -1.0 / DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(own)
+        return mirror, 1.0 if self.stage in FORCE_STAGES else 0.0
+
+    def point(self, values: dict[str, float]) -> FloatArray:
+        """Parameter values (nominal where none is given) as a point of the unit cube."""
+        table = dict(zip(self.names, self._nominal))
+        full = np.array([float(values.get(name, table[name])) for name in self.names])
+        return np.asarray((full - self._low) / self._width)
+
+    def values(self, point: FloatArray) -> dict[str, float]:
+        """Parameter values of a point of the unit cube."""
+        return dict(zip(self.names, (self._low + np.clip(point, 0.0, 1.0) * self._width).tolist()))
+
+    def delta(self, point: FloatArray) -> FloatArray:
+        """Entries of Delta, shape (..., 48), from points of the unit cube, shape (..., 7)."""
+        return np.asarray((self._low + point * self._width - self._nominal)[..., self._channel])
+
+    def control(self, omega: float) -> ComplexArray:
+        """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
+        z = np.exp(1j * omega * DT)
+        out = np.zeros((COMMANDS, MEASUREMENTS), complex)
+        k_fsm, k_pma = self._controllers
+        mirror, forces = self._gains
+        if mirror:
+            out[:2] = mirror * _sampled_response(k_fsm, z)
+            out[:2, CAMERA] *= np.mean(z ** -np.arange(FRAME_TICKS))
+        if forces:
+            out[2:, PLATFORM] = _sampled_response(k_pma, z)
+        return np.asarray(out / z)
+
+    def at(self, omega: float) -> ClosedAt:
+        """Close the loop at a frequency [rad/s]."""
+        return self._closed(omega, self._response.at([omega])[0])
+
+    def with_neighbour(self, omega: float, step: float) -> tuple[ClosedAt, ClosedAt]:
+        """The loop at a frequency [rad/s] and at ``omega exp(step)``."""
+        both = np.array([omega, omega * np.exp(step)])
+        first, second = (self._closed(float(w), G) for w, G in zip(both, self._response.at(both)))
+        return first, second
+
+    def _closed(self, omega: float, G: ComplexArray) -> ClosedAt:
+        q, y = self._q, self._q + MEASUREMENTS
+        s, z = 1j * omega, np.exp(1j * omega * DT)
+        hold = (1.0 - 1.0 / z) / (s * DT)
+        held = G[:, self._u] * hold
+        D = self.system.D[q:, self._u]
+        sampled = (self._left * _held_modes(self._poles, z)) @ self._right
+        continuous = (self._left / (s - self._poles)) @ self._right
+        # images of the held command through the nominal telescope; the direct path is sampled as it is
+        held[q:] += sampled - hold * continuous + (1.0 - hold) * D
+        K = self.control(omega)
+        returned = np.asarray(np.eye(COMMANDS) - K @ held[q:y], dtype=complex)
+        given = np.asarray(np.hstack([K, np.eye(COMMANDS)]), dtype=complex)
+        command = solve(returned[None], given[None])[0]
+        into = np.hstack([G[:, :q], G[:, self._u.stop :]])
+        applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
+        size = weight_amplitudes(self.parameters, np.array([omega]))[0]
+        whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
+        whole[:, q : q + size.size] *= size
+        rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
+        return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:])
+
+    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray]:
+        """Normalised gain and its gradient over the unit cube, shape (7,)."""
+        value, left, right, delta = self._singular(closed, metric, point)
+        M = closed.M
+        loop = linalg.lu_factor(np.eye(len(M)) - M * delta, check_finite=False)
+        z = linalg.lu_solve(loop, closed.T21[:, metric.columns] @ right)
+        # row vector l (I - Delta M)^-1 with l = u^H T12:  l + l Delta (I - M Delta)^-1 M
+        row = left.conj() @ closed.T12[metric.rows]
+        row = row + linalg.lu_solve(loop, row * delta, trans=1) @ M
+        slope = self.scale(metric, closed.omega) * np.real(row * z)
+        gradient = np.bincount(self._channel, slope, minlength=len(self.names)) * self._width
+        return value, np.asarray(gradient)
+
+    def singular_vectors(
+        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
+    ) -> tuple[float, ComplexArray, ComplexArray]:
+        """Normalised gain with its left and right singular vectors."""
+        return self._singular(closed, metric, point)[:3]
+
+    def _singular(
+        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
+    ) -> tuple[float, ComplexArray, ComplexArray, FloatArray]:
+        delta = self.delta(point)
+        T = self.responses(closed, metric, delta[None])[0]
+        U, s, Vh = linalg.svd(T, full_matrices=False)
+        return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj(), delta
+
+    def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
+        """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
+        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
+        loop = np.eye(len(closed.M)) - closed.M * delta[:, None, :]
+        z = solve(loop, np.broadcast_to(T21, (len(delta), *T21.shape)))
+        return np.asarray(T11 + (T12 * delta[:, None, :]) @ z)
+
+    def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
+        """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
+        whole = LoopMetric("sensitivity", slice(2, 10), slice(22, 30), 1.0, disturbed=False)
+        return self.responses(closed, whole, self.delta(points))
+
+    def scale(self, metric: LoopMetric, omega: float) -> float:
+        """Weight of the relative error, where it applies, over the limit."""
+        weight = 1.0
+        if metric.relative:
+            weight = float(rpe_weight(omega, self.parameters["weights"]["rpe_window"]))
+        return weight / metric.limit
+
+    def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:
+        """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
+        T = self.responses(closed, metric, self.delta(points))
+        return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
+
+
+def _sampled_response(system: SampledSystem, z: complex) -> ComplexArray:
+    if system.order == 0:
+        return np.asarray(system.D, dtype=complex)
+    shifted = np.asarray(z * np.eye(system.order) - system.A, dtype=complex)
+    return np.asarray(system.D + system.C @ solve(shifted[None], system.B.astype(complex)[None])[0])
+
+
+def _held_modes(poles: ComplexArray, z: complex) -> ComplexArray:
+    """Discrete response of modal coordinates to a held input: ``(e^(p dt) - 1) / p / (z - e^(p dt))``."""
+    x = poles * DT
+    growth = np.where(np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(poles == 0.0, 1.0, poles))
+    return np.asarray(growth / (z - np.exp(x)))

@@ -1,0 +1,142 @@
+"""Stability margins of the implemented loop: changes of its gain and delay, and what a peak of sensitivity guarantees.
+
+A peak Ms of the largest singular value of the sensitivity guarantees, for all channels together and one by one, the
+gain margin ``Ms / (Ms - 1)`` and the phase margin ``2 asin(1 / (2 Ms))``. With the complementary sensitivity T a
+delay tau keeps the loop stable while ``2 sin(w tau / 2) sigma(T(w)) < 1`` at all frequencies. The changes themselves
+(one more tick of delay, gains times 0.5 and 2) are checked by the eigenvalues of the changed loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_design.implemented_loop import ImplementedLoop
+from los_design.sampled_loop import SampledLoop
+from lti.batched_linalg import largest_gains
+from titop_plant.interface import COMMANDS, FORCE_STAGES, FORCES, MIRROR
+
+FloatArray = NDArray[np.float64]
+GAINS = (0.5, 2.0)
+"""Factors of the loop gain that the loop must bear, all channels alike and one at a time."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What a peak of the sensitivity at one point of the loop guarantees.
+
+    Parameters
+    ----------
+    sensitivity : float
+        Peak of the largest singular value.
+    delay : float
+        Guaranteed delay margin [s] of all channels of this point together.
+    """
+
+    sensitivity: float
+    delay: float
+
+    @property
+    def gain_db(self) -> float:
+        """Upper gain margin [dB]."""
+        return 20.0 * math.log10(self.sensitivity / (self.sensitivity - 1.0)) if self.sensitivity > 1.0 else math.inf
+
+    @property
+    def phase_deg(self) -> float:
+        """Phase margin [deg]."""
+        return math.degrees(2.0 * math.asin(min(1.0, 0.5 / self.sensitivity)))
+
+    def to_mapping(self) -> dict[str, float | str]:
+        """For JSON, which has no infinity."""
+        return {
+            "sensitivity": rounded(self.sensitivity),
+            "gain_db": rounded(self.gain_db, 4),
+            "phase_deg": rounded(self.phase_deg, 4),
+            "delay_ms": rounded(1e3 * self.delay, 4),
+        }
+
+
+def rounded(value: float, digits: int = 5) -> float | str:
+    """A number for JSON, which has no infinity: that is the text ``"inf"``."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
+
+
+def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, omega: FloatArray) -> float:
+    """Smallest guaranteed delay margin [s] over points of the unit cube (N, 7) and frequencies [rad/s].
+
+    Parameters
+    ----------
+    channels : slice
+        Of the commands: :data:`titop_plant.interface.MIRROR` or ``FORCES``.
+    """
+    smallest = math.inf
+    size = channels.stop - channels.start
+    for w in omega:
+        S = loop.sensitivities(loop.at(float(w)), points)[:, channels, channels]
+        T = float(largest_gains(S - np.eye(size)).max())
+        if T > 0.5:
+            smallest = min(smallest, 2.0 * math.asin(0.5 / T) / float(w))
+    return smallest
+
+
+def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, SampledLoop]]:
+    """The loop with one more tick of delay, and with other gains: (name, loop)."""
+    yield "one more tick", delayed(loop)
+    channels = range(COMMANDS if stage in FORCE_STAGES else MIRROR.stop)
+    for factor in GAINS:
+        yield f"gain x{factor:g}", scaled(loop, np.full(COMMANDS, factor))
+        for channel in channels:
+            gains = np.ones(COMMANDS)
+            gains[channel] = factor
+            kind = f"force {channel - FORCES.start + 1}" if channel >= FORCES.start else f"mirror {channel + 1}"
+            yield f"gain x{factor:g} at {kind}", scaled(loop, gains)
+
+
+def unstable_changes(loop: SampledLoop, stage: str) -> list[str]:
+    """Names of the changes that make the loop unstable."""
+    return [name for name, changed in changed_loops(loop, stage) if not changed.spectral_radius() < 1.0]
+
+
+def scaled(loop: SampledLoop, gains: FloatArray) -> SampledLoop:
+    """The loop with its commands multiplied by `gains` (8,)."""
+    rows = slice(loop.plant_order, loop.plant_order + COMMANDS)
+    changed: dict[str, Any] = {}
+    for name in ("frame", "hold", "noise_frame", "noise_hold"):
+        matrix = getattr(loop, name).copy()
+        matrix[rows] *= gains[:, None]
+        changed[name] = matrix
+    return replace(loop, **changed)
+
+
+def delayed(loop: SampledLoop) -> SampledLoop:
+    """The loop with one more tick of delay at all commands; 8 states more, before the camera value."""
+    V = np.arange(loop.plant_order, loop.plant_order + COMMANDS)
+    n = loop.hold.shape[0]
+    order = np.r_[np.arange(n - 2), np.arange(n, n + COMMANDS), n - 2, n - 1]
+
+    def later(A: FloatArray) -> FloatArray:
+        whole = np.zeros((n + COMMANDS, n + COMMANDS))
+        whole[:n, :n] = A
+        whole[:n, n:] = A[:, V]
+        whole[:n, V] = 0.0
+        whole[n + np.arange(COMMANDS), V] = 1.0
+        return np.asarray(whole[np.ix_(order, order)])
+
+    def widened(rows: FloatArray) -> FloatArray:
+        return np.asarray(np.vstack([rows, np.zeros((COMMANDS, rows.shape[1]))])[order])
+
+    truth = np.hstack([loop.truth, loop.truth[:, V]])
+    truth[:, V] = 0.0
+    return replace(
+        loop,
+        frame=later(loop.frame),
+        hold=later(loop.hold),
+        noise_frame=widened(loop.noise_frame),
+        noise_hold=widened(loop.noise_hold),
+        truth=truth[:, order],
+    )

@@ -1,0 +1,194 @@
+"""Control design for a telescope, from its parameters to a folder of verified designs.
+
+The folder holds ``k_fsm.json``, ``k_pma.json``, ``worst_points.json`` and ``verification.json``. A step whose file is
+there and was made for the same parameters, seed and effort is not repeated, so that an interrupted design goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from los_design.options import DesignOptions
+from los_design.synthesis import design_actuators, design_observer
+from los_design.verification import ImplementedCheck, broken_requirements, check_implemented, verification_points
+from los_design.worst_points import Search, SearchOptions, WorstPoint, store_worst_points, worst_of
+from lti import SampledSystem, UncertainSystem
+from lti.threads import one_thread
+from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.simulation import control_loop_plant
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import Parameters, parameters_hash
+
+Report = Callable[[str], None]
+EFFORTS = ("full", "short")
+SAMPLES = {"full": 200, "short": 20}
+"""Random parameter points of the verification, beside the nominal one and all corners (short: every eighth corner)."""
+SEARCHES = {
+    "full": SearchOptions(ascents=150, seed=77),
+    "short": SearchOptions(frequencies=200, points=40, ascents=40, iterations=20, seed=77),
+}
+
+
+@dataclass(frozen=True)
+class DesignSummary:
+    """Result of :func:`design_all`.
+
+    Parameters
+    ----------
+    folder : Path
+    check : ImplementedCheck
+        Of the pair, at verification points and at the worst points found.
+    not_met : list of str
+        One line for each requirement that is not met; empty if all are.
+    """
+
+    folder: Path
+    check: ImplementedCheck
+    not_met: list[str]
+
+    @property
+    def met(self) -> bool:
+        """Whether every requirement is met."""
+        return not self.not_met
+
+    @property
+    def gammas(self) -> dict[str, list[float]]:
+        """Gammas in the paper's order, mirror alone and with the proof-mass actuators."""
+        return {"fsm": self.check.fsm, "pma": self.check.pma}
+
+
+def design_all(
+    parameters: Parameters,
+    folder: Path,
+    *,
+    seed: int = 0,
+    effort: str = "full",
+    report: Report = lambda text: None,
+    resume: bool = True,
+    wall_limit: float = 3600.0,
+) -> DesignSummary:
+    """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of :func:`titop_plant.telescope.parameters.load_parameters`.
+    folder : Path
+        Made if it does not exist.
+    seed : int
+    effort : {"full", "short"}
+    report : callable
+        Receives one line for each step and round.
+    resume : bool
+        Keep the steps that are there already.
+    wall_limit : float
+        Of each controller's design [s].
+
+    Raises
+    ------
+    ValueError
+        Unknown effort, or a folder that cannot be written to.
+    """
+    if effort not in EFFORTS:
+        raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
+    _check_writable(folder)
+    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit)
+    with one_thread():
+        assembled = build_telescope(parameters)
+
+        def observer() -> SampledSystem:
+            return design_observer(assembled, parameters, options, lambda text: report(f"K_FSM: {text}"))
+
+        k_fsm = _step(folder / "k_fsm.json", observer, _key(parameters, seed, effort), resume, report)
+
+        def actuators() -> SampledSystem:
+            return design_actuators(assembled, parameters, k_fsm, options, lambda text: report(f"K_PMA: {text}"))
+
+        key = _key(parameters, seed, effort, k_fsm)
+        k_pma = _step(folder / "k_pma.json", actuators, key, resume, report)
+        report("worst points of the stages")
+        points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort])
+        save_worst_points(folder / "worst_points.json", parameters, k_fsm, k_pma, points)
+        system = control_loop_plant(assembled, parameters)
+        at = verification_points(parameters, system, SAMPLES[effort], seed + 1)
+        at = at if effort == "full" else [at[0], *at[1:129:8], *at[129:]]
+        adversarial = [dict(p.parameters) for p in points if p.stage in MIRROR_STAGES]
+        report(f"verification at {len(at) + len(adversarial)} parameter points")
+        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial])
+    not_met = broken_requirements(check)
+    content = {"implemented": check.to_mapping(), "not_met": not_met}
+    (folder / "verification.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return DesignSummary(folder, check, not_met)
+
+
+def worst_points_of(
+    parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, options: SearchOptions
+) -> list[WorstPoint]:
+    """Worst points of all stages: APE, slow and fast tones, and what else the stage has; ``RPE`` by name, too."""
+    systems: dict[bool, UncertainSystem] = {
+        isolated: control_loop_plant(build_telescope(parameters, isolated=isolated), parameters)
+        for isolated in (False, True)
+    }
+    found = []
+    for stage in STAGES:
+        search = Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options)
+        found += [replace(p, requirement=name) for name, p in worst_of(search.run()).items()]
+    return found
+
+
+def save_worst_points(
+    path: Path, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, points: list[WorstPoint]
+) -> None:
+    """Write worst points with the names of the parameters and controllers that they belong to."""
+    basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
+    store_worst_points(path, points, basis)
+
+
+def digest(system: SampledSystem) -> str:
+    """Twelve hexadecimal digits that name the matrices of a controller."""
+    content = b"".join(np.ascontiguousarray(getattr(system, key)).tobytes() for key in "ABCD")
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def _key(parameters: Parameters, seed: int, effort: str, k_fsm: SampledSystem | None = None) -> dict[str, Any]:
+    key: dict[str, Any] = {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
+    return key if k_fsm is None else {**key, "k_fsm": digest(k_fsm)}
+
+
+def _step(
+    path: Path, make: Callable[[], SampledSystem], key: dict[str, Any], resume: bool, report: Report
+) -> SampledSystem:
+    """The design in a file if it was made with the same key; otherwise made and written."""
+    if resume and path.exists():
+        found = SampledSystem.from_file(path)
+        if found.provenance.get("design_all") == key:
+            report(f"{path.name}: kept")
+            return found
+    made = make()
+    made = replace(made, provenance={**made.provenance, "design_all": key})
+    made.to_file(path)
+    report(f"{path.name}: {made.provenance['status']}")
+    return made
+
+
+def _check_writable(folder: Path) -> None:
+    """Make the folder and a file in it before hours of work.
+
+    Raises
+    ------
+    ValueError
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None

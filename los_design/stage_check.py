@@ -1,0 +1,158 @@
+"""One stage of the implemented loop at many parameter points: gammas with refined peaks, stability, kept margins.
+
+All points share the frequencies of one grid: at each of them the loop is closed once and every point costs a solution
+of order 48 (:mod:`los_design.implemented_loop`). Peaks near the largest of a metric are refined between the grid's
+frequencies. Stability, also with one more tick of delay and with other gains, is that of the eigenvalues of the exact
+periodic loop at every point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
+from los_design.margins import changed_loops
+from los_design.sampled_loop import sampled_loop
+from los_design.worst_points import Search, WorstPoint
+from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import largest_gains
+from titop_plant.interface import FRAME_TICKS
+from titop_plant.telescope.parameters import Parameters
+
+FloatArray = NDArray[np.float64]
+Values = Mapping[str, float]
+SLOW_STEP, FAST_STEP = 0.03, 0.003
+"""Relative step of the grid below and above :data:`FINE_FROM`."""
+FINE_FROM, FINE_TO = 60.0, 1000.0
+NEAR = 0.8
+"""Peaks above this part of the largest one of their metric are refined."""
+ACCURACY = 1e-6
+"""Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
+CHUNK = 100
+
+
+@dataclass(frozen=True)
+class StageCheck:
+    """Worst values of a stage over parameter points.
+
+    Parameters
+    ----------
+    stage : str
+    worst : dict of str to WorstPoint
+        By metric, over the stable points.
+    stable : ndarray of bool
+        For each point, whether the loop is stable.
+    unstable_changes : list of list of str
+        For each point, the changes of :func:`los_design.margins.changed_loops` that make it unstable.
+    envelope : dict of str to ndarray
+        Largest value over the points at each frequency of :func:`grid`, by metric.
+    """
+
+    stage: str
+    worst: dict[str, WorstPoint]
+    stable: NDArray[np.bool_]
+    unstable_changes: list[list[str]]
+    envelope: dict[str, FloatArray]
+
+
+def grid() -> FloatArray:
+    """Frequencies [rad/s] of a check: fine where the structure's modes are."""
+    slow = np.geomspace(1e-2, FINE_FROM, int(np.log(FINE_FROM / 1e-2) / SLOW_STEP))
+    fine = np.geomspace(FINE_FROM, FINE_TO, int(np.log(FINE_TO / FINE_FROM) / FAST_STEP))
+    above = np.geomspace(FINE_TO, HIGHEST, int(np.log(HIGHEST / FINE_TO) / SLOW_STEP))
+    return np.asarray(np.unique(np.concatenate([slow, fine, above])), dtype=float)
+
+
+def check_stage(
+    system: UncertainSystem,
+    parameters: Parameters,
+    pair: tuple[SampledSystem, SampledSystem],
+    stage: str,
+    points: Sequence[Values],
+    *,
+    changes: bool = True,
+    tick: Callable[[], None] = lambda: None,
+) -> StageCheck:
+    """Evaluate a stage at parameter points.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        As :func:`titop_plant.simulation.control_loop_plant` makes it.
+    parameters : mapping
+        Telescope parameters.
+    pair : (K_FSM, K_PMA)
+    stage : {"isolator", "fsm", "fsm+pma"}
+    points : sequence of mapping
+    changes : bool
+        Check the changed loops, too.
+    tick : callable
+        Called after each point's eigenvalues.
+    """
+    if not points:
+        raise ValueError("points must hold at least one parameter point, got none")
+    stable, unstable = [], []
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    for values in points:
+        loop = sampled_loop(
+            system.data_at(values), *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
+        )
+        stable.append(loop.spectral_radius() < 1.0)
+        found = changed_loops(loop, stage) if changes else ()
+        unstable.append([name for name, changed in found if not changed.spectral_radius() < 1.0])
+        tick()
+    search = Search(system, parameters, *pair, stage)
+    cube = np.array([search.loop.point(dict(values)) for values in points])
+    metrics, omega = loop_metrics(parameters, stage), grid()
+    peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable))
+    worst = {}
+    if any(stable):
+        worst = {name: _worst(search, metrics[name], *peaks[name], omega, cube) for name in metrics}
+    return StageCheck(stage, worst, np.array(stable), unstable, envelope)
+
+
+def _largest(
+    loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], omega: FloatArray, cube: FloatArray, stable: FloatArray
+) -> tuple[dict[str, tuple[FloatArray, NDArray[np.intp]]], dict[str, FloatArray]]:
+    """For each metric the largest value of every point with its place in the grid, and the envelope."""
+    value = {name: np.zeros(len(cube)) for name in metrics}
+    place = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
+    envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
+    whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
+    for k, w in enumerate(omega):
+        closed = loop.at(float(w))
+        for begin in range(0, len(cube), CHUNK):
+            part = slice(begin, begin + CHUNK)
+            T = loop.responses(closed, whole, loop.delta(cube[part]))
+            for name, metric in metrics.items():
+                if metric.band[0] <= w <= metric.band[1]:
+                    gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))
+                    gains = np.where(stable[part], gains, 0.0)
+                    higher = gains > value[name][part]
+                    value[name][part] = np.where(higher, gains, value[name][part])
+                    place[name][part] = np.where(higher, k, place[name][part])
+                    envelope[name][k] = max(envelope[name][k], float(gains.max()))
+    return {name: (value[name], place[name]) for name in metrics}, envelope
+
+
+def _worst(
+    search: Search, metric: LoopMetric, value: FloatArray, place: NDArray[np.intp], omega: FloatArray, cube: FloatArray
+) -> WorstPoint:
+    """Worst point of a metric, its peak and those near it refined."""
+    best = (0.0, 0.0, 0)
+    for i in np.flatnonzero(value >= NEAR * value.max()):
+        k = int(place[i])
+        ends = np.log(np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band))
+
+        def lower(x: float, point: FloatArray = cube[i]) -> float:
+            return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point[None])[0])
+
+        found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
+        refined = max((-float(found.fun), float(np.exp(found.x))), (float(value[i]), float(omega[k])))
+        best = max(best, (*refined, int(i)))
+    return search.confirmed(metric, best[1], cube[best[2]])

@@ -1,0 +1,128 @@
+"""Files and folders that appear whole or not at all: made under another name beside their place, then renamed.
+
+An exception on the way, KeyboardInterrupt included, removes what was made; the command line turns SIGINT, SIGTERM and
+SIGHUP into one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+MAX_NAME = 255
+"""Longest name of a file [byte]."""
+RESERVED = 32
+"""Bytes of a name that are left for the additions of temporary names and of the files in a bag."""
+
+
+def check_output(path: Path, what: str, *, new: bool = False, folder: bool = False) -> None:
+    """Refuse, before any work, a path where no output can be written.
+
+    Parameters
+    ----------
+    path : of the output
+    what : its name in messages, for instance ``--report``
+    new : refuse an existing one
+    folder : it will be a folder, and its parents are made as needed
+
+    Raises
+    ------
+    ValueError
+        Another kind of file is there, its folder is missing or may not be written to, the name is too long.
+    """
+    try:
+        _check(Path(path), what, new, folder)
+    except OSError as error:
+        raise ValueError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
+
+
+def _check(path: Path, what: str, new: bool, folder: bool) -> None:
+    if "\0" in str(path) or not path.name or len(os.fsencode(path.name)) > MAX_NAME - RESERVED:
+        raise ValueError(f"{what} must have a name of at most {MAX_NAME - RESERVED} bytes, got {str(path)[:80]!r}")
+    if path.exists() or path.is_symlink():
+        if new:
+            raise ValueError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
+        if path.is_dir() != folder:
+            raise ValueError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
+    parent = path.absolute().parent
+    while folder and not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir():
+        raise ValueError(
+            f"the folder of {what} must exist, got {parent}{' is not a folder' if parent.exists() else ''}"
+        )
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise ValueError(f"{what} must be in a folder that may be written to, got {parent}")
+
+
+def check_space(path: Path, size: float, what: str) -> None:
+    """Refuse an output that does not fit on its disk.
+
+    Raises
+    ------
+    ValueError
+        Less than `size` bytes are free there.
+    """
+    parent = path.absolute()
+    while not parent.exists():
+        parent = parent.parent
+    free = shutil.disk_usage(parent).free
+    if free < size:
+        raise ValueError(
+            f"{what} must fit on the disk of {parent}: needs about {size / 1e6:.0f} MB, got {free / 1e6:.0f}"
+        )
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """A path to write to; the file gets its name when the block ends without an exception.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with atomic_file(folder / "page.html") as temporary:
+    ...     _ = temporary.write_text("whole")
+    >>> [file.name for file in folder.iterdir()]
+    ['page.html']
+    """
+    temporary = _temporary(path)
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """A folder name to make and fill; it gets its name when the block ends without an exception.
+
+    Raises
+    ------
+    ValueError
+        Something with this name came into being meanwhile.
+    """
+    path.absolute().parent.mkdir(parents=True, exist_ok=True)
+    temporary = _temporary(path)
+    try:
+        yield temporary
+        if path.exists():
+            raise ValueError(f"{path} must be a new name, got one that came into being meanwhile")
+        os.rename(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole file, replacing an existing one."""
+    with atomic_file(path) as temporary:
+        temporary.write_text(text, "utf-8")

@@ -1,0 +1,93 @@
+"""Command ``los-testbed control``: change a run while it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+import yaml
+
+from los_testbed.config import NAMESPACE, RunConfig
+
+if TYPE_CHECKING:
+    from los_testbed.nodes.remote_control import RemoteControl
+
+control_app = typer.Typer(
+    help="Change a run of this machine while it goes on: stage, noise, disturbance, authority, camera, life cycle.",
+    no_args_is_help=True,
+)
+
+Domain = Annotated[int, typer.Option(help="ROS domain of the run; -1 for ROS_DOMAIN_ID or 0.")]
+Namespace = Annotated[str, typer.Option(help="Namespace of the run.")]
+At = Annotated[float | None, typer.Option(metavar="SECONDS", help="Time from the start of the run; default: now.")]
+Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="Wait for an answer at most this long.")]
+
+
+@contextmanager
+def _remote(domain: int, namespace: str, timeout: float) -> Iterator[RemoteControl]:
+    RunConfig(namespace=namespace, domain=domain)
+    from los_testbed.run.runner import check_ros
+
+    check_ros()
+    from los_testbed.nodes.remote_control import remote_control
+
+    with remote_control(domain, namespace, timeout) as remote:
+        yield remote
+
+
+@control_app.command()
+def stage(
+    loop: Annotated[str, typer.Argument(help="isolator, fsm or fsm+pma.")],
+    at: At = None,
+    domain: Domain = -1,
+    namespace: Namespace = NAMESPACE,
+    timeout: Timeout = 10.0,
+) -> None:
+    """Close the loops of another stage at one tick."""
+    with _remote(domain, namespace, timeout) as remote:
+        remote.change("stage", loop, at)
+
+
+@control_app.command()
+def fault(
+    name: Annotated[str, typer.Argument(help="noise, disturbance, camera_dropout, fsm_authority or pma_authority.")],
+    value: Annotated[str, typer.Argument(help="New value, such as true, false or 0.2.")],
+    at: At = None,
+    domain: Domain = -1,
+    namespace: Namespace = NAMESPACE,
+    timeout: Timeout = 10.0,
+) -> None:
+    """Change a setting of plant or controller at one tick."""
+    with _remote(domain, namespace, timeout) as remote:
+        remote.change(name, yaml.safe_load(value), at)
+
+
+def _turn(node: str, transition: str, domain: int, namespace: str, timeout: float) -> None:
+    if node not in ("estimator", "controller"):
+        raise ValueError(f"node must be estimator or controller, got {node!r}")
+    with _remote(domain, namespace, timeout) as remote:
+        remote.turn(node, transition)
+
+
+@control_app.command()
+def deactivate(
+    node: Annotated[str, typer.Argument(help="estimator or controller.")],
+    domain: Domain = -1,
+    namespace: Namespace = NAMESPACE,
+    timeout: Timeout = 10.0,
+) -> None:
+    """Fade the output of a node to zero."""
+    _turn(node, "deactivate", domain, namespace, timeout)
+
+
+@control_app.command()
+def activate(
+    node: Annotated[str, typer.Argument(help="estimator or controller.")],
+    domain: Domain = -1,
+    namespace: Namespace = NAMESPACE,
+    timeout: Timeout = 10.0,
+) -> None:
+    """Fade the output of a node in again."""
+    _turn(node, "activate", domain, namespace, timeout)

@@ -1,0 +1,179 @@
+"""Settings that change while a run goes on: each at one tick, checked before, and kept for the record."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from los_testbed.config import RunConfig
+from titop_plant.interface import RATE, TICK_NS
+
+NEVER = 1 << 62
+MAX_KEPT = 100
+"""Changes that are kept for the record; the first ones stay."""
+
+NAMES = {
+    "plant": ("noise", "disturbance", "camera_dropout"),
+    "controller": ("loop", "fsm_authority", "pma_authority"),
+}
+"""Settings that may change during a run, by the node that applies them."""
+
+ALIASES = {"stage": "loop"}
+
+ACTIVE = "active"
+"""Change that lets the output of a node fade to zero or in again."""
+
+Apply = Callable[[Any], None]
+
+
+def parse_change(text: str) -> tuple[str, Any, float | None]:
+    """Name, value and time [s] of a change given as JSON: ``{"name": "camera_dropout", "value": 0.2, "at": 3.5}``.
+
+    Without ``at`` it applies at the next tick.
+
+    Raises
+    ------
+    ValueError
+        Not such an object.
+
+    Examples
+    --------
+    >>> parse_change('{"name": "stage", "value": "fsm"}')
+    ('loop', 'fsm', None)
+    """
+    try:
+        content = json.loads(text)
+    except ValueError:
+        content = None
+    if not isinstance(content, dict) or not {"name", "value"} <= set(content) <= {"name", "value", "at"}:
+        raise ValueError(f"fault must be a JSON object with name, value and perhaps at, got {text!r}")
+    name, at = content["name"], content.get("at")
+    if not isinstance(name, str):
+        raise ValueError(f"name of a fault must be a text, got {name!r}")
+    if at is not None and (isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at < 1e6):
+        raise ValueError(f"at must be seconds from the start of the run, got {at!r}")
+    return ALIASES.get(name, name), content["value"], None if at is None else float(at)
+
+
+@dataclass
+class Changes:
+    """Changes of the settings of one node.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Settings at the start.
+    appliers : mapping of str to callable
+        What each setting that may change does with a new value.
+    limits : mapping of str to float
+        Largest values of the authorities: those of the start.
+
+    Examples
+    --------
+    >>> changes = Changes(RunConfig(), {"loop": print})
+    >>> changes.request("loop", "fsm", at=0.002)
+    >>> for tick in range(4):
+    ...     changes.advance(tick * TICK_NS)
+    fsm
+    >>> changes.record()
+    {'changes': '[{"tick": 2, "name": "loop", "value": "fsm"}]'}
+    """
+
+    config: RunConfig
+    appliers: Mapping[str, Apply]
+    limits: Mapping[str, float] = field(default_factory=dict)
+    due: int = NEVER
+    now: int = -1
+    told: list[tuple[str, Any]] = field(default_factory=list)
+    _pending: list[tuple[int, str, Any]] = field(default_factory=list)
+    _applied: list[tuple[int, str, Any]] = field(default_factory=list)
+
+    def check(self, name: str, value: Any, at: float | None = None) -> Any:
+        """The value as the setting takes it.
+
+        Raises
+        ------
+        ValueError
+            A setting that cannot change, a value out of range, a time that has passed.
+        """
+        if name not in self.appliers:
+            known = ", ".join(sorted(self.appliers)) or "nothing"
+            raise ValueError(f"name must be a setting that this node can change ({known}), got {name!r}")
+        checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
+        if name == "loop" and (checked == "none") != (self.config.loop == "none"):
+            raise ValueError(
+                f"loop must be a stage with the isolator as at the start, {self.config.loop}: it is part of the plant, "
+                f"got {checked}"
+            )
+        if name in self.limits and not 0.0 < checked <= self.limits[name]:
+            raise ValueError(
+                f"{name} must be positive and at most {self.limits[name]:g} as at the start, got {checked:g}"
+            )
+        if at is not None and at * 1e9 <= self.now:
+            raise ValueError(f"at must be later than {max(self.now, 0) / 1e9:.3f} s, got {at:g} s")
+        return checked
+
+    def enqueue(self, name: str, value: Any, due: int = 0) -> None:
+        """Apply a checked value `due` [ns] after the first tick; 0: at the next tick."""
+        self._pending.append((due, name, value))
+        self._pending.sort(key=lambda change: change[0])
+        self.due = self._pending[0][0]
+
+    def request(self, name: str, value: Any, at: float | None = None) -> None:
+        """Apply a change at a time of the run [s], without one at the next tick; see :meth:`check` for the errors."""
+        self.enqueue(name, self.check(name, value, at), 0 if at is None else round(at * RATE) * TICK_NS)
+
+    def advance(self, since_start: int) -> None:
+        """Apply what is due at this tick, `since_start` [ns] after the first one."""
+        self.now = since_start
+        while since_start >= self.due:
+            _, name, value = self._pending.pop(0)
+            self.due = self._pending[0][0] if self._pending else NEVER
+            self.appliers[name](value)
+            self.told.append((name, value))
+            if len(self._applied) < MAX_KEPT:
+                self._applied.append((since_start // TICK_NS, name, value))
+
+    def record(self) -> dict[str, str]:
+        """The changes so far as a value of the statistics; nothing where there were none."""
+        rows = [{"tick": tick, "name": name, "value": value} for tick, name, value in self._applied]
+        return {"changes": json.dumps(rows)} if rows else {}
+
+
+class Fade:
+    """Weight of a node's output: 1 while it is active, else down to 0 along a raised cosine, and back.
+
+    Parameters
+    ----------
+    ticks : int
+        Length of the fade.
+
+    Examples
+    --------
+    >>> fade = Fade(2)
+    >>> fade.turn(False)
+    >>> [round(fade.weight(), 3) for _ in range(3)]
+    [0.5, 0.0, 0.0]
+    """
+
+    def __init__(self, ticks: int) -> None:
+        self._weights = [0.5 - 0.5 * math.cos(math.pi * i / ticks) for i in range(ticks)] + [1.0]
+        self._last = self._at = ticks
+        self._step = 1
+
+    def turn(self, active: bool) -> None:
+        """Fade in, or out, from the next tick on."""
+        self._step = 1 if active else -1
+
+    @property
+    def whole(self) -> bool:
+        """Whether the weight is 1 and stays so."""
+        return self._at == self._last and self._step > 0
+
+    def weight(self) -> float:
+        """Weight of this tick; called once a tick unless it is whole."""
+        self._at = min(max(self._at + self._step, 0), self._last)
+        return self._weights[self._at]

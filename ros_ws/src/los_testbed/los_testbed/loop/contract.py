@@ -1,0 +1,67 @@
+"""Contract of a plant of one's own, checked before the run: what is wrong is named, with attribute, shape or value."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.factories import Plant
+from titop_plant.interface import COLUMNS as PORTS
+from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
+
+CAMERA = "camera_los"
+_UNTOUCHED = -1.2345678901234567e-300
+"""Value that no plant writes: what still has it after a step was not written."""
+
+
+class ContractError(ValueError):
+    """An object of the user that is not what the loop needs; the message says what it must be and what it is."""
+
+
+def port_of(vector: NDArray[np.float64], where: NDArray[np.bool_]) -> str:
+    """Name of the first marked element of a measurement (22,), for instance ``accel_M1[2]``; else its number."""
+    index = int(np.flatnonzero(where)[0])
+    if len(vector) == MEASUREMENTS:
+        for name, columns in PORTS.items():
+            if name.startswith(("accel", "camera", "fsm_angle")) and columns.start <= index < columns.stop:
+                return f"{name}[{index - columns.start}]"
+    return f"[{index}]"
+
+
+def check_plant(plant: Plant) -> None:
+    """Try one step of a plant from its initial state, and put it back there.
+
+    Raises
+    ------
+    ContractError
+        An attribute is missing or of another type, `step` fails, leaves something unwritten, writes values that are not
+        finite, or changes the command.
+    """
+    for name in ("step", "reset"):
+        if not callable(getattr(plant, name, None)):
+            raise ContractError(f"plant.{name} must be a method, got {getattr(plant, name, 'none')!r}")
+    frame = getattr(plant, "frame_ticks", None)
+    if isinstance(frame, bool) or not isinstance(frame, (int, np.integer)) or not 1 <= frame <= RATE:
+        raise ContractError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
+    command = np.zeros(COMMANDS)
+    measurement, truth = np.full(MEASUREMENTS, _UNTOUCHED), np.full(TRUTH, _UNTOUCHED)
+    shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
+    try:
+        plant.reset()
+        plant.step(command, measurement, truth)
+        plant.reset()
+    except Exception as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {what}") from error
+    if command.any():
+        raise ContractError("plant.step must leave its command alone, got another one after the step")
+    camera = np.zeros(MEASUREMENTS, bool)
+    camera[PORTS[CAMERA]] = True
+    for name, vector, may_be_nan in (("measurement", measurement, camera), ("truth", truth, np.zeros(TRUTH, bool))):
+        untouched = vector == _UNTOUCHED
+        if untouched.any():
+            raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
+        odd = ~np.isfinite(vector) & ~may_be_nan
+        if odd.any():
+            value = vector[np.flatnonzero(odd)[0]]
+            raise ContractError(f"plant.step must write finite values, got {value:g} in {name} {port_of(vector, odd)}")

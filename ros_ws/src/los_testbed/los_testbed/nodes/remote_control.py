@@ -1,0 +1,119 @@
+"""Requests to the nodes of a run from another process: settings, faults, life cycle."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from los_testbed.loop.changes import ALIASES, NAMES
+from los_testbed.nodes.support.middleware import choose_middleware
+from los_testbed.nodes.support.parameters import FAULT
+from los_testbed.run.runner import RANGE_VARIABLE
+
+TRANSITIONS = {"activate": Transition.TRANSITION_ACTIVATE, "deactivate": Transition.TRANSITION_DEACTIVATE}
+
+
+class NoAnswerError(RuntimeError):
+    """No node answered in time."""
+
+
+class RemoteControl:
+    """Clients of the nodes in a namespace.
+
+    Parameters
+    ----------
+    node : Node
+        Node of the client.
+    namespace : str
+        Where the run is.
+    timeout : float
+        Wait for an answer at most this long [s].
+    """
+
+    def __init__(self, node: Node, namespace: str, timeout: float = 10.0) -> None:
+        self._node = node
+        self._namespace = namespace.rstrip("/")
+        self._timeout = timeout
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+
+    def change(self, name: str, value: Any, at: float | None = None) -> None:
+        """Change a setting of the run, at once or `at` seconds after its start.
+
+        Raises
+        ------
+        ValueError
+            Refused by the node that applies it, or no such setting.
+        NoAnswerError
+            The node does not answer.
+        """
+        name = ALIASES.get(name, name)
+        owners = [node for node, names in NAMES.items() if name in names]
+        if not owners:
+            known = ", ".join(sorted({*ALIASES, *(n for names in NAMES.values() for n in names)}))
+            raise ValueError(f"name must be a setting that can change during a run ({known}), got {name!r}")
+        change = {"name": name, "value": value, **({} if at is None else {"at": at})}
+        parameter = Parameter(FAULT, value=json.dumps(change))
+        request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+        (result,) = self._call(SetParameters, f"{owners[0]}/set_parameters", request).results
+        if not result.successful:
+            raise ValueError(result.reason)
+
+    def turn(self, node: str, transition: str) -> None:
+        """Activate or deactivate estimator or controller.
+
+        Raises
+        ------
+        ValueError
+            Refused: it is in that state already.
+        NoAnswerError
+            The node does not answer.
+        """
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+        if not self._call(ChangeState, f"{node}/change_state", request).success:
+            state = {"activate": "inactive", "deactivate": "active"}[transition]
+            raise ValueError(f"{node} must be {state} for the transition {transition}, got another state")
+
+    def _call(self, kind: Any, name: str, request: Any) -> Any:
+        service = f"{self._namespace}/{name}"
+        client = self._node.create_client(kind, service)
+        try:
+            end = time.monotonic() + self._timeout
+            if not client.wait_for_service(self._timeout):
+                raise NoAnswerError(f"a run must be going on, got no service {service} within {self._timeout:g} s")
+            future = client.call_async(request)
+            self._executor.spin_until_future_complete(future, max(0.1, end - time.monotonic()))
+            if not future.done():
+                raise NoAnswerError(f"{service} must answer within {self._timeout:g} s, got nothing")
+            return future.result()
+        finally:
+            self._node.destroy_client(client)
+
+
+@contextmanager
+def remote_control(domain: int, namespace: str, timeout: float) -> Iterator[RemoteControl]:
+    """Clients in a process of their own; `domain` -1 is that of the environment."""
+    os.environ.setdefault(RANGE_VARIABLE, "LOCALHOST")
+    os.environ.setdefault("ROS_LOG_DIR", "/tmp")
+    choose_middleware(os.environ)
+    context = Context()
+    rclpy.init(context=context, domain_id=None if domain < 0 else domain)
+    node = Node(f"control_{os.getpid()}", context=context)
+    try:
+        yield RemoteControl(node, namespace, timeout)
+    finally:
+        node.destroy_node()
+        context.shutdown()

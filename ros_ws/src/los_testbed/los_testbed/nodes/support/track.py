@@ -1,0 +1,195 @@
+"""Topics of the recorder: messages since the last chunk, and what is known of each topic altogether."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from los_testbed.bags.cdr import Codec, CodecError, stamp_of
+from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.topics import DIAGNOSTICS_TOPIC
+from pointing_analysis.cdr import ENCAPSULATION
+
+MAX_DISORDER = 1000
+"""Periods that a sample may come after a later one and still count."""
+
+MAX_WAITING = 5000
+"""Messages kept while it is not decided whose they are."""
+
+UNKNOWN_NS = 1_000_000_000
+"""Time [ns] within which the graph knows the node of a publisher."""
+
+Taken = tuple[bytes, dict[str, int]]
+
+
+class Track:
+    """What came on one topic from its matched publisher since the last chunk, and what is known of it altogether."""
+
+    def __init__(self, path: str, subscription: RawSubscription, period_ns: int, codec: Codec | None = None) -> None:
+        self.path = path
+        self.codec = codec
+        self.unreadable = 0
+        self._numbers = np.zeros(codec.size if codec else 0)
+        self.subscription = subscription
+        self.waiting: list[tuple[Stream | None, Taken]] = []
+        self.period_ns = period_ns
+        self.data: list[bytes] = []
+        self.received: list[int] = []
+        self.sent: list[int] = []
+        self.held = False
+        self.first = 0
+        self.last = 0
+        self.distinct = 0
+        self._missing: set[int] = set()
+
+    def drain(self) -> int:
+        """Take everything that waits; the number of messages kept."""
+        take, sort, before = self.subscription.take, self.subscription.sort, len(self.data)
+        now = time.monotonic_ns()
+        self._keep_decided()
+        while (taken := take()) is not None:
+            source = sort(taken, now)
+            if not self._readable(taken[0]):
+                continue
+            if source == OURS:
+                self._keep(taken)
+            elif source == UNMATCHED and len(self.waiting) < MAX_WAITING:
+                self.waiting.append((self.subscription.guard.latest, taken))
+        if len(self.data) > before and self.period_ns:
+            self._note(self.data[before:])
+        return len(self.data) - before
+
+    def _keep_decided(self) -> None:
+        """Messages that came before their publisher was matched."""
+        matched = self.subscription.guard.matched
+        if self.waiting and matched is not None and any(stream is matched for stream, _ in self.waiting):
+            for stream, taken in self.waiting:
+                if stream is matched:
+                    self._keep(taken)
+            self.waiting = []
+
+    def _keep(self, taken: Taken) -> None:
+        message, times = taken
+        self.held = bool(self.period_ns) and len(message) >= 12 and stamp_of(message) == HOLD_STAMP
+        if not self.held:
+            self.data.append(message)
+            self.received.append(times["received_timestamp"])
+            self.sent.append(times["source_timestamp"])
+
+    def _readable(self, message: bytes) -> bool:
+        """A message cut short would make the bag unreadable for others; it is counted instead."""
+        if self.codec is None or (len(message) == self.codec.length and message[:2] == ENCAPSULATION[:2]):
+            return True
+        try:
+            self.codec.decode(message, self._numbers)
+        except CodecError:
+            self.unreadable += 1
+            return False
+        return True
+
+    def _note(self, messages: list[bytes]) -> None:
+        for message in messages:
+            stamp = stamp_of(message) if len(message) >= 12 else 0
+            if stamp <= 0 or stamp % self.period_ns:
+                continue
+            if stamp > self.last:
+                if self.last and stamp - self.last > self.period_ns:
+                    self._note_gap(stamp)
+                self.first = self.first or stamp
+                self.last = stamp
+                self.distinct += 1
+            elif stamp in self._missing:  # out of order, not lost
+                self._missing.remove(stamp)
+                self.distinct += 1
+
+    def _note_gap(self, stamp: int) -> None:
+        """The periods between the last sample and this one may still come, out of order."""
+        oldest = stamp - MAX_DISORDER * self.period_ns
+        self._missing = {old for old in self._missing if old > oldest}
+        self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
+
+    def begin_again(self) -> None:
+        """Another run begins: what is known of the last one is forgotten."""
+        self.first = self.last = self.distinct = self.unreadable = 0
+        self._missing.clear()
+
+    def lost(self, first: int, last: int) -> int:
+        """Samples that should lie in this span of stamps and did not come."""
+        expected = last // self.period_ns - (first - 1) // self.period_ns
+        return max(0, expected - self.distinct)
+
+
+class ReportTrack(Track):
+    """Diagnostics of one node, on the topic of its own; `statistics` are the values of the last one.
+
+    A report names its publisher (``header.frame_id``), and the graph must know that as one of the node's.
+    """
+
+    def __init__(self, subscription: RawSubscription) -> None:
+        super().__init__(subscription.name, subscription, 0)
+        self.statistics: dict[str, str] = {}
+        self._refused = 0
+        self._undecided: list[tuple[int, str, Taken]] = []
+        self._known: set[str] = set()
+        subscription.guard.node = subscription.guard.expected
+
+    @property
+    def foreign(self) -> int:
+        """Reports that were not of the node."""
+        return self._refused + len(self._undecided)
+
+    def drain(self) -> int:
+        """Take everything that waits; the number of messages kept."""
+        before, now = len(self.data), time.monotonic_ns()
+        while (taken := self.subscription.take()) is not None:
+            if self._readable(taken[0]):
+                self._undecided.append((now, read_diagnostics(taken[0])[0], taken))
+        if self._undecided:
+            self._decide(now)
+        return len(self.data) - before
+
+    def _readable(self, message: bytes) -> bool:
+        try:
+            read_diagnostics(message)
+        except CodecError:
+            self.unreadable += 1
+            return False
+        return True
+
+    def _decide(self, now_ns: int) -> None:
+        """Keep the reports whose publisher is the node's; one that the graph does not know yet is waited for."""
+        unknown: set[str] = set()
+        if any(publisher not in self._known for _, publisher, _ in self._undecided):
+            nodes = {endpoint.gid: endpoint.node for endpoint in self.subscription.endpoints()}
+            self._known |= {gid for gid, node in nodes.items() if node == self.subscription.guard.expected}
+            unknown = {publisher for _, publisher, _ in self._undecided if not nodes.get(publisher)} - self._known
+        waiting = []
+        for since, publisher, taken in self._undecided:
+            if publisher in self._known:
+                self._keep(taken)
+                self.statistics = dict(*(values for _, values in read_diagnostics(taken[0])[1][-1:]))
+            elif publisher in unknown and now_ns - since < UNKNOWN_NS:
+                waiting.append((since, publisher, taken))
+            else:
+                self._refused += 1
+        self._undecided = waiting
+
+
+def merge(reports: Sequence[Track]) -> Track:
+    """The reports of all nodes as one topic, in order of arrival; they are taken from their tracks."""
+    merged = Track(DIAGNOSTICS_TOPIC, reports[0].subscription, 0)
+    rows = sorted(
+        (row for report in reports for row in zip(report.received, report.sent, report.data)), key=lambda row: row[0]
+    )
+    for received, sent, data in rows:
+        merged.received.append(received)
+        merged.sent.append(sent)
+        merged.data.append(data)
+    for report in reports:
+        report.data, report.received, report.sent = [], [], []
+    return merged

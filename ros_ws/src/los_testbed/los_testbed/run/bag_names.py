@@ -1,0 +1,27 @@
+"""Names of the bags of one run: NAME, and NAME-2, NAME-3 ... where a recorder had to begin anew."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+from pathlib import Path
+
+
+def free_name(base: Path) -> Path:
+    """Name of another bag beside `base`: the next number that is free."""
+    return next(path for n in itertools.count(2) if not (path := base.with_name(f"{base.name}-{n}")).exists())
+
+
+def recorded(base: Path) -> str:
+    """Where the record of a run that failed is, as the end of a message; empty without one."""
+    found = [path for path in sorted(base.parent.glob(f"{glob.escape(base.name)}*")) if _is_bag(path, base)]
+    if not found:
+        return ""
+    names = ", ".join(str(path) for path in found)
+    return f"; recorded until then: {names} (if it is not complete: los-testbed bag repair {found[-1]})"
+
+
+def _is_bag(path: Path, base: Path) -> bool:
+    """Whether this is the folder that was asked for, or one with a number behind it."""
+    rest = path.name[len(base.name) :]
+    return path.is_dir() and (not rest or (rest[0] == "-" and rest[1:].isdigit()))

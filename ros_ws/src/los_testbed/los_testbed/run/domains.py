@@ -1,0 +1,51 @@
+"""ROS domains of this machine: one run for each domain and namespace, and a domain that nobody uses."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator
+
+MAX_DOMAIN = 101
+"""Above it the ports of a domain may be those that the system gives to any program."""
+
+PORT_BASE, DOMAIN_GAIN, FIRST_PARTICIPANT = 7400, 250, 10
+"""Ports of DDS: base, step from domain to domain, offset of the first participant's unicast discovery."""
+
+
+@contextlib.contextmanager
+def domain_lock(domain: int, namespace: str) -> Iterator[None]:
+    """Hold a namespace of a domain for one run on this machine.
+
+    Raises
+    ------
+    ValueError
+        Another run holds it.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
+        try:
+            # No file: the kernel frees the name when the process ends, however it ends.
+            held.bind(f"\0los_testbed_domain_{domain}{namespace}")
+        except OSError:
+            what = f"a ROS domain without another run in namespace {namespace} on this machine"
+            raise ValueError(f"--domain must be {what}, got {domain}") from None
+        yield
+
+
+def free_domain(namespace: str) -> int:
+    """Smallest domain, 0 to 101, in which no participant of this machine listens and no run holds the namespace.
+
+    Raises
+    ------
+    ValueError
+        All of them are in use.
+    """
+    for domain in range(MAX_DOMAIN + 1):
+        with (
+            contextlib.suppress(OSError, ValueError),
+            domain_lock(domain, namespace),
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
+        ):
+            probe.bind(("", PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT))
+            return domain
+    raise ValueError(f"a ROS domain from 0 to {MAX_DOMAIN} must be free on this machine, got participants in all")

@@ -1,0 +1,194 @@
+"""A run that is changed while it goes on: settings at one tick, faults, life cycle, refusals, the record."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+from bystander import middleware
+from los_testbed.config import FIELDS, RunConfig, read_yaml
+from los_testbed.nodes.remote_control import NoAnswerError, RemoteControl
+from los_testbed.run.runner import Runner, environment, node_command
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from ros_faults import run_with_fault
+from ros_runs import PLANT, config_for, topic_hashes
+
+from pointing_analysis.read import Run
+from titop_plant.interface import TICK_NS
+
+pytestmark = pytest.mark.ros
+COMMAND = [sys.executable, "-m", "los_testbed.cli.app", "control"]
+
+
+class User:
+    """Remote control in this process, with a context of its own."""
+
+    def __init__(self, domain, namespace="/telescope", timeout=20.0):
+        with middleware():
+            self.context = Context()
+            self.context.init(domain_id=domain)
+            self.node = Node("user", context=self.context)
+        self.remote = RemoteControl(self.node, namespace, timeout)
+
+    def dump(self, name):
+        """All parameters of a node, as `ros2 param dump` asks for them."""
+        names = self.remote._call(ListParameters, f"{name}/list_parameters", ListParameters.Request()).result.names
+        request = GetParameters.Request(names=names)
+        values = self.remote._call(GetParameters, f"{name}/get_parameters", request).values
+        return {n: parameter_value_to_python(v) for n, v in zip(names, values, strict=True)}
+
+    def refused(self, call, *arguments):
+        with pytest.raises(ValueError) as error:
+            call(*arguments)
+        return str(error.value)
+
+    def close(self):
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture(scope="module")
+def controlled(tmp_path_factory):
+    """One run in real time with all that a user may do."""
+    folder = tmp_path_factory.mktemp("controlled")
+    found = {}
+
+    def use(runner):
+        user = User(runner.domain)
+        remote = user.remote
+        try:
+            found["dumps"] = {name: user.dump(name) for name in ("plant", "estimator", "controller", "recorder")}
+            found["refused"] = {
+                "stage": user.refused(remote.change, "stage", "none"),
+                "unknown": user.refused(remote.change, "stage", "fast"),
+                "range": user.refused(remote.change, "camera_dropout", 1.5),
+                "authority": user.refused(remote.change, "fsm_authority", 1.0),
+                "past": user.refused(remote.change, "noise", False, 0.01),
+                "name": user.refused(remote.change, "seed", 3),
+                "active": user.refused(remote.turn, "controller", "activate"),
+            }
+            remote.turn("controller", "deactivate")
+            time.sleep(0.5)
+            remote.turn("controller", "activate")
+            remote.change("disturbance", False)
+            command = [*COMMAND, "stage", "isolator", "--domain", str(runner.domain)]
+            done = subprocess.run(command, env=environment(runner._config, folder), capture_output=True, text=True)
+            found["command"] = done.returncode, done.stderr
+            time.sleep(0.5)
+            found["after"] = user.dump("controller")["loop"]
+        finally:
+            user.close()
+
+    results = run_with_fault(folder, 700, use, after=500)
+    run = Run.open(results.bag)
+    changes = {
+        (c["name"], c["value"]): c["tick"]
+        for node in ("plant", "controller")
+        for c in json.loads(run.parameters["statistics"][node]["changes"])
+    }
+    return found, results, run, changes
+
+
+def test_every_parameter_is_dumped_with_a_value_and_makes_the_same_node_again(controlled, tmp_path):
+    for name, dump in controlled[0]["dumps"].items():
+        assert set(FIELDS) <= set(dump), name
+        assert None not in dump.values(), name
+    dump = {n: v.tolist() if hasattr(v, "tolist") else v for n, v in controlled[0]["dumps"]["controller"].items()}
+    file = tmp_path / "controller.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**dump, "camera_rate": 30.0}}}))
+    ours = {n: v for n, v in read_yaml(file).items() if n in FIELDS}
+    assert RunConfig.from_mapping({**ours, "camera_rate": 50.0}).to_mapping() == {**ours, "camera_rate": 50.0}
+    config = config_for(tmp_path)
+    command = [*node_command("controller"), "--ros-args", "--params-file", str(file)]
+    done = subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=60)
+    assert "must divide" in done.stderr, "the only value in the file that was made wrong"
+
+
+def test_what_is_out_of_range_or_in_the_wrong_state_is_refused_with_the_reason(controlled):
+    refused = controlled[0]["refused"]
+    assert refused["stage"].startswith("loop must be a stage with the isolator")
+    assert refused["unknown"].startswith("loop must be one of")
+    assert refused["range"] == "camera_dropout must be between 0 and 1 1, got 1.5"
+    assert refused["authority"].startswith("fsm_authority must be positive and at most")
+    assert refused["past"].startswith("at must be later than")
+    assert refused["name"].startswith("name must be a setting that can change during a run")
+    assert refused["active"].startswith("controller must be inactive")
+    assert not any(line in str(controlled[3]) for line in ("none", "fast", "seed"))
+
+
+def test_an_inactive_controller_brings_the_actuators_smoothly_to_zero_and_back(controlled):
+    _, _, run, changes = controlled
+    angle, stamp = run["fsm/command"].values[:, :2], run["fsm/command"].stamp
+    tick = (stamp - run["truth/los"].stamp[0]) // TICK_NS
+    inside = (tick > changes["active", False] + 60) & (tick < changes["active", True] - 5)
+    assert inside.sum() > 20
+    assert np.all(angle[inside] == 0.0)
+    largest = np.abs(angle).max()
+    assert largest > 5e-5
+    rates = np.abs(np.diff(angle, axis=0)).max(axis=1) / np.diff(tick)
+    fading = (tick[1:] > 600) & (tick[1:] < changes["loop", "isolator"])
+    assert rates[fading].max() < 0.2 * largest, "over 20 ticks, not at once"
+
+
+def test_changes_apply_at_the_tick_that_the_bag_names(controlled):
+    found, _, run, changes = controlled
+    assert found["command"] == (0, "")
+    command, truth = run["fsm/command"], run["truth/los"]
+    tick = (command.stamp - truth.stamp[0]) // TICK_NS
+    switched = changes["loop", "isolator"]
+    assert np.all(command.values[tick >= switched, :2] == 0.0)
+    assert np.any(command.values[(tick < switched) & (tick > switched - 50), :2] != 0.0)
+    assert found["after"] == "isolator", "the parameter follows"
+    quiet = truth.values[(truth.stamp - truth.stamp[0]) // TICK_NS >= max(switched, changes["disturbance", False]) + 50]
+    assert len(quiet) > 100
+    assert np.abs(quiet).max() < 1e-7
+
+
+def test_a_change_at_a_tick_gives_the_same_bits_twice_in_lockstep(tmp_path):
+    changes = {
+        "controller": {"name": "stage", "value": "isolator", "at": 0.8},
+        "plant": {"name": "camera_dropout", "value": 1.0, "at": 0.4},
+    }
+    hashes = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        commands = {}
+        for node, change in changes.items():
+            file = folder / f"{node}.yaml"
+            file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"fault": json.dumps(change)}}}))
+            own = PLANT if node == "plant" else node_command(node)
+            commands[node] = [*own, "--ros-args", "--params-file", str(file)]
+        config = config_for(folder, mode="lockstep", duration=1.2)
+        results = Runner(config, commands={"plant": PLANT, **commands}).run()
+        hashes.append(topic_hashes(folder / "bag"))
+    assert hashes[0] == hashes[1]
+    run = Run.open(results.bag)
+    zero = np.all(run["fsm/command"].values[:, :2] == 0.0, axis=1)
+    assert np.flatnonzero(zero)[-400:].tolist() == list(range(800, 1200))
+    assert not zero[500:800].any()
+    frames = np.isnan(run["camera/los"].values[:, 0])
+    assert np.flatnonzero(frames).tolist() == list(range(20, 60))
+
+
+def test_without_a_run_the_control_says_so(tmp_path):
+    config = config_for(tmp_path)
+    user = User(config.domain, timeout=0.3)
+    try:
+        with pytest.raises(NoAnswerError, match="a run must be going on, got no service /telescope/controller/"):
+            user.remote.change("stage", "fsm")
+    finally:
+        user.close()
+    command = [*COMMAND, "deactivate", "plant", "--domain", str(config.domain)]
+    done = subprocess.run(command, env={**os.environ}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "node must be estimator or controller, got 'plant'" in done.stderr

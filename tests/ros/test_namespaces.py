@@ -1,0 +1,96 @@
+"""Two testbeds on one domain of one machine, each in its namespace: names, counts and verdicts of its own."""
+
+import threading
+
+import pytest
+
+pytest.importorskip("rclpy")
+from bystander import Bystander
+from los_testbed.config import RunConfig
+from los_testbed.run.domains import domain_lock, free_domain
+from los_testbed.run.runner import Runner
+from mcap.reader import make_reader
+from ros_faults import diagnostics
+from ros_runs import PLANT, config_for, span_of
+
+from pointing_analysis.read import Run
+
+pytestmark = pytest.mark.ros
+SEEDS = {"/foo": 3, "/foo/bar": 4}
+TICKS = {"/foo": 3000, "/foo/bar": 4000}
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """Results of two runs at the same time."""
+    found = {}
+
+    def run(namespace):
+        folder = tmp_path_factory.mktemp("run")
+        values = {"namespace": namespace, "seed": SEEDS[namespace], "duration": TICKS[namespace] / 1000}
+        found[namespace] = Runner(config_for(folder, **values), commands={"plant": PLANT}).run()
+
+    threads = [threading.Thread(target=run, args=(namespace,)) for namespace in SEEDS]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(found) == set(SEEDS)
+    return found
+
+
+@pytest.mark.parametrize("namespace", SEEDS)
+def test_each_run_counts_its_own_ticks_and_is_alone_on_its_topics(both, namespace):
+    results = both[namespace]
+    assert not results.failures
+    plant = results.statistics["plant"]
+    assert plant["ticks"] == str(TICKS[namespace])
+    assert 0 <= int(plant["missed_ticks"]) <= int(plant["ticks"]) + int(plant["skipped_periods"])
+    assert not [name for name in results.statistics["recorder"] if name.startswith(("foreign", "second"))]
+
+
+@pytest.mark.parametrize("namespace", SEEDS)
+def test_the_bag_has_the_names_that_were_used_and_its_own_statistics(both, namespace):
+    bag = both[namespace].bag
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
+    assert {topic for topic in topics if not topic.startswith(f"{namespace}/")} == {"/diagnostics"}
+    run = Run.open(bag)
+    assert run.namespace == namespace
+    assert run.parameters["namespace"] == namespace
+    assert run.parameters["seed"] == SEEDS[namespace]
+    assert run.parameters["statistics"]["plant"]["ticks"] == str(TICKS[namespace])
+    missing = len(span_of(run)) - len(run["truth/los"])
+    assert int(run.parameters["statistics"]["recorder"].get(f"lost_{namespace}/truth/los", 0)) == missing
+
+
+@pytest.mark.parametrize("namespace", SEEDS)
+def test_the_bag_holds_the_diagnostics_of_its_own_nodes(both, namespace):
+    assert list(diagnostics(both[namespace].bag, "plant", namespace.strip("/")))
+    (other,) = set(SEEDS) - {namespace}
+    assert not list(diagnostics(both[namespace].bag, "plant", other.strip("/")))
+
+
+def test_a_free_domain_is_one_without_participants_and_without_a_run():
+    first = free_domain("/telescope")
+    with domain_lock(first, "/telescope"):
+        second = free_domain("/telescope")
+        assert second > first
+        with pytest.raises(ValueError, match="must be a ROS domain without another run in namespace /telescope"):
+            domain_lock(first, "/telescope").__enter__()
+    assert 0 <= first < second <= 101
+
+
+def test_a_domain_with_a_participant_is_not_free():
+    domain = free_domain("/another")
+    stranger = Bystander(domain, wait=False)
+    try:
+        assert free_domain("/another") != domain
+    finally:
+        stranger.close()
+
+
+@pytest.mark.parametrize("name", ["foo", "", "/foo/", "/foo//bar", "/9", "/a b"])
+def test_a_namespace_is_an_absolute_name(name):
+    with pytest.raises(ValueError, match="namespace must be an absolute ROS name such as /telescope, got"):
+        RunConfig(namespace=name)

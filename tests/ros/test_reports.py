@@ -1,0 +1,97 @@
+"""Diagnostics as the recorder reads them, and second publishers as the graph shows them."""
+
+import random
+
+import pytest
+
+pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from los_testbed.bags.cdr import CodecError
+from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.loop.source_guard import Endpoint, SourceGuard
+from los_testbed.nodes.support.source_watch import UNKNOWN_LOOKS, SourceWatch
+from rclpy.serialization import serialize_message
+
+pytestmark = pytest.mark.ros
+VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}
+TOPIC = "/telescope/truth/los"
+PLANT, STRANGER, PROGRAM = Endpoint("1", "/telescope/plant"), Endpoint("2", "/stranger"), Endpoint("3", "")
+
+
+def report(count=2):
+    values = [KeyValue(key=key, value=value) for key, value in VALUES.items()]
+    array = DiagnosticArray()
+    array.header.frame_id = "0a1b"
+    array.status = [DiagnosticStatus(name=f"telescope: {i}", message="m" * i, values=values) for i in range(count)]
+    return serialize_message(array)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_reports_are_read_as_the_middleware_writes_them(count):
+    assert read_diagnostics(report(count)) == ("0a1b", [(f"telescope: {i}", VALUES) for i in range(count)])
+
+
+def test_a_report_cut_anywhere_is_refused():
+    whole = report(1)
+    for length in range(len(whole) - 3):  # the last three bytes pad to a multiple of four
+        with pytest.raises(CodecError):
+            read_diagnostics(whole[:length])
+
+
+def test_any_bytes_are_read_or_refused():
+    chance, whole = random.Random(1), bytearray(report())
+    refused = 0
+    for _ in range(3000):
+        damaged = bytearray(whole)
+        for _ in range(chance.randint(1, 4)):
+            damaged[chance.randrange(len(damaged))] = chance.randrange(256)
+        try:
+            read_diagnostics(bytes(damaged))
+        except CodecError:
+            refused += 1
+    assert refused > 300
+
+
+class Graph:
+    """Node and subscription at once, with the publishers that a test gives it."""
+
+    def __init__(self, *endpoints):
+        self.name, self.guard, self.seen = TOPIC, SourceGuard(node="/telescope/plant"), list(endpoints)
+
+    def count_publishers(self, name):
+        return len(self.seen)
+
+    def endpoints(self):
+        return self.seen
+
+    def decide(self, now_ns):
+        return None
+
+
+def test_a_second_publisher_is_reported_at_the_first_look_and_once():
+    """The recorder looks every 20 ms."""
+    graph = Graph(PLANT)
+    watch = SourceWatch(graph, [graph])
+    assert watch.look(0) == []
+    graph.seen.append(STRANGER)
+    assert watch.look(0) == [(TOPIC, "/stranger")]
+    assert watch.look(0) == []
+    graph.seen.remove(STRANGER)
+    assert watch.look(0) == []
+    assert watch.statistics() == {f"second_publishers_{TOPIC}": "1"}
+
+
+def test_a_publisher_without_a_node_is_reported_when_none_becomes_known():
+    graph = Graph(PLANT, PROGRAM)
+    watch = SourceWatch(graph, [graph])
+    looks = [watch.look(0) for _ in range(UNKNOWN_LOOKS + 2)]
+    assert looks.count([(TOPIC, "unknown")]) == 1
+    assert looks.count([]) == UNKNOWN_LOOKS + 1
+
+
+def test_a_restarted_plant_is_no_second_publisher_and_interleaved_messages_of_its_name_are():
+    graph = Graph(PLANT, Endpoint("4", "/telescope/plant"))
+    watch = SourceWatch(graph, [graph])
+    assert watch.look(0) == []
+    graph.guard.doubled = True
+    assert watch.look(0) == [(TOPIC, "of the same name")]

@@ -1,0 +1,49 @@
+"""Runs with a fault in the middle, and what the nodes said about it."""
+
+import threading
+
+from los_testbed.run.runner import Runner
+from ros_runs import PLANT, config_for
+
+
+def run_with_fault(folder, at, fault, duration=None, after=500, **values):
+    """Run, and call `fault(runner)` once in a thread when `at` ticks are done.
+
+    The run goes on for `duration`; without one it is ended `after` ticks after the fault returned.
+    """
+    state, errors = {}, []
+
+    def act():
+        try:
+            fault(runner)
+        except BaseException as error:
+            errors.append(error)
+
+    def progress(ticks):
+        if ticks >= at and "thread" not in state:
+            state["thread"] = threading.Thread(target=act)
+            state["thread"].start()
+        over = duration is None and "thread" in state and not state["thread"].is_alive()
+        if over and ticks - state.setdefault("end", ticks) >= after:
+            raise KeyboardInterrupt
+
+    runner = Runner(config_for(folder, duration=duration or 60.0, **values), progress, {"plant": PLANT})
+    try:
+        return runner.run()
+    finally:
+        if "thread" in state:
+            state["thread"].join()
+        assert not errors, errors
+
+
+def diagnostics(bag, name, namespace="telescope"):
+    """Times of arrival [ns], levels and messages of one node, in order."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from mcap.reader import make_reader
+    from rclpy.serialization import deserialize_message
+
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(topics=["/diagnostics"]):
+            for status in deserialize_message(message.data, DiagnosticArray).status:
+                if status.name == f"{namespace}: {name}":
+                    yield message.log_time, status.level[0], status.message

@@ -1,0 +1,152 @@
+"""Settings that change at a tick: order, checks, the plant and the controller that they act on."""
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import build_controller
+from los_testbed.loop.changes import NAMES, Changes, Fade, parse_change
+
+from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
+from titop_plant.sampled_plant import SampledPlant, Segment, SensorModel
+
+
+def recording():
+    """Changes of a plant and what was applied, with the tick at which it was."""
+    applied = []
+    changes = Changes(RunConfig(), {n: lambda value, n=n: applied.append((n, value)) for n in NAMES["plant"]})
+    return changes, applied
+
+
+def test_changes_apply_in_the_order_of_their_ticks_and_are_recorded():
+    changes, applied = recording()
+    changes.request("camera_dropout", 0.5, at=0.003)
+    changes.request("noise", False, at=0.001)
+    changes.request("disturbance", False)
+    counts = []
+    for tick in range(5):
+        changes.advance(tick * TICK_NS)
+        counts.append(len(applied))
+    assert counts == [1, 2, 2, 3, 3]
+    assert applied == [("disturbance", False), ("noise", False), ("camera_dropout", 0.5)]
+    assert [row["tick"] for row in json.loads(changes.record()["changes"])] == [0, 1, 3]
+
+
+def test_a_change_for_a_tick_that_was_missed_applies_at_the_next_one():
+    changes, applied = recording()
+    changes.request("noise", False, at=0.002)
+    changes.advance(1 * TICK_NS)
+    changes.advance(7 * TICK_NS)
+    assert applied == [("noise", False)]
+    assert json.loads(changes.record()["changes"]) == [{"tick": 7, "name": "noise", "value": False}]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "at", "reason"),
+    [
+        ("seed", 2, None, "name must be a setting that this node can change"),
+        ("noise", 1, None, "noise must be true or false, got 1"),
+        ("camera_dropout", float("nan"), None, "camera_dropout must be between 0 and 1"),
+        ("noise", False, 0.005, "at must be later than 0.010 s, got 0.005 s"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_changes_nothing(name, value, at, reason):
+    changes, applied = recording()
+    changes.advance(10 * TICK_NS)
+    with pytest.raises(ValueError, match=reason):
+        changes.request(name, value, at)
+    changes.advance(11 * TICK_NS)
+    assert not applied
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "fsm", "[]", "{}", '{"name": "loop"}', '{"name": "loop", "value": "fsm", "when": 1}',
+     '{"name": 3, "value": 1}',
+     '{"name": "loop", "value": "fsm", "at": -1}', '{"name": "loop", "value": "fsm", "at": "soon"}'],
+)  # fmt: skip
+def test_a_fault_that_is_no_change_is_refused(text):
+    with pytest.raises(ValueError, match="must be"):
+        parse_change(text)
+
+
+def test_a_fade_is_smooth_both_ways_and_can_turn_round():
+    fade = Fade(20)
+    assert fade.whole
+    fade.turn(False)
+    down = [fade.weight() for _ in range(12)]
+    fade.turn(True)
+    up = [fade.weight() for _ in range(12)]
+    assert fade.whole
+    weights = np.array([1.0, *down, *up])
+    assert np.abs(np.diff(weights)).max() <= np.pi / 40
+    assert down == sorted(down, reverse=True) and up == sorted(up)
+
+
+def small_plant(dropout=0.0):
+    """Measurement 20 is the sine of one tone; no dynamics."""
+    step = np.zeros((MEASUREMENTS + TRUTH, COMMANDS + 2))
+    step[20, COMMANDS + 1] = 1.0
+    sensors = SensorModel(np.full(MEASUREMENTS, 0.1), np.zeros(MEASUREMENTS), 2, dropout, 3)
+    segment = Segment(1 << 60, step, np.exp(1j * np.array([0.3])))
+    tones = np.array([300.0])
+    return SampledPlant([segment], np.zeros(0), sensors, np.ones(COMMANDS), dt=1e-3, tones=tones, parameters_hash="")
+
+
+def outputs(plant, changes, ticks=100):
+    """Measurements when `changes` (tick to name and value) are made."""
+    y, truth, rows = np.zeros(MEASUREMENTS), np.zeros(TRUTH), []
+    for tick in range(ticks):
+        if tick in changes:
+            plant.change(*changes[tick])
+        plant.step(np.zeros(COMMANDS), y, truth)
+        rows.append(y.copy())
+    return np.array(rows)
+
+
+def test_the_plant_without_noise_and_with_it_again_is_the_same_from_then_on():
+    whole, cut = outputs(small_plant(), {}), outputs(small_plant(), {30: ("noise", 0), 60: ("noise", 1)})
+    same = np.r_[0:30, 60:100]
+    assert np.array_equal(whole[same], cut[same], equal_nan=True)
+    assert np.allclose(cut[30:60, 20], np.sin(0.3 * np.arange(30, 60)))
+
+
+def test_the_phases_of_the_disturbance_go_on_while_it_is_off():
+    whole = outputs(small_plant(), {})
+    cut = outputs(small_plant(), {30: ("disturbance", 0), 60: ("disturbance", 1)})
+    same = np.r_[0:30, 60:100]
+    assert np.array_equal(whole[same], cut[same], equal_nan=True)
+    assert np.abs(cut[30:60, 20]).max() < 0.5 < np.abs(whole[30:60, 20]).max()
+
+
+def test_frames_are_dropped_from_the_tick_of_the_change_and_a_reset_undoes_it():
+    plant = small_plant()
+    lost = np.isnan(outputs(plant, {40: ("camera_dropout", 1.0)})[::2, 18])
+    assert lost.tolist() == [tick >= 40 for tick in range(0, 100, 2)]
+    plant.reset()
+    assert not np.isnan(outputs(plant, {})[::2, 18]).any()
+    with pytest.raises(ValueError, match="name must be noise, disturbance or camera_dropout"):
+        plant.change("seed", 1)
+
+
+def test_the_controller_opens_and_closes_loops_and_limits_at_the_next_step():
+    controller, fresh = build_controller(RunConfig()), build_controller(RunConfig())
+    estimate, accel, u, v = np.full(2, 1e-5), np.full(6, 1e-3), np.zeros(COMMANDS), np.zeros(COMMANDS)
+    for _ in range(50):
+        controller.step(estimate, accel, u)
+    assert np.any(u[MIRROR]) and np.any(u[FORCES])
+    controller.switch("isolator")
+    controller.step(estimate, accel, u)
+    assert not np.any(u)
+    controller.switch("fsm")
+    controller.step(estimate, accel, u)
+    assert np.any(u[MIRROR]) and not np.any(u[FORCES])
+    controller.switch("fsm+pma")
+    for _ in range(3):
+        controller.step(estimate, accel, u)
+        fresh.step(estimate, accel, v)
+    assert np.array_equal(u, v), "K_PMA starts from its zero state"
+    controller.limit(fsm_authority=1e-6)
+    controller.step(np.full(2, 1e-3), accel, u)
+    assert np.abs(u[MIRROR]).max() == 1e-6

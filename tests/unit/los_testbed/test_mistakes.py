@@ -1,0 +1,254 @@
+"""Damaged files, hostile names and odd numbers: one line, exit code 2 or a verdict, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from los_testbed.cli import app as cli
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from simple_telescope import SimpleTelescope, write_controllers
+
+from pointing_analysis.bag_metadata import METADATA_NAME
+from pointing_analysis.read import Run
+from pointing_analysis.synthetic import write_bag
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(folder))
+    run_in_process(config, folder / "bag", SimpleTelescope())
+    return folder
+
+
+@pytest.fixture
+def bag(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made / "bag", tmp_path / "bag"))
+
+
+@pytest.fixture
+def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+def one_line(err: str) -> bool:
+    return (
+        err.startswith("los-testbed: ") and err.count("\n") == 1 and "Traceback" not in err and "unexpected" not in err
+    )
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        None, [], "text", {"relative_file_paths": None}, {"relative_file_paths": [None]}, {"relative_file_paths": [3]},
+        {"relative_file_paths": [["bag_0.mcap"]]}, {"relative_file_paths": {"a": 1}}, {"compression_mode": [1]},
+        {"topics_with_message_count": 7}, {"topics_with_message_count": [{"topic_metadata": None}]},
+        {"relative_file_paths": ["../outside.mcap"]}, {"relative_file_paths": ["/etc/passwd"]},
+        {"relative_file_paths": ["a\0b"]},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_an_odd_metadata_yaml_is_told_and_the_file_beside_it_read(bag: Path, info: object) -> None:
+    text = yaml.safe_dump({"rosbag2_bagfile_information": info})
+    (bag / "metadata.yaml").write_text(text)
+    run = Run.open(bag)
+    assert len(run["truth/los"]) == 3000
+    odd = not isinstance(info, dict) or "relative_file_paths" in info
+    assert any("metadata.yaml" in problem for problem in run.problems) == odd
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "&a [*a]", "a: b: c", "\x00", "{" * 200, "1e400000: x"])
+def test_metadata_yaml_that_is_none_is_told(bag: Path, text: str) -> None:
+    (bag / "metadata.yaml").write_text(text)
+    run = Run.open(bag)
+    assert len(run["truth/los"]) == 3000
+    assert any("metadata.yaml" in problem for problem in run.problems)
+
+
+def test_a_symbolic_link_in_a_bag_is_not_followed(bag: Path, tmp_path: Path) -> None:
+    (bag / "bag_0.mcap").rename(tmp_path / "outside.mcap")
+    (bag / "bag_0.mcap").symlink_to(tmp_path / "outside.mcap")
+    run = Run.open(bag)
+    assert any("outside the folder" in problem for problem in run.problems)
+
+
+def parameters(path: Path, **values: object) -> Path:
+    los = [[1e-9 * i, 0.0] for i in range(3000)]
+    return write_bag(path, {"truth/los": los}, parameters=values)
+
+
+ODD_STATISTICS = [
+    7, "text", [1], {"plant": 3}, {"plant": {"ticks": "many"}}, {"plant": {"ticks": []}}, {"recorder": None},
+    {"plant": {"ticks": "1e999", "missed_ticks": "nan"}},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("value", ODD_STATISTICS, ids=str)
+def test_statistics_of_another_type_are_left_out(call: Call, tmp_path: Path, value: object) -> None:
+    code, out, err = call("analyse", parameters(tmp_path / "odd", statistics=value, loop="fsm"), "--json")
+    assert (code, err.count("Traceback")) == (0, 0)
+    assert json.loads(out.splitlines()[-1])["ticks"] == 3000
+
+
+def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path) -> None:
+    bag = parameters(tmp_path / "b[bold]x[/nothing]", loop="[/red]a", scenario="[x]", mode="[/]")
+    for command in ("analyse", "report"):
+        code, out, _ = call(command, bag)
+        assert code == 0 and "[/red]a" in out
+        assert "b[bold]x[/nothing]" in out.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["analyse", "{bag}", "--transient=1e308"], ["--transient", "1e+308"]),
+        (["analyse", "{bag}", "--transient=nan"], ["--transient", "nan"]),
+        (["analyse", "{bag}", "--transient=-1"], ["--transient", "-1"]),
+        (["analyse", "{bag}", "--max-chunk=0"], ["--max-chunk"]),
+        (["report", "{bag}", "--start=nan"], ["--start", "nan"]),
+        (["report", "{bag}", "--start=2", "--stop=1"], ["--stop", "--start = 2"]),
+        (["replay", "{bag}", "--domain=999"], ["--domain", "232", "999"]),
+        (["replay", "{bag}", "--to-ros", "--timeout=nan"], ["--timeout", "nan"]),
+        (["replay", "{bag}", "--to-ros", "--timeout=inf"], ["--timeout", "inf"]),
+        (["run", "--domain=999"], ["domain", "232", "999"]),
+        (["run", "--set=seed=.inf"], ["seed", "inf"]),
+        (["run", "--set=seed=" + "9" * 400], ["seed", "digits"]),
+        (["run", "--set=wheel_speed=" + "[" * 100], ["wheel_speed", "nested"]),
+        (["run", "--duration=1e999"], ["duration"]),
+        (["run", "--output={bag}"], ["exists already"]),
+        (["run", "--output=" + "x" * 300], ["name of at most"]),
+        (["design", "verify", "--samples=-1"], ["--samples", "-1"]),
+        (["design", "k-fsm", "--time-limit=nan"], ["--time-limit", "nan"]),
+        (["design", "k-fsm", "--output=no/such/folder/k.json"], ["folder of --output", "no/such"]),
+        (["analyse", "{bag}", "--report=no/such/r.html"], ["folder of the report"]),
+        (["analyse", "{bag}", "--report={bag}"], ["must be a file"]),
+        (["report", "{bag}", "--output=no/such/r.html"], ["folder of --output"]),
+        (["replay", "{bag}", "--output={bag}"], ["exists already"]),
+        (["bag", "repair", "{bag}", "--output={bag}"], ["exists already"]),
+        (["bag", "repair", "nothing"], ["no such bag"]),
+        (["stages", "--output={bag}"], ["exists already"]),
+        (["plant", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
+    ],
+    ids=lambda value: " ".join(value)[:60],
+)  # fmt: skip
+def test_a_mistake_is_told_before_any_work(call: Call, bag: Path, arguments: list[str], words: list[str]) -> None:
+    before = sorted(path for path in bag.parent.rglob("*"))
+    code, out, err = call(*(a.format(bag=bag) if "{bag}" in a else a for a in arguments))
+    assert code == 2 and out == "" and one_line(err), err
+    for word in words:
+        assert word in err
+    assert sorted(path for path in bag.parent.rglob("*")) == before
+
+
+def nested(depth: int) -> str:
+    return "[" * depth + "]" * depth
+
+
+@pytest.mark.parametrize("text", ["9" * 400, nested(100_000), "1e999"])
+def test_odd_numbers_and_nesting_in_a_controller_name_the_file(
+    call: Call, made: Path, tmp_path: Path, text: str
+) -> None:
+    content = json.loads((made / "k_fsm.json").read_text())
+    content["D"][0][0] = "ODD"
+    (tmp_path / "odd.json").write_text(json.dumps(content).replace('"ODD"', text))
+    code, _, err = call("run", "--mode=inprocess", "--k-fsm=odd.json", f"--k-pma={made / 'k_pma.json'}")
+    assert code == 2 and one_line(err) and "odd.json" in err
+
+
+@pytest.mark.parametrize(
+    ("option", "name"), [("--config", "deep.yaml"), ("--parameters", "deep.toml"), ("--cases", "deep.yaml")]
+)
+def test_deep_nesting_names_the_file(call: Call, tmp_path: Path, option: str, name: str) -> None:
+    (tmp_path / name).write_text(f"a = {nested(20_000)}" if name.endswith("toml") else nested(20_000))
+    more = ["--case=x"] if option == "--cases" else []
+    code, _, err = call("run", "--mode=inprocess", f"{option}={name}", *more)
+    assert code == 2 and one_line(err) and name in err
+
+
+def test_requirements_nested_deep_name_the_file(call: Call, bag: Path, tmp_path: Path) -> None:
+    for name, text in (("r.toml", f"requirement = {nested(20_000)}"), ("r.yaml", nested(20_000)), ("s.toml", "a = ")):
+        (tmp_path / name).write_text(text)
+        code, _, err = call("report", bag, f"--requirements={name}", "--output=r.html")
+        assert code == 2 and one_line(err) and name in err
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Path, tmp_path: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    at = data.rfind(b"inprocess", 0, data.rfind(b"statistics"))
+    file.write_bytes(data[:at] + b"inprocuss" + data[at + 9 :])
+    assert data != file.read_bytes()
+    for command in ("analyse", "report"):
+        code, out, _ = call(command, bag, "--json")
+        assert code == 0
+        content = json.loads(out.splitlines()[-1])
+        content = content if command == "analyse" else content["runs"][0]
+        assert content["mode"] == "inprocess", "the other record holds"
+        assert any(METADATA_NAME in problem and "hash" in problem for problem in content["problems"])
+    assert "does not agree with its hash" in (bag / "report.html").read_text()
+
+
+def test_a_failed_report_leaves_nothing_and_the_old_one(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pointing_analysis import report
+
+    (bag / "report.html").write_text("old")
+    before = sorted(bag.iterdir())
+
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(KeyboardInterrupt):
+        report.write_report([Run.open(bag)], bag / "report.html")
+    assert sorted(bag.iterdir()) == before and (bag / "report.html").read_text() == "old"
+
+
+def test_a_failed_repair_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from los_testbed.bags import repair
+
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(repair, "_copy_messages", fail)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        repair.repair_bag(bag, tmp_path / "new")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_partial_list_of_tables_in_a_parameter_file_is_refused_or_complete(tmp_path: Path) -> None:
+    """It must not replace the default in silence."""
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    reference = load_parameters(REFERENCE)
+    lists = [
+        (table, key)
+        for table, content in reference.items()
+        for key, value in (content.items() if isinstance(content, dict) else ())
+        if isinstance(value, (list, tuple)) and value and isinstance(value[0], dict)
+    ]
+    for table, key in lists:
+        (tmp_path / "own.toml").write_text(f"[[{table}.{key}]]\n")
+        with pytest.raises(ValueError, match=r"own\.toml"):
+            load_parameters(tmp_path / "own.toml")

@@ -1,0 +1,59 @@
+"""Budget of the relative error: combined level against drawn errors, limits, weights of the bands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from titop_plant.telescope.budget import (
+    BAND_EDGE,
+    CONFIDENCE,
+    band_error_weight,
+    band_weight,
+    combined_level,
+    error_budget,
+    largest_tone,
+)
+from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.weights import rpe_weight
+
+
+@pytest.mark.parametrize(("tone", "noise"), [(20.0, 11.0), (5.0, 10.0), (30.0, 3.0), (0.0, 8.0)])
+def test_the_level_holds_for_drawn_errors(tone: float, noise: float) -> None:
+    """99.7 % of a million drawn errors are inside; the standard deviation of their count is 1.8 % of 0.3 %."""
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((2, 1_000_000)) * noise / np.sqrt(2.0)
+    error = np.hypot(x + tone * np.sin(rng.uniform(0.0, 2.0 * np.pi, x.size)), y)
+    outside = np.mean(error > combined_level(tone, noise))
+    assert outside == pytest.approx(1.0 - CONFIDENCE, rel=0.09)
+
+
+def test_closed_forms_at_the_ends() -> None:
+    """Noise alone: Rayleigh, r sqrt(ln(1/0.003)); a tone alone: the sine is above the level for 0.3 % of its phases."""
+    assert combined_level(0.0, 10.0) == pytest.approx(10.0 * np.sqrt(-np.log(1.0 - CONFIDENCE)), rel=1e-9)
+    assert combined_level(10.0, 0.0) == pytest.approx(10.0 * np.sin(0.5 * np.pi * CONFIDENCE), rel=1e-12)
+    assert largest_tone(16.7, 40.0) == 0.0
+    assert combined_level(largest_tone(11.0, 40.0), 11.0) == pytest.approx(40.0, rel=1e-9)
+    with pytest.raises(ValueError, match="must not be negative, got -1"):
+        combined_level(-1.0, 2.0)
+
+
+def test_the_bands_divide_the_power_at_their_edge() -> None:
+    """Butterworth: the squares of both add up to one at every frequency, and are equal at the edge."""
+    slow, fast = (band_weight(band).data_at({}).to_control() for band in ("slow", "fast"))
+    for omega in (3.0, 60.0, BAND_EDGE, 145.0, 700.0):
+        pair = np.array([slow(1j * omega)[0, 0], fast(1j * omega)[0, 0]])
+        assert np.sum(np.abs(pair) ** 2) == pytest.approx(1.0, rel=1e-12)
+    assert abs(slow(1j * BAND_EDGE)[1, 1]) == pytest.approx(np.sqrt(0.5))
+    with pytest.raises(ValueError, match="band must be slow or fast, got 'middle'"):
+        band_weight("middle")
+
+
+def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> None:
+    parameters = load_parameters()
+    budget = error_budget(parameters)
+    assert combined_level(budget.slow, budget.noise) <= budget.limit
+    assert combined_level(budget.tone, budget.total_noise) == pytest.approx(budget.limit)
+    assert budget.noise <= budget.total_noise and budget.fast_mirror > budget.fast
+    weight = band_error_weight(parameters, "fast").to_control()
+    assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)

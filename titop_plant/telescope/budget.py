@@ -1,0 +1,174 @@
+"""Budget of the relative error: slow tones, fast tones and sensor noise share the limit of 40 mas.
+
+The limit is asked of 99.7 % of the windows of 20 ms, whatever made the error. A tone of amplitude a along one axis and
+Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a random phase of the tone outside of a circle of
+radius L with the probability
+
+    P = mean over phi of Q(L; a |sin phi|, r / sqrt 2),   Q: upper tail of the Rice distribution
+
+:func:`combined_level` is the L with P = 0.3 %. For tones above half of L it is about ``a + 1.7 r``; noise alone has
+2.41 r.
+
+Tones are split at :data:`BAND_EDGE`: below it the proof-mass actuators, with their own mode at 5.3 rad/s and a noisy
+accelerometer, do nothing for the line of sight; above it they act. The two weights of :func:`band_weight` divide a
+requirement at this frequency.
+
+The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
+tones, K_PMA for the fast tones that are left. Below the line the sum keeps 40 mas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, signal, stats
+
+from lti import Port, StateSpace, UncertainSystem, cascade, state_space
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import relative_error_weight
+
+FloatArray = NDArray[np.float64]
+
+BAND_EDGE = 85.0
+"""Frequency [rad/s] between slow and fast tones."""
+
+CONFIDENCE = 0.997
+"""Part of the windows that must keep the limit."""
+
+NOISE, SLOW, FAST_MIRROR, FAST = 0.285, 0.5, 1.875, 0.8
+"""Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
+with both controllers."""
+
+TOTAL_NOISE = 0.2875
+"""Share of the noise (rms) with both controllers; the rest is for tones."""
+
+MAX_SENSITIVITY, TUNED_SENSITIVITY = 2.0, 1.95
+"""Largest singular value of a sensitivity that a design may have, and the one that it is tuned for."""
+
+BAND_ORDER = 4
+PHASES = 400
+
+
+def combined_level(tone: float, noise: float) -> float:
+    """Radius that 99.7 % of the windows keep with a tone and noise together.
+
+    Parameters
+    ----------
+    tone : float
+        Amplitude of the relative error along one axis.
+    noise : float
+        Relative error due to noise, rms over both axes; same unit.
+
+    Returns
+    -------
+    float
+        In the same unit.
+
+    Examples
+    --------
+    >>> round(combined_level(0.0, 10.0), 2), round(combined_level(23.0, 10.0), 1)
+    (24.1, 40.0)
+    """
+    if not (tone >= 0.0 and noise >= 0.0):
+        raise ValueError(f"tone and noise must not be negative, got {tone} and {noise}")
+    if noise == 0.0:
+        return float(tone * np.sin(0.5 * np.pi * CONFIDENCE))
+    low, high = 0.0, tone + 5.0 * noise
+    return float(optimize.brentq(lambda level: _outside(level, tone, noise) - (1.0 - CONFIDENCE), low, high))
+
+
+def largest_tone(noise: float, limit: float) -> float:
+    """Largest amplitude of a tone that keeps `limit` beside `noise` (rms over both axes); 0 if noise alone breaks it.
+
+    Examples
+    --------
+    >>> [round(largest_tone(noise, 40.0)) for noise in (8.0, 10.0, 12.0, 14.0)]
+    [27, 23, 19, 14]
+    """
+    if combined_level(0.0, noise) >= limit:
+        return 0.0
+    high = 1.01 * limit / np.sin(0.5 * np.pi * CONFIDENCE)
+    return float(optimize.brentq(lambda tone: combined_level(tone, noise) - limit, 0.0, high))
+
+
+def _outside(level: float, tone: float, noise: float) -> float:
+    """Probability of an error beyond `level`."""
+    sigma = noise / np.sqrt(2.0)
+    phase = (np.arange(PHASES) + 0.5) * (0.5 * np.pi / PHASES)
+    return float(np.mean(stats.ncx2.sf((level / sigma) ** 2, 2, (tone * np.sin(phase) / sigma) ** 2)))
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Shares of the relative error [rad].
+
+    Parameters
+    ----------
+    limit : float
+        Of 99.7 % of the windows, noise and tones together.
+    noise, slow, fast_mirror : float
+        What K_FSM is tuned for: noise (rms of both axes), amplitudes of slow and of fast tones, mirror alone.
+    fast : float
+        Fast tones that K_PMA is tuned for.
+    total_noise : float
+        Noise with both controllers.
+    tone : float
+        Amplitude of a tone that keeps the limit beside `total_noise`.
+    """
+
+    limit: float
+    noise: float
+    slow: float
+    fast_mirror: float
+    fast: float
+    total_noise: float
+    tone: float
+
+
+def error_budget(parameters: Parameters) -> ErrorBudget:
+    """The budget of a telescope: shares of its limit of the relative error.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> budget = error_budget(load_parameters())
+    >>> mas = 3.141592653589793 / 648e6
+    >>> [round(share / mas, 1) for share in (budget.limit, budget.noise, budget.slow, budget.fast_mirror)]
+    [40.0, 11.4, 20.0, 75.0]
+    >>> round(combined_level(budget.tone / mas, budget.total_noise / mas), 2)
+    40.0
+    """
+    limit = float(parameters["weights"]["rpe_limit_fine"])
+    tone = limit * largest_tone(TOTAL_NOISE, 1.0)
+    return ErrorBudget(limit, NOISE * limit, SLOW * limit, FAST_MIRROR * limit, FAST * limit, TOTAL_NOISE * limit, tone)
+
+
+def band_error_weight(parameters: Parameters, band: str) -> StateSpace:
+    """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
+    relative = relative_error_weight(parameters["weights"]["rpe_window"]).data_at({})
+    return cascade(relative, band_weight(band).data_at({}), f"W_RPE, {band}")
+
+
+def band_weight(band: str, size: int = 2) -> UncertainSystem:
+    """Butterworth filter of order 4 that keeps the ``slow`` or the ``fast`` tones, on each of `size` axes.
+
+    Examples
+    --------
+    >>> slow, fast = (band_weight(band, 1).nominal() for band in ("slow", "fast"))
+    >>> [round(float(abs(slow(1j * w))), 2) for w in (10, 60, 145)]
+    [1.0, 0.97, 0.12]
+    >>> [round(float(abs(fast(1j * w))), 2) for w in (60, 145, 400)]
+    [0.24, 0.99, 1.0]
+    """
+    if band not in ("slow", "fast"):
+        raise ValueError(f"band must be slow or fast, got {band!r}")
+    denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
+    A = np.diag(np.full(BAND_ORDER - 1, BAND_EDGE), -1)
+    A[0] = -BAND_EDGE * denominator[1:]
+    B = np.eye(BAND_ORDER)[:, :1] * BAND_EDGE
+    C, D = (np.eye(BAND_ORDER)[-1:], 0.0) if band == "slow" else (A[:1] / BAND_EDGE, 1.0)
+    each = np.eye(size)
+    ports = [Port("relative_error", size)], [Port(f"{band}_error", size)]
+    return state_space(np.kron(each, A), np.kron(each, B), np.kron(each, C), D * each, *ports)
