@@ -59,8 +59,8 @@ reference-bag: $(READY)
 
 report-picture: $(READY)
 	rm -rf build/stages
-	$(BIN)/los-testbed stages --scenario design --samples 1 --output build/stages
-	$(BIN)/python docs/report_picture.py build/stages/report-design.html docs/figures/report.png
+	$(BIN)/los-testbed stages --scenario worst_case --output build/stages
+	$(BIN)/python docs/report_picture.py build/stages/report-worst_case.html docs/figures/report.png
 
 bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json

@@ -5,7 +5,7 @@
     python docs/fill_tables.py prediction < FOLDER/stages.md
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
-the results of each scenario, ``prediction`` the transmissibility in the first scenario, measured and modelled.
+the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled.
 """
 
 from __future__ import annotations

@@ -94,6 +94,19 @@ class FsmPmaController:
         self._pma_closed = False
         self.switch(loop)
         self._force = np.zeros(FORCES.stop - FORCES.start)
+        self._start: FloatArray = np.zeros(k_pma.order)
+
+    def start_at(self, state: FloatArray) -> None:
+        """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.
+
+        Raises
+        ------
+        ValueError
+            Another shape.
+        """
+        if np.shape(state) != self._start.shape:
+            raise ValueError(f"state must have shape {self._start.shape}, got {np.shape(state)}")
+        self._start = np.array(state, dtype=float)
 
     def switch(self, loop: str) -> None:
         """Close the loops of a stage from the next step on; K_PMA starts from its zero state when its loop closes."""
@@ -126,5 +139,5 @@ class FsmPmaController:
         np.maximum(out, self._negative_limit, out=out)
 
     def reset(self) -> None:
-        """Back to the zero state."""
-        self.k_pma.reset()
+        """Back to the start: the zero state, or that of :meth:`start_at`."""
+        self.k_pma.reset(self._start)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import linalg
@@ -40,6 +41,13 @@ STAGES = {
 }
 
 
+LOWEST, HIGHEST, BINS = 1e-2, 2e3, 420
+"""Frequencies of the curves [rad/s]; each point is the largest value within one of these bins."""
+
+SAME = 0.08
+"""Curves that differ by less than this share are drawn once."""
+
+
 def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
     """Draw all pictures as PNG and SVG into a folder; returns their paths.
 
@@ -47,7 +55,7 @@ def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
     ----------
     output : Path
     samples : int
-        Random parameter points beside the nominal one.
+        Random parameter points beside the worst ones of each stage.
     seed : int
     """
     parameters = load_parameters()
@@ -55,68 +63,96 @@ def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
     paths: list[Path] = []
     settings: Any = STYLE
     with mpl.rc_context(settings):
+        system: UncertainSystem = control_loop_plant(telescope(), parameters)
+        random = system.sample_values(np.random.default_rng(seed), samples)
+        members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
         for variant, title in (
-            ("implemented", "Robust design, as implemented"),
-            ("implemented_nominal", "Nominal design, as implemented, on the uncertain model"),
+            ("implemented", "Worst case over the parameters, robust design, as implemented"),
+            ("implemented_nominal", "The same parameters, nominal design, as implemented"),
         ):
             pair = load_designs(variant)
-            paths += save_figure(_stages(parameters, pair, title, samples, seed), output / f"stages_{variant}")
+            paths += save_figure(_stages(parameters, pair, title, members), output / f"stages_{variant}")
         paths += save_figure(_controllers(parameters), output / "controllers")
         paths += save_figure(_sensitivities(parameters, samples, seed), output / "sensitivity")
     return paths
 
 
 def stage_curves(
-    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], stage: str, values: dict[str, float]
+    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], stage: str, values: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
     if stage in ("none", "isolator"):
         system = telescope(None, stage != "none").system
         data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].data_at(values)
-        omega = frequency_grid(linalg.eigvals(data.A), 1e-2, 3e3, points=300, offsets=(0.0, 1.5, 3.0))
+        omega = frequency_grid(linalg.eigvals(data.A), LOWEST, HIGHEST, points=300, offsets=(0.0, 1.5, 3.0))
         response = frequency_response(data, omega)
     else:
         plant = control_loop_plant(telescope(), parameters).data_at(values)
         sensitivity = float(parameters["fsm"]["los_sensitivity"])
         loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
-        omega = loop_grid(plant, loop.hold[:-2, :-2])
+        omega = loop_grid(plant, loop.hold[:-2, :-2], LOWEST, HIGHEST)
         response = disturbance_response(loop, plant, omega)[:, :2]
     return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
 
 
+def worst_members() -> dict[str, list[dict[str, float]]]:
+    """Worst parameter values of each stage for the APE, slow and fast tones; the first of each is the nominal one."""
+    found = load_worst_points()
+    return {stage: [{}, *(dict(found[stage][name].parameters) for name in ("APE", "slow", "fast"))] for stage in STAGES}
+
+
 def _stages(
-    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], title: str, samples: int, seed: int
+    parameters: Parameters,
+    pair: tuple[SampledSystem, SampledSystem],
+    title: str,
+    members: Mapping[str, Sequence[Mapping[str, float]]],
 ) -> Figure:
-    system: UncertainSystem = control_loop_plant(telescope(), parameters)
-    members = [{}, *system.sample_values(np.random.default_rng(seed), samples)]
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    axes: Axes = figure.add_subplot()
-    for stage, (label, colour) in STAGES.items():
-        for i, values in enumerate(members):
+    """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency.
+
+    Where a stage has the curve of the stage after it, only that one is drawn.
+    """
+    figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    table = parameters["weights"]
+    edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    later = dict(itertools.pairwise(STAGES))
+    del later["isolator"]
+    curves: dict[str, FloatArray] = {}
+    for stage in STAGES:
+        largest = curves[stage] = np.full((2, BINS), np.nan)
+        for values in members[stage]:
             omega, los = stage_curves(parameters, pair, stage, values)
-            axes.loglog(
-                omega, los / ARCSEC, color=colour, lw=1.1 if i == 0 else 0.5, alpha=1.0 if i == 0 else 0.45,
-                label=label if i == 0 else None, zorder=3 if i == 0 else 2,
-            )  # fmt: skip
-    _templates(axes, parameters)
-    axes.set(
-        xlim=(1e-2, 3e3), ylim=(1e-6, 3e2), xlabel="frequency [rad/s]",
-        ylabel="line of sight by normalised disturbances [arcsec]", title=f"{title}, {samples} random points",
-    )  # fmt: skip
-    axes.legend(loc="lower left", ncols=2)
+            error = los * rpe_weight(omega, table["rpe_window"])
+            index = np.clip(np.searchsorted(edges, omega) - 1, 0, BINS - 1)
+            for row, curve in enumerate((los / ARCSEC, 1e3 * error / ARCSEC)):
+                np.fmax.at(largest[row], index, curve)
+    for stage, (label, colour) in STAGES.items():
+        for axes, curve, other in zip((left, right), curves[stage], curves[later.get(stage, stage)]):
+            differs = stage not in later or np.abs(np.log(curve / other)) > SAME
+            shown = np.where(differs, curve, np.nan)
+            there = ~np.isnan(curve)
+            axes.loglog(middle[there], shown[there], color=colour, lw=1.3, label=label)
+    left.axhline(table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label="APE 10 arcsec")
+    for limit, style in ((table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")):
+        value = 1e3 * limit / ARCSEC
+        right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")
+    left.set(xlim=(LOWEST, 30.0), ylim=(3e-3, 300.0), title="line of sight [arcsec]")
+    right.set(xlim=(1.0, 1500.0), ylim=(1.0, 2e4), title="relative error, 20 ms [mas]")
+    for axes, place in ((left, "lower left"), (right, "upper left")):
+        axes.set_xlabel("frequency [rad/s]")
+        axes.secondary_xaxis("top", functions=(_to_hertz, _to_radians)).set_xlabel("[Hz]")
+        axes.legend(loc=place, fontsize="small")
+    figure.suptitle(title)
     return figure
 
 
-def _templates(axes: Axes, parameters: Parameters) -> None:
-    table = parameters["weights"]
-    omega = np.geomspace(1e-2, 3e3, 300)
-    weight = rpe_weight(omega, table["rpe_window"])
-    for limit, style, label in (
-        (np.full_like(omega, table["ape_limit"]), "-", "APE 10 arcsec"),
-        (table["rpe_limit"] / weight, "--", "RPE 100 mas, 20 ms"),
-        (table["rpe_limit_fine"] / weight, ":", "RPE 40 mas, 20 ms"),
-    ):
-        axes.loglog(omega, limit / ARCSEC, color="#b00020", ls=style, lw=1.3, label=label, zorder=4)
+def _to_hertz(omega: FloatArray) -> FloatArray:
+    return omega / (2.0 * np.pi)
+
+
+def _to_radians(hertz: FloatArray) -> FloatArray:
+    return hertz * (2.0 * np.pi)
 
 
 def _controllers(parameters: Parameters) -> Figure:

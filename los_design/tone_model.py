@@ -12,9 +12,9 @@ H is exact: plant sampled with the tones integrated, commands one tick late, zer
 its frames. The hold makes the loop periodic; the response to a tone is the tone times a function with the period of N
 ticks, and H is the mean of that function, which is what a fit of the tone to the record gives.
 
-H is the steady state. A run starts in the steady state of the telescope without fine control, and where a stage shifts
-a lightly damped mode, a record of seconds shows the beat of both. The model is therefore also simulated from that
-start, with the limits of the commands, and its record fitted in the same way (`expected`).
+H is the steady state, in which a run starts unless it is told to start at rest. The model is also simulated from the
+start of the run, with the limits of the commands, and its record fitted in the same way (`expected`). It differs from H
+after a start at rest, where a record of seconds shows the slow decay of lightly damped modes, and at the limits.
 """
 
 from __future__ import annotations
@@ -93,6 +93,8 @@ class LoopModel:
         Phasors on the disturbance inputs [N, Nm].
     limits : ndarray, shape (8,)
         Largest commands: mirror [rad], actuators [N].
+    steady : bool
+        Whether a run starts in the steady state of the loop, or at rest.
     """
 
     loop: SampledLoop
@@ -100,6 +102,7 @@ class LoopModel:
     omega: FloatArray
     amplitude: ComplexArray
     limits: FloatArray
+    steady: bool = True
 
     @classmethod
     def of(
@@ -109,6 +112,7 @@ class LoopModel:
         *,
         loop: str,
         authority: tuple[float, float],
+        steady: bool = True,
     ) -> LoopModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
@@ -122,6 +126,8 @@ class LoopModel:
             Stage.
         authority : (float, float)
             Largest commands of the run: mirror [rad], actuators [N].
+        steady : bool
+            As the attribute.
 
         Raises
         ------
@@ -141,9 +147,11 @@ class LoopModel:
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
         omega = np.unique(tones.frequency)
-        amplitude = np.stack([tones.amplitude[:, tones.frequency == w].sum(axis=1) for w in omega], axis=1)
+        amplitude = np.zeros((tones.amplitude.shape[0], omega.size), complex)
+        for k, w in enumerate(omega):
+            amplitude[:, k] = tones.amplitude[:, tones.frequency == w].sum(axis=1)
         present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
-        return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits)
+        return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits, steady)
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Forcing by unit phasors: of the next state with a frame and without (n, K), of the line of sight."""
@@ -161,33 +169,39 @@ class LoopModel:
 
     def settled(self) -> ComplexArray:
         """Amplitudes of the line of sight in steady state [rad], shape (2, K), mean over a camera period."""
-        N, size, turn = self.loop.frame_ticks, self.loop.hold.shape[0], np.exp(1j * self.omega * DT)
-        frame, hold, through = self.forcing()
+        _, total, through = self._period(self.phasors())
+        return np.asarray(total / self.loop.frame_ticks + through, dtype=np.complex128)
 
-        def period(state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-            """State after a camera period and sum of the line of sight over it, per unit of the first phasor."""
-            total = np.zeros((2, self.omega.size), complex)
-            for k in range(N):
-                total += self.loop.truth @ state / turn**k
-                A, drive = (self.loop.hold, hold) if k else (self.loop.frame, frame)
-                state = np.asarray(A @ state + drive * turn**k)
-            return state, total
+    def phasors(self) -> ComplexArray:
+        """State of the loop at tick 0 in steady state, shape (n, K): of tone k the imaginary part of column k.
 
-        forced, _ = period(np.zeros((size, self.omega.size), complex))
-        whole = np.linalg.matrix_power(self.loop.hold, N - 1) @ self.loop.frame
+        The camera period is solved exactly: no mode is left to decay.
+        """
+        loop, size = self.loop, self.loop.hold.shape[0]
+        forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
+        whole = np.linalg.matrix_power(loop.hold, loop.frame_ticks - 1) @ loop.frame
         start = np.empty((size, self.omega.size), complex)
-        for k, full in enumerate(turn**N):
+        for k, full in enumerate(np.exp(1j * self.omega * DT * loop.frame_ticks)):
             start[:, k] = linalg.solve(full * np.eye(size) - whole, forced[:, k])
-        return np.asarray(period(start)[1] / N + through, dtype=np.complex128)
+        return start
+
+    def _period(self, state: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """State after a camera period, sum of the line of sight over it, its direct part; per unit of the phasors."""
+        frame, hold, through = self.forcing()
+        turn, total = np.exp(1j * self.omega * DT), np.zeros((2, self.omega.size), complex)
+        for k in range(self.loop.frame_ticks):
+            total += self.loop.truth @ state / turn**k
+            A, drive = (self.loop.hold, hold) if k else (self.loop.frame, frame)
+            state = np.asarray(A @ state + drive * turn**k)
+        return state, total, through
 
     def record(self, ticks: int) -> FloatArray:
-        """Line of sight [rad], shape (ticks, 2), from the steady state without fine control, commands limited."""
+        """Line of sight [rad], shape (ticks, 2), from the start of a run, commands limited."""
         n, loop = self.plant.A.shape[0], self.loop
         frame, hold, through = self.forcing()
-        state, los = np.zeros(loop.hold.shape[0]), np.empty((ticks, 2))
-        drive = self.plant.B[:, COMMANDS:] @ self.amplitude
-        for k, w in enumerate(self.omega):
-            state[:n] += linalg.solve(1j * w * np.eye(n) - self.plant.A, drive[:, k]).imag
+        los = np.empty((ticks, 2))
+        state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])
+        np.clip(state[n : n + COMMANDS], -self.limits, self.limits, out=state[n : n + COMMANDS])
         for k in range(ticks):
             phasor = np.exp(1j * self.omega * DT * k)
             los[k] = loop.truth @ state + (through @ phasor).imag

@@ -59,6 +59,26 @@ class LosEstimator:
         self.k_fsm = k_fsm
         self._u = np.zeros(MEASUREMENTS)
         self._camera = np.zeros(CAMERA.stop - CAMERA.start)
+        self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(CAMERA.stop - CAMERA.start))
+
+    def start_at(self, state: FloatArray, camera: FloatArray) -> None:
+        """Say where the next reset leads to, for a run that starts in its steady state.
+
+        Parameters
+        ----------
+        state : ndarray, shape (order of K_FSM,)
+        camera : ndarray, shape (2,)
+            Camera value that is held [rad].
+
+        Raises
+        ------
+        ValueError
+            Another shape.
+        """
+        for name, given, kept in zip(("state", "camera"), (state, camera), self._start):
+            if np.shape(given) != kept.shape:
+                raise ValueError(f"{name} must have shape {kept.shape}, got {np.shape(given)}")
+        self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
@@ -73,6 +93,6 @@ class LosEstimator:
         self.k_fsm.step(u, out)
 
     def reset(self) -> None:
-        """Back to the zero state; the camera value that was held is set to zero."""
-        self.k_fsm.reset()
-        self._camera[:] = 0.0
+        """Back to the start: the zero state and a held camera value of zero, or those of :meth:`start_at`."""
+        self.k_fsm.reset(self._start[0])
+        self._camera[:] = self._start[1]

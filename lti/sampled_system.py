@@ -132,9 +132,9 @@ class SampledSystem:
         np.matmul(self.B, u, out=self._feed)
         np.add(self._next, self._feed, out=self._x)
 
-    def reset(self) -> None:
-        """Back to the zero state."""
-        self._x[:] = 0.0
+    def reset(self, state: FloatArray | None = None) -> None:
+        """Back to the zero state, or to another `state` (n,)."""
+        self._x[:] = 0.0 if state is None else state
 
     def to_file(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file that :meth:`from_file` reads, whole or not at all."""

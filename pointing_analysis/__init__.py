@@ -5,9 +5,11 @@
 `errors`           performance and knowledge error of a run, start-up transient dropped
 `metrics`          APE, MPE, RPE, PDE, PRE; `weights`: their spectral weights
 `confidence`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
-`requirements`     requirements in text form and the verdict on them; `budget`: error budgets
+`requirements`     the verdict on requirements, `requirement_text` their form; `budget`: error budgets
+`tone_budget`      noise, slow and fast tones of the relative error beside their allowances
 `summary`          the metrics of a run; `report`: the HTML page, `figures` and `prediction`: its parts
 `replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks
+`series`           any arrays; `los_source`: any file; `external_bag`, `ros_definitions`, `tables`: their formats
 `cdr`              messages as bytes; `message_types`: names and definitions; `mcap_records`: the file format
 `mcap_walk`        one pass over a file, also a damaged one; `bag_loss`: what it lacks
 `dataframes`       topics as pandas or xarray objects

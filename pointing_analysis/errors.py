@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.telescope_values import telescope_value
 from pointing_analysis.topic import on_grid, read_only
 
 Floats = NDArray[np.float64]
 RAD_PER_ARCSEC = math.pi / 648_000
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000
-#: [s] the observer starts from zero beside a telescope in full motion: its washout and the camera need this long until
-#: what is left of the start is no larger than the motion that stays (a test holds it for the designs that ship)
+#: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
+#: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 
@@ -65,7 +65,7 @@ def default_transient(duration: float) -> float:
     return max(LEAST, min(SETTLING, duration / 2))
 
 
-def transient_of(run: Run, transient: float | None, duration: float) -> float:
+def transient_of(run: Recording, transient: float | None, duration: float) -> float:
     """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `default_transient`."""
     value = run.parameters.get("transient_s", default_transient(duration)) if transient is None else transient
     if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
@@ -86,7 +86,7 @@ def _drop(values: Floats, dt: float, transient: float, path: object, open_end: b
     return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
 
 
-def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
+def performance_error(run: Recording, transient: float | None = None) -> ErrorSeries:
     """True controlled line of sight minus its target, which is zero.
 
     **Sign: error = actual minus target.**
@@ -107,7 +107,7 @@ def performance_error(run: Run, transient: float | None = None) -> ErrorSeries:
     return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
 
 
-def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
+def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:
     """Estimated minus true line of sight, joined by stamp.
 
     The observer estimates the line of sight *without* the mirror's contribution (the mirror law
@@ -125,7 +125,7 @@ def knowledge_error(run: Run, transient: float | None = None) -> ErrorSeries:
     return knowledge_error_of(run, estimate.stamp, estimate.values, transient)
 
 
-def _need(run: Run, *names: str) -> None:
+def _need(run: Recording, *names: str) -> None:
     for name in names:
         if name not in run:
             raise BagError(
@@ -134,7 +134,7 @@ def _need(run: Run, *names: str) -> None:
 
 
 def knowledge_error_of(
-    run: Run, stamp: NDArray[np.int64], estimate: Floats, transient: float | None = None
+    run: Recording, stamp: NDArray[np.int64], estimate: Floats, transient: float | None = None
 ) -> ErrorSeries:
     """Knowledge error of any estimate against the truth of a run; see `knowledge_error`.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis import metrics, weights
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.spectra import Line, Spectrum
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ class RunView:
     """All that the pictures of one run need."""
 
     label: str
-    run: Run
+    run: Recording
     series: ErrorSeries
     spectrum: Spectrum | None
     tones: tuple[Line, ...]

@@ -65,13 +65,17 @@ def window_samples(window: float, dt: float) -> int:
     ValueError
         The window is not a whole number of at least two samples.
     """
-    ratio = window / dt if dt > 0 else float("nan")
-    n = round(ratio) if np.isfinite(ratio) else 0
-    if n < 2 or abs(ratio - n) > 1e-3:
+    if not is_whole(window, dt):
         raise ValueError(
             f"window must be a whole number (two or more) of samples of {1e3 * dt:g} ms, got {1e3 * window:g} ms"
         )
-    return n
+    return round(window / dt)
+
+
+def is_whole(window: float, dt: float) -> bool:
+    """Whether a window [s] is a whole number, two or more, of samples of `dt` [s]."""
+    ratio = window / dt if dt > 0 else float("nan")
+    return bool(np.isfinite(ratio)) and round(ratio) >= 2 and abs(ratio - round(ratio)) <= 1e-3
 
 
 def _series(error: ArrayLike) -> Floats:

@@ -22,8 +22,9 @@ from pointing_analysis import figures, spectra
 from pointing_analysis.atomic_output import check_output, write_text
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.metrics import is_whole
 from pointing_analysis.prediction import Prediction, ToneComparison
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.summary import WINDOW, Summary, summarise
 from pointing_analysis.telescope_values import telescope_value
@@ -33,6 +34,8 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
+KEEPS = "keeps its limits"
+"""Shown for a run that keeps a limit and is too short to prove it."""
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
@@ -64,7 +67,7 @@ def digits(value: float, places: int = 3) -> str:
 
 
 def _css(status: str) -> str:
-    return {"compliant": "ok", "not compliant": "bad"}.get(status, "open")
+    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
 
 
 def _row(label: str, v: Verdict) -> Row:
@@ -74,14 +77,14 @@ def _row(label: str, v: Verdict) -> Row:
         needed = (
             "no length of run decides it"
             if math.isinf(v.seconds_needed)
-            else f"{digits(v.seconds_needed)} s would decide"
+            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
         )
     return Row(
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=v.status,
-        css=_css(v.status),
+        status=_shown(v),
+        css=_css(_shown(v)),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
         exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
@@ -91,16 +94,21 @@ def _row(label: str, v: Verdict) -> Row:
     )
 
 
+def _shown(v: Verdict) -> str:
+    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
+    return KEEPS if v.status == "not enough data" and v.keeps else v.status
+
+
 def overall(verdicts: Sequence[Verdict]) -> str:
     """One word for several verdicts: the worst of them."""
-    found = {v.status for v in verdicts}
-    for status in ("not compliant", "not enough data", "not judged"):
+    found = {_shown(v) for v in verdicts}
+    for status in ("not compliant", "not enough data", "not judged", KEEPS):
         if status in found:
             return status
     return "compliant" if found else "not judged"
 
 
-def labels(runs: Sequence[Run]) -> tuple[str, ...]:
+def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
     """Short names of the runs, unique: the loop stage; with scenario, seed or file name where that is not enough."""
     for make in (
         lambda r: r.title,
@@ -114,7 +122,7 @@ def labels(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(f"{name} ({i + 1})" for i, name in enumerate(names))
 
 
-def tones_of(run: Run) -> NDArray[np.float64]:
+def tones_of(run: Recording) -> NDArray[np.float64]:
     """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds ``wheel_speed``."""
     found: list[float] = []
     for key in ("tones_rad_s", "wheel_speed"):
@@ -124,7 +132,7 @@ def tones_of(run: Run) -> NDArray[np.float64]:
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
-def view(run: Run, label: str, transient: float | None = None) -> RunView:
+def view(run: Recording, label: str, transient: float | None = None) -> RunView:
     """Everything the pictures need from one run."""
     series = performance_error(run, transient)
     try:
@@ -135,12 +143,12 @@ def view(run: Run, label: str, transient: float | None = None) -> RunView:
     return RunView(label, run, series, spectrum, tones, WINDOW)
 
 
-def _authority(runs: Sequence[Run]) -> dict[str, float]:
+def _authority(runs: Sequence[Recording]) -> dict[str, float]:
     """Largest values of the command topics, of the last run."""
     return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
-def intervals_us(run: Run) -> NDArray[np.float64]:
+def intervals_us(run: Recording) -> NDArray[np.float64]:
     """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
     topic = run["truth/los"]
     sent = topic.published
@@ -149,7 +157,7 @@ def intervals_us(run: Run) -> NDArray[np.float64]:
     return np.asarray(np.diff(sent) / 1e3)
 
 
-def latency_us(run: Run) -> NDArray[np.float64]:
+def latency_us(run: Recording) -> NDArray[np.float64]:
     """Time from the publication of a tick's sensors to that of its mirror command [us]; empty where unknown."""
     if "fsm/command" not in run or "isolator/accel" not in run:
         return np.empty(0)
@@ -173,7 +181,7 @@ def pictures(
         figures.cumulative(views) if any(v.spectrum for v in views) else None,
         figures.by_line(views, model or {}),
         figures.exceedance(views, "APE", limits["APE"]),
-        figures.exceedance(views, "RPE", limits["RPE"]) if all(v.series.duration > WINDOW for v in views) else None,
+        figures.exceedance(views, "RPE", limits["RPE"]) if all(map(_has_windows, views)) else None,
         figures.commands(views, _authority(runs)),
         figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
         figures.timing(
@@ -183,7 +191,13 @@ def pictures(
     return [p for p in made if p is not None]
 
 
-def _digest(run: Run) -> str:
+def _has_windows(v: RunView) -> bool:
+    return v.series.duration > WINDOW and is_whole(WINDOW, v.series.dt)
+
+
+def _digest(run: Recording) -> str:
+    if not run.path.exists():
+        return "no file"
     files = sorted(run.path.glob("*.mcap*")) if run.path.is_dir() else [run.path]
     if sum(f.stat().st_size for f in files) > HASH_LIMIT:
         return "not computed (large bag)"
@@ -206,7 +220,7 @@ def _flat(key: str, value: Any) -> list[tuple[str, str]]:
     return [(key, str(value) if value != "" else "none given")]
 
 
-def _provenance(run: Run) -> list[tuple[str, str]]:
+def _provenance(run: Recording) -> list[tuple[str, str]]:
     rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
     for key in sorted(run.parameters):
         rows += _flat(key, run.parameters[key])
@@ -252,7 +266,7 @@ def _prediction(label: str, found: Prediction) -> dict[str, Any]:
     return {"label": label, "rows": rows, "part": part, "note": found.note}
 
 
-def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
+def _run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -> dict[str, Any]:
     status = overall(s.verdicts)
     return {
         "label": label,
@@ -264,7 +278,8 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
             ("APE max", f"{digits(s.ape_max)} arcsec"),
             ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
             ("RPE rms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 %", f"{digits(s.rpe_p997)} mas"),
+            ("RPE 99.7 % of windows", f"{digits(s.rpe_windows_p997)} mas"),
+            ("RPE 99.7 % of instants", f"{digits(s.rpe_p997)} mas"),
         ],
         "knowledge": s.knowledge
         and [
@@ -276,6 +291,7 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
             f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"
         ),
         "problems": s.problems,
+        "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
         "lines": _line_rows(v),
         "line_count": len(v.tones),
         "provenance": _provenance(v.run),
@@ -283,12 +299,13 @@ def _run_card(v: RunView, s: Summary, label: str) -> dict[str, Any]:
 
 
 def render(
-    runs: Sequence[Run],
+    runs: Sequence[Recording],
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -299,6 +316,7 @@ def render(
     requirements : by default those of the reference telescope
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
     predictions : for each run what a model predicts of its tones, or None; by default none at all
+    remarks : for each run sentences to print beside its verdict; by default none at all
 
     Raises
     ------
@@ -311,6 +329,8 @@ def render(
         raise ValueError("runs must hold at least one run, got none")
     if predictions and len(predictions) != len(runs):
         raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
+    if remarks and len(remarks) != len(runs):
+        raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
     summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
@@ -330,7 +350,7 @@ def render(
         title=" / ".join(names) if len(names) > 1 else names[0],
         several=len(runs) > 1,
         rows=rows,
-        cards=[_run_card(v, s, n) for v, s, n in zip(views, summaries, names)],
+        cards=[_run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
         pictures=[
             {
                 "id": p.name,
@@ -347,19 +367,20 @@ def render(
 
 
 def write_report(
-    runs: Sequence[Run],
+    runs: Sequence[Recording],
     path: str | os.PathLike[str],
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions : see `render`
+    runs, transient, requirements, model, predictions, remarks : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -368,6 +389,8 @@ def write_report(
     """
     target = Path(path)
     check_output(target, "the report")
-    page = render(runs, transient=transient, requirements=requirements, model=model, predictions=predictions)
+    page = render(
+        runs, transient=transient, requirements=requirements, model=model, predictions=predictions, remarks=remarks
+    )
     write_text(target, page)
     return target

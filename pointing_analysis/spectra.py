@@ -199,24 +199,12 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     array([3., 0.])
     """
     e = np.asarray(error, dtype=float)
-    present = ~np.isnan(e).any(axis=1)
     duration = dt * len(e)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
-    tones = np.unique(tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)])
-    groups = _resolved(tones, duration)
-    if not groups or present.sum() < 4 * len(groups) + 2:
+    tones = tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)]
+    groups, centre, solution = _fit(e, dt, tones, taper)
+    if not groups:
         return ()
-    centre = np.array([g.mean() for g in groups])
-    k = 2 * len(centre) + 1
-    gram, right = np.zeros((k, k)), np.zeros((k, 2))
-    index, weight = np.flatnonzero(present), _taper(len(e)) if taper else np.ones(len(e))
-    for part in np.array_split(index, max(1, index.size // 20_000)):
-        angle = np.outer(part * dt, centre)
-        basis = np.hstack([np.ones((part.size, 1)), np.cos(angle), np.sin(angle)])
-        weighted = basis.T * weight[part]
-        gram += weighted @ basis
-        right += weighted @ e[part]
-    solution = np.asarray(linalg.lstsq(gram, right)[0])
     m = len(centre)
     amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])
     rms = np.hypot(amplitude[:, 0], amplitude[:, 1]) / np.sqrt(2)
@@ -226,3 +214,52 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
         Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
         for i in order
     )
+
+
+def _fit(e: Floats, dt: float, tones: Floats, taper: bool) -> tuple[list[Floats], Floats, Floats]:
+    """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
+    present = ~np.isnan(e).any(axis=1)
+    groups = _resolved(np.unique(tones), dt * len(e))
+    if not groups or present.sum() < 4 * len(groups) + 2:
+        return [], np.empty(0), np.empty((0, 2))
+    centre = np.array([g.mean() for g in groups])
+    k = 2 * len(centre) + 1
+    gram, right = np.zeros((k, k)), np.zeros((k, 2))
+    index, weight = np.flatnonzero(present), _taper(len(e)) if taper else np.ones(len(e))
+    for part in np.array_split(index, max(1, index.size // 20_000)):
+        basis = _basis(part, dt, centre)
+        weighted = basis.T * weight[part]
+        gram += weighted @ basis
+        right += weighted @ e[part]
+    return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
+
+
+def _basis(rows: NDArray[np.int64], dt: float, omegas: Floats) -> Floats:
+    angle = np.outer(rows * dt, omegas)
+    return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
+
+
+def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+    """The error without the tones that are fitted to it: noise and what else there is.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN are left out of the fit and stay NaN
+    dt : [s]
+    omegas : tone frequencies [rad/s], also those slower than one period in the run
+
+    Examples
+    --------
+    >>> t = 1e-3 * np.arange(5000)
+    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.cos(0.3 * t)])
+    >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 0.3])).max() < 1e-9)
+    True
+    """
+    e = np.array(error, dtype=float)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = tones[np.isfinite(tones) & (tones > 0) & (tones < np.pi / dt)]
+    groups, centre, solution = _fit(e, dt, tones, taper=False)
+    if groups:
+        for part in np.array_split(np.arange(len(e)), max(1, len(e) // 20_000)):
+            e[part] -= _basis(part, dt, centre) @ solution
+    return e

@@ -20,8 +20,9 @@ from pointing_analysis.errors import (
     knowledge_error,
     performance_error,
 )
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
+from pointing_analysis.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.topic_columns import KNOWN
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
@@ -60,6 +61,7 @@ class Performance:
     rpe_axis: tuple[float, float]
     windows: int
     windows_skipped: int
+    rpe_windows_p997: float
 
     @classmethod
     def of(cls, error: NDArray[np.float64], dt: float) -> Performance:
@@ -67,12 +69,14 @@ class Performance:
         ape = metrics.radial(error) / RAD_PER_ARCSEC
         nan = float("nan")
         rms: NDArray[np.float64] = np.full(2, nan)
-        p997, cut, skipped = nan, 0, 0
-        if dt * len(error) >= WINDOW:
+        p997, of_windows, cut, skipped = nan, nan, 0, 0
+        if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
             w = metrics.windows(error, dt, WINDOW)
             rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
             instant = metrics.radial(metrics.rpe_instant(error, dt, WINDOW)) / RAD_PER_MAS
             p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+            sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
+            of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
         return cls(
             float(np.nanmax(ape)),
             float(np.nanquantile(ape, 0.997)),
@@ -81,6 +85,7 @@ class Performance:
             (float(rms[0]), float(rms[1])),
             cut,
             skipped,
+            of_windows,
         )
 
 
@@ -106,6 +111,8 @@ class Summary:
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
+    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
+    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window
     """
 
     path: Path
@@ -129,6 +136,8 @@ class Summary:
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
     losses: tuple[TopicLoss, ...] = ()
+    budget: ToneBudget | None = None
+    rpe_windows_p997: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
@@ -144,7 +153,11 @@ class Summary:
             "ticks": self.ticks,
             "transient_s": self.transient,
             "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
-            "rpe_mas": {"rms": number(self.rpe_rms), "p997": number(self.rpe_p997)},
+            "rpe_mas": {
+                "rms": number(self.rpe_rms),
+                "p997": number(self.rpe_p997),
+                "windows_p997": number(self.rpe_windows_p997),
+            },
             "windows": self.windows,
             "windows_skipped": self.windows_skipped,
             "samples_lost": self.samples_lost,
@@ -160,6 +173,7 @@ class Summary:
                     "name": v.requirement.name,
                     "text": str(v.requirement),
                     "status": v.status,
+                    "statement": v.statement,
                     "quantile": number(v.quantile.value / v.requirement.scale),
                     "upper_bound": number(v.quantile.upper / v.requirement.scale),
                     "unit": v.requirement.unit,
@@ -175,17 +189,18 @@ class Summary:
                 loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
                 for loss in self.losses
             },
+            "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
         }
 
 
-def applicable(requirements: Sequence[Requirement], run: Run) -> tuple[Requirement, ...]:
+def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
     loop = run.parameters.get("loop")
     return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
 
 
-def _integrity(run: Run) -> tuple[dict[str, int], list[str], int]:
+def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     """Lost samples by topic, defects of the bag, dropped camera frames."""
     lost: dict[str, int] = {}
     problems = list(run.problems)
@@ -235,7 +250,7 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
             problems.append(f"{name}: {short} samples missing at the start or the end of the run")
 
 
-def _knowledge(run: Run, transient: float | None) -> Knowledge | None:
+def _knowledge(run: Recording, transient: float | None) -> Knowledge | None:
     try:
         series = knowledge_error(run, transient)
         return Knowledge.of(series.values, series.dt)
@@ -244,7 +259,7 @@ def _knowledge(run: Run, transient: float | None) -> Knowledge | None:
 
 
 def summarise(
-    run: Run,
+    run: Recording,
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
@@ -265,8 +280,13 @@ def summarise(
     """
     chosen = applicable(load() if requirements is None else requirements, run)
     series = performance_error(run, transient)
-    error = Performance.of(series.values, series.dt)
+    error, budget = Performance.of(series.values, series.dt), None
+    whole = metrics.is_whole(WINDOW, series.dt)
+    if whole and series.duration >= WINDOW:
+        budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
+    if not whole:
+        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, the observer may "
@@ -292,4 +312,5 @@ def summarise(
         verdicts=tuple(judge(r, [run], transient) for r in chosen),
         problems=tuple(problems),
         losses=run.losses,
+        budget=budget,
     )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 
 #: for bags that do not say their own: ``los_sensitivity`` [rad of line of sight per rad of mirror], ``fsm_authority``
 #: (largest mirror angle) [rad], ``pma_authority`` (largest force of one actuator) [N]
@@ -15,7 +15,7 @@ DEFAULTS: Mapping[str, float] = MappingProxyType(
 )
 
 
-def telescope_value(run: Run, name: str) -> float:
+def telescope_value(run: Recording, name: str) -> float:
     """A value of `DEFAULTS` as the recorder wrote it into the bag, or the default where the bag does not say it."""
     value = run.parameters.get(name)
     if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0:

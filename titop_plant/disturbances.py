@@ -5,9 +5,10 @@ A disturbance is a set of tones on the 22 disturbance inputs (wheel imbalance 20
     d(t) = sum_k Im( a_k exp(i phase_k(t)) ),   phase_k' = frequency_k
 
 Radial forces and torques of a wheel turn with it (x leads y by a quarter turn), so each is a complex
-pair. Two scenarios: ``imbalance``, physical amplitudes proportional to the square of the speed;
-``design``, amplitudes equal to the synthesis weights at the frequencies where the telescope on its
-isolator alone is worst: what the H-infinity norms of the design bound.
+pair. Three scenarios: ``imbalance``, physical amplitudes proportional to the square of the speed; ``design``, tones of
+unit norm at the frequencies where the telescope on its isolator alone is worst; ``worst_case``, the tone of unit norm
+that is worst for the loop that runs (:mod:`los_design.worst_tone`). A tone has unit norm if its amplitudes over the
+synthesis weights have norm 1: **the H-infinity norm of a design bounds the response to it.**
 
 Source: the paper (weights W_rws and W_sa); harmonic ratios of a measured small wheel.
 """
@@ -33,6 +34,9 @@ from titop_plant.telescope.weights import rpe_weight
 ComplexArray = NDArray[np.complex128]
 
 CHANNELS = 22
+
+MODE_WIDTH = 0.04
+"""Wheels whose speeds differ by less than this share are taken to be at the same mode."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +164,7 @@ def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
 
 
 def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Generator) -> Tones:
-    """Tones with the amplitudes of the weights where the telescope on its isolator alone is worst.
+    """Tones of unit norm where the telescope on its isolator alone is worst.
 
     Parameters
     ----------
@@ -173,10 +177,8 @@ def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Gener
 
     Notes
     -----
-    "Worst" is the largest singular value seen through the weight of the relative performance error. At each
-    of these frequencies all channels of all wheels have the full amplitude of their weight, in the
-    phases that add up at the line of sight; so have both drives where they are worst. The tone of unit
-    norm that an H-infinity norm bounds is smaller, by up to the square root of the number of channels.
+    "Worst" is the largest singular value seen through the weight of the relative performance error. At each of these
+    frequencies the wheels have amplitudes along the right singular vector; so have the drives where they are worst.
     """
     low, high = parameters["design_scenario"]["band"]
     omega = frequency_grid(linalg.eigvals(plant.A), low, high)
@@ -188,12 +190,62 @@ def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Gener
     worst = int(np.argmax(seen * largest_gains(response[:, :, drives])))
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:
-        left = linalg.svd(response[k][:, channels])[0][:, 0]
-        towards = left.conj() @ response[k][:, channels]
+        right = linalg.svd(response[k][:, channels])[2][0].conj()
         amplitude = np.zeros(CHANNELS, complex)
-        amplitude[channels] = size[k, channels] * np.exp(-1j * np.angle(towards))
+        amplitude[channels] = size[k, channels] * right
         rows.append((float(omega[k]), amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi)), 0.0, -1))
     return _tones(rows)
+
+
+def given_tones(table: Sequence[Sequence[float]]) -> Tones:
+    """Tones of fixed frequency from plain numbers.
+
+    Parameters
+    ----------
+    table : sequence of sequences
+        Of each tone the frequency [rad/s], then the real and the imaginary parts of its 22 amplitudes [N, Nm].
+
+    Raises
+    ------
+    ValueError
+        Another length, or a number that is not finite.
+    """
+    rows: list[tuple[float, ComplexArray, float, int]] = []
+    for entry in table:
+        if len(entry) != 1 + 2 * CHANNELS or not np.isfinite(entry).all():
+            raise ValueError(f"a tone must be {1 + 2 * CHANNELS} finite numbers, got {len(entry)}")
+        values = np.asarray(entry, dtype=float)
+        rows.append((float(values[0]), values[1 : 1 + CHANNELS] + 1j * values[1 + CHANNELS :], 0.0, -1))
+    return _tones(rows)
+
+
+def loudest_speeds(parameters: Parameters, plant: StateSpace, senses: FloatArray) -> FloatArray:
+    """Speed of each wheel [rad/s] at which the relative error by its fundamental is largest; the senses are given.
+
+    No two wheels have the same mode: each takes what the wheels before it leave.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Tables ``imbalance``, ``reaction_wheel`` and ``weights``.
+    plant : StateSpace
+        From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
+    senses : ndarray, shape (4,)
+        +1 or -1.
+    """
+    table, top = parameters["imbalance"], parameters["reaction_wheel"]["maximum_speed"]
+    omega = frequency_grid(linalg.eigvals(plant.A), 0.05 * top, top)
+    response = frequency_response(plant, omega)
+    seen = rpe_weight(omega, parameters["weights"]["rpe_window"]) * omega**2
+    sizes = np.diag([table[name] for name in ("radial_force", "axial_force", "radial_torque")])
+    found, free = np.empty(4), np.ones(omega.size, dtype=bool)
+    for i, sense in enumerate(senses):
+        five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]
+        parts = response[:, :, 5 * i : 5 * i + 5] @ np.stack(five, axis=1)
+        power = np.sum(np.abs(parts) ** 2, axis=(1, 2))
+        found[i] = omega[np.argmax(np.where(free, seen * np.sqrt(power), -1.0))]
+        free &= np.abs(omega - found[i]) > MODE_WIDTH * found[i]
+    return found
 
 
 def _highest_peaks(values: FloatArray, count: int) -> list[int]:

@@ -13,7 +13,16 @@ import numpy as np
 from scipy import linalg
 
 from lti import StateSpace, UncertainSystem
-from titop_plant.disturbances import Tones, design_tones, imbalance_tones, joined, no_tones, sadm_tones
+from titop_plant.disturbances import (
+    Tones,
+    design_tones,
+    given_tones,
+    imbalance_tones,
+    joined,
+    loudest_speeds,
+    no_tones,
+    sadm_tones,
+)
 from titop_plant.interface import CAMERA_RATE, COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, SCENARIOS, frame_ticks
 from titop_plant.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
@@ -22,6 +31,7 @@ from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 
 RAMP_STEP = 0.25
+SPEED_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -48,8 +58,10 @@ class PlantConfig:
         Frames per second; must divide the tick rate.
     camera_dropout : float
         Probability that a frame is lost.
-    scenario : {"design", "imbalance"}
+    scenario : {"design", "imbalance", "worst_case"}
         Disturbance, see :mod:`titop_plant.disturbances`.
+    tones : tuple of tuples of floats
+        The tones of the scenario worst_case, which depend on the loop: :func:`titop_plant.disturbances.given_tones`.
     noise, disturbance : bool
         Switches for the two parts of the error.
     seed : int
@@ -78,10 +90,14 @@ class PlantConfig:
     disturbance: bool = True
     seed: int = 0
     parameters: str | None = None
+    tones: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if self.scenario not in SCENARIOS:
             raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, got {self.scenario!r}")
+        if self.disturbance and (self.scenario == "worst_case") != bool(self.tones):
+            needed = "given" if self.scenario == "worst_case" else "empty"
+            raise ValueError(f"tones must be {needed} in the scenario {self.scenario}, got {len(self.tones)}")
         if not 0.0 <= self.camera_dropout <= 1.0:
             raise ValueError(f"camera_dropout must be a probability in [0, 1], got {self.camera_dropout}")
         if self.seed < 0:
@@ -144,13 +160,13 @@ class PlantFamily:
         parameters = load_parameters(config.parameters or REFERENCE)
         return cls(parameters, _plant(config, parameters), config.parameters, config.isolated)
 
-    def build(self, config: PlantConfig) -> SampledPlant:
-        """The member of a configuration, sampled at 1 kHz.
+    def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+        """The member of a configuration, see :func:`build_plant`.
 
         Raises
         ------
         ValueError
-            A configuration of another family; a value out of its range.
+            A configuration of another family; a value out of its range; a start of another size.
         """
         if (config.parameters, config.isolated) != (self.path, self.isolated):
             raise ValueError(
@@ -164,11 +180,14 @@ class PlantFamily:
         numbers = [self.control_loop.data_at(v) for v in values]
         tones = _tones(config, self.parameters, values[0])
         speeds = np.array([[v[f"wheel_{i}.speed"] for i in range(1, 5)] for v in values])
+        state = _steady_state(numbers[0], tones) if start is None else start
+        if state.shape != (numbers[0].A.shape[0],):
+            raise ValueError(f"start must hold {numbers[0].A.shape[0]} states, got {state.shape}")
         stretch = round(RAMP_STEP / DT)
         segments = [sample(data, tones.at_speed(speed, speeds[0]), stretch) for data, speed in zip(numbers, speeds)]
         return SampledPlant(
             segments,
-            _steady_state(numbers[0], tones),
+            state,
             _sensors(config, self.parameters),
             _limits(self.parameters),
             dt=DT,
@@ -177,18 +196,49 @@ class PlantFamily:
         )
 
 
-def build_plant(config: PlantConfig) -> SampledPlant:
+def build_plant(config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
     """The telescope of a configuration, sampled at 1 kHz.
 
-    The run starts in the steady motion that the disturbance makes without fine control, so that modes
-    of hundreds of seconds need no settling.
+    Parameters
+    ----------
+    config : PlantConfig
+    start : ndarray, optional
+        State at the start. Default: the steady motion that the disturbance makes without fine control, so that modes of
+        hundreds of seconds need no settling.
 
     Raises
     ------
     ValueError
-        A value out of its range; the message names the parameter.
+        A value out of its range; the message names the parameter. A start of another size.
     """
-    return PlantFamily.of(config).build(config)
+    return PlantFamily.of(config).build(config, start)
+
+
+def plant_order(config: PlantConfig) -> int:
+    """Number of states of :func:`build_plant`."""
+    return _plant(config, load_parameters(config.parameters or REFERENCE)).data_at({}).A.shape[0]
+
+
+def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
+    """Speeds of the four wheels [rad/s] at which their imbalance is strongest in the line of sight.
+
+    The relative error of the fundamental of each wheel on the isolated telescope without fine control, its amplitude
+    growing with the square of the speed, is largest there: the speeds are those of structural modes. Neighbouring
+    wheels turn in opposite senses, as the default speeds do.
+
+    Parameters
+    ----------
+    path : str, optional
+        Parameter file; default: the reference telescope.
+    """
+    parameters = load_parameters(path or REFERENCE)
+    senses = np.sign(parameters["reaction_wheel"]["default_speed"])
+    assembled = telescope(path, True).system["los_controlled", DISTURBANCES]
+    speeds = np.asarray(parameters["reaction_wheel"]["default_speed"], dtype=float)
+    for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
+        data = assembled.data_at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
+        speeds = senses * loudest_speeds(parameters, data, senses)
+    return tuple(float(round(s, 3)) for s in speeds)
 
 
 def command_limits(config: PlantConfig) -> FloatArray:
@@ -242,6 +292,8 @@ def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, flo
     if not config.disturbance:
         return no_tones()
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(99,)))
+    if config.scenario == "worst_case":
+        return given_tones(config.tones)
     if config.scenario == "imbalance":
         speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
         return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
@@ -249,13 +301,22 @@ def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, flo
     return design_tones(parameters, isolated.data_at(values), rng)
 
 
+def sensor_bias(config: PlantConfig) -> FloatArray:
+    """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
+    return _bias(config, load_parameters(config.parameters or REFERENCE))
+
+
+def _bias(config: PlantConfig, parameters: Parameters) -> FloatArray:
+    bias = np.r_[np.tile(parameters["sensors"]["accelerometer_bias"], 3), np.zeros(4)]
+    return np.asarray(bias if config.noise else np.zeros_like(bias))
+
+
 def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
     table = parameters["sensors"]
     three = np.tile(table["accelerometer_noise"], 3)
     sigma = np.r_[three, np.full(2, table["camera_noise"]), np.full(2, table["strain_gauge_noise"])]
-    bias = np.r_[np.tile(table["accelerometer_bias"], 3), np.zeros(4)]
-    on = 1.0 if config.noise else 0.0
-    return SensorModel(on * sigma, on * bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
+    on, bias = 1.0 if config.noise else 0.0, _bias(config, parameters)
+    return SensorModel(on * sigma, bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
 
 
 def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:
@@ -316,4 +377,7 @@ __all__ = [
     "control_loop_plant",
     "parameter_values",
     "plant_and_tones",
+    "plant_order",
+    "resonant_speeds",
+    "sensor_bias",
 ]

@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "los_design": set(FOLDERS) - {"los_testbed"},
     "los_testbed": set(FOLDERS),
 }
-LAYERS = ("config", "topics", "variants", "factories", "bags", "loop", "run", "campaign", "nodes", "cli")
+LAYERS = ("config", "topics", "run_start", "variants", "factories", "bags", "loop", "run", "campaign", "nodes", "cli")
 """Modules and subpackages of los_testbed: each imports of the package only itself and what stands before it."""
 ROS = {
     "rclpy", "ament_index_python", "launch", "launch_ros", "rcl_interfaces", "std_msgs", "sensor_msgs", "geometry_msgs",
@@ -45,6 +45,7 @@ ROS = {
 STACKS = {
     "lti/batched_linalg.py", "los_design/sampled_loop.py",
     "los_design/sampled_loop_norms.py", "los_design/tone_model.py",
+    "los_design/steady_state.py", "los_design/worst_tone.py",
 }  # fmt: skip
 """Files that may use numpy.linalg, for what scipy.linalg lacks: stacks of matrices, powers of a matrix."""
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in folder.rglob("*.py"))

@@ -64,7 +64,7 @@ def test_the_bag_holds_every_tick_and_says_what_was_run(config, tmp_path):
     assert run.parameters["loop"] == "fsm+pma"
     assert run.parameters["seed"] == 1
     assert run.parameters["tones_rad_s"] == [pytest.approx(6 * np.pi)]
-    assert set(run.attachments) == {"k_fsm.json", "k_pma.json", "run.yaml"}
+    assert set(run.attachments) == {"k_fsm.json", "k_pma.json", "run.yaml", "start.json"}
     assert len(run.parameters["plant_hash"]) == 64
 
 

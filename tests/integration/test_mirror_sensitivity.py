@@ -52,6 +52,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
     replace(k_pma, design_basis=basis).to_file(folder / "k_pma.json")
     return RunConfig(
         duration=6.0,
+        scenario="design",
         mode="inprocess",
         noise=False,
         parameters=str(user),

@@ -192,7 +192,7 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
 @pytest.mark.parametrize("loop", ["fsm+pma"])
 def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp_path, loop):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=5.0, seed=3, loop=loop)
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=5.0, seed=3, loop=loop, start="steady")
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")

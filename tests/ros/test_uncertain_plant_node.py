@@ -48,7 +48,7 @@ def test_a_node_outside_the_family_says_so_and_ends(
 
 def test_a_random_member_in_lockstep_is_the_one_in_one_process(tmp_path: Path) -> None:
     """Same bytes on every topic: the parameters reach the node whole."""
-    config = config_for(tmp_path, mode="lockstep", duration=0.5, **random_member(5))
+    config = config_for(tmp_path, mode="lockstep", duration=0.5, start="steady", **random_member(5))
     results = Runner(config, lambda ticks: None).run()
     run_in_process(config, tmp_path / "alone")
     ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")

@@ -35,6 +35,7 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         "domain": private_domain(),
         "wait_for_recorder": True,
         "start_timeout": 20.0,
+        "start": "rest",  # of the telescope alone is it known what is steady
         **write_controllers(folder),
     }
     return RunConfig.from_mapping({**base, **values})

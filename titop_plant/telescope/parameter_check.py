@@ -29,6 +29,9 @@ FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99}
 ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_ratios", "step_harmonics"}
 """Lists that may be longer or shorter than those of the reference."""
 
+REPLACE = "replace"
+"""Key of a user's table: the lists of named tables, for instance equipment, that replace those of the reference."""
+
 REQUIRED = {"equipment": {"name", "mass", "size"}, "further_modes": {"frequency", "direction", "share"}}
 OPTIONAL = {"equipment": {"position", "node"}, "further_modes": set[str]()}
 
@@ -66,18 +69,57 @@ class ParameterFile:
             An unknown key, a value of another kind, length or sign than the reference's.
         """
         result = dict(base)
+        replaced = self._replaced(base, over, prefix)
         for key, value in over.items():
             name = f"{prefix}{key}"
+            if key == REPLACE and _named(base):
+                continue
             if key not in base:
-                raise self.error(name, f"expected one of: {', '.join(base)}")
+                known = [*base, *([REPLACE] if _named(base) else [])]
+                raise self.error(name, f"expected one of: {', '.join(known)}")
             if isinstance(base[key], dict):
                 if not isinstance(value, dict):
                     raise self.error(name, f"must be a table, got {value!r}")
                 result[key] = self.merged(base[key], value, f"{name}.")
+            elif key in _named(base) and key not in replaced:
+                result[key] = self._merged_tables(name, key, base[key], value)
             else:
                 self.check(name, key, base[key], value)
                 result[key] = value
         return result
+
+    def _replaced(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str) -> list[str]:
+        """Lists of named tables that the user's file replaces as a whole."""
+        asked = over.get(REPLACE, []) if _named(base) else []
+        if not isinstance(asked, list) or any(key not in _named(base) for key in asked):
+            raise self.error(f"{prefix}{REPLACE}", f"must be a list of {', '.join(_named(base))}, got {asked!r}")
+        for key in asked:
+            if key not in over:
+                raise self.error(f"{prefix}{REPLACE}", f"must name lists that this file holds, got {key!r}")
+        return asked
+
+    def _merged_tables(self, name: str, key: str, base: list[dict[str, Any]], value: Any) -> list[dict[str, Any]]:
+        """Tables of the reference, those of the same name changed and others added by the user's."""
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self.error(name, f"must be tables [[{name}]], got {value!r}")
+        found = {item["name"]: dict(item) for item in base}
+        given: set[str] = set()
+        for i, item in enumerate(value):
+            own = item.get("name")
+            if not isinstance(own, str):
+                raise self.error(
+                    f"{name}[{i}]", "has no 'name'" if own is None else f"must have a text as name, got {own!r}"
+                )
+            if own in given:
+                raise self.error(f"{name}[{i}].name", f"must be given once, got {own!r} twice")
+            given.add(own)
+            merged = {**found.get(own, {}), **item}
+            for one, other in (("position", "node"), ("node", "position")):
+                if one in item and other not in item:
+                    merged.pop(other, None)
+            self._check_tables(name, key, [merged], first=i)
+            found[own] = merged
+        return list(found.values())
 
     def check(self, name: str, key: str, base: Any, value: Any) -> None:
         """Refuse a value of another kind, length or sign than the reference's."""
@@ -115,10 +157,10 @@ class ParameterFile:
                 name, f"must be between -2 pi and 2 pi rad, where tau = tan(theta/4) is regular, got {value!r}"
             )
 
-    def _check_tables(self, name: str, key: str, value: Any) -> None:
+    def _check_tables(self, name: str, key: str, value: Any, first: int = 0) -> None:
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(name, f"must be tables [[{name}]], got {value!r}")
-        for i, item in enumerate(value):
+        for i, item in enumerate(value, start=first):
             for missing in sorted(REQUIRED[key] - set(item)):
                 raise self.error(f"{name}[{i}]", f"has no {missing!r}")
             for unknown in sorted(set(item) - REQUIRED[key] - OPTIONAL[key]):
@@ -133,6 +175,11 @@ class ParameterFile:
                 raise self.error(
                     f"{name}[{i}].direction", f"must be one of {', '.join(AXES)}, got {item['direction']!r}"
                 )
+
+
+def _named(base: Mapping[str, Any]) -> list[str]:
+    """Keys of the lists whose tables have names."""
+    return [key for key in base if "name" in REQUIRED.get(key, ())]
 
 
 _TEXTS = ("name", "node", "direction")

@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,8 +34,10 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     ----------
     path : str or Path
         TOML file of the form of ``reference.toml``; tables that are missing are taken from it, so that a
-        user's file holds only what differs. A relative ``body.modal_data`` or ``payload.modal_data`` is looked
-        for beside it.
+        user's file holds only what differs. Tables with a name, ``[[payload.equipment]]``, change those of the same
+        name and are added to the others; ``replace = ["equipment"]`` in ``[payload]`` replaces all of them. Lists of
+        tables without names are replaced. A relative ``body.modal_data`` or ``payload.modal_data`` is looked for
+        beside it.
 
     Raises
     ------
@@ -53,6 +55,44 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         if file:
             merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
     return MappingProxyType(merged)
+
+
+def differences(path: str | Path) -> list[str]:
+    """Values of a parameter file that differ from the reference, one line each, both values in it.
+
+    Raises
+    ------
+    ValueError
+        As :func:`load_parameters`.
+
+    Examples
+    --------
+    >>> differences(REFERENCE)
+    []
+    """
+    own, reference = (dict(_flat("", load_parameters(file))) for file in (path, REFERENCE))
+    lines = [
+        f"{name} = {_shown(own[name])}" + (f", reference {_shown(reference[name])}" if name in reference else ", added")
+        for name in own
+        if name not in reference or own[name] != reference[name]
+    ]
+    return lines + [f"{name} removed" for name in reference if name not in own]
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Full name and value of each entry; of tables in a list the name counts, not the place."""
+    if isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from _flat(f"{prefix}.{key}" if prefix else key, entry)
+    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        for i, item in enumerate(value):
+            yield from _flat(f"{prefix}[{item.get('name', i)}]", {k: v for k, v in item.items() if k != "name"})
+    else:
+        yield prefix, value
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], str]:

@@ -27,7 +27,7 @@ setup(
         (f"share/{NAME}/layouts", glob("layouts/*")),
     ],
     install_requires=["setuptools"],
-    tests_require=["pytest"],
+    extras_require={"test": ["pytest"]},  # by which colcon test chooses pytest
     zip_safe=False,
     maintainer="The los-testbed developers",
     maintainer_email="los-testbed@example.org",

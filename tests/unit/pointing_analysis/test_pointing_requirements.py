@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pointing_analysis import requirements
+from pointing_analysis.errors import ErrorSeries
 from pointing_analysis.read import Run
-from pointing_analysis.requirements import RequirementError, judge, parse
+from pointing_analysis.requirements import RequirementError, index_samples, judge, parse
 from pointing_analysis.summary import summarise
 from pointing_analysis.synthetic import write_bag
 
@@ -32,6 +33,7 @@ def noise_run(tmp_path):
     ("text", "expected"),
     [
         ("prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", ("RPE", "", (0.02,), 0.997, 0.95, "temporal")),
+        ("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence", ("RPE", "", (0.02,), 0.997, 0.95, "temporal")),
         ("prob( |APE_x| <= 2.5 arcsec ) >= 99.7 % at 0.9 confidence, mixed", ("APE", "x", (), 0.997, 0.9, "mixed")),
         (
             "prob(|pde(1 s, 2 min)| < 1 urad) > 0.5 at 50% confidence, ensemble",
@@ -240,7 +242,7 @@ def test_summary_takes_the_requirements_of_the_stage(noise_run) -> None:
     figures = pma.as_dict()
     assert (figures["loop"], figures["mode"], figures["ticks"]) == ("fsm+pma", "inprocess", 25_000)
     assert set(figures["ape_arcsec"]) == {"max", "p997"}
-    assert set(figures["rpe_mas"]) == {"rms", "p997"}
+    assert set(figures["rpe_mas"]) == {"rms", "p997", "windows_p997"}
 
 
 def test_summary_counts_what_was_lost(tmp_path) -> None:
@@ -274,7 +276,7 @@ def test_shorter_than_a_window_gives_the_ape_alone(tmp_path) -> None:
     assert s.ape_max == pytest.approx(math.sqrt(2) * 1e-3)
     assert math.isnan(s.rpe_rms)
     assert {v.status for v in s.verdicts} == {"not enough data", "not judged"}
-    assert s.as_dict()["rpe_mas"] == {"rms": None, "p997": None}
+    assert s.as_dict()["rpe_mas"] == dict.fromkeys(("rms", "p997", "windows_p997"))
 
 
 def test_nan_in_the_truth_is_no_zero(tmp_path) -> None:
@@ -309,3 +311,30 @@ def test_the_worst_verdict_of_several_runs_counts(noise_run) -> None:
     louder = noise_run(12.0, 30.0, 4)  # neither exceeds: the larger quantile is reported
     for runs in ([good, louder], [louder, good]):
         assert judge(parse(text), runs).quantile.value == judge(parse(text), [louder]).quantile.value
+
+
+def test_a_requirement_of_windows_has_one_value_of_each() -> None:
+    """A slow ramp within the windows: at the ends of a window its error is the square root of 3 times the rms."""
+    rate = 100.0 * MAS
+    values = np.zeros((20_000, 2))
+    values[:, 0] = rate * 1e-3 * np.arange(20_000)
+    series = ErrorSeries(values, 1e-3, 0.0, 0)
+    rms, count = index_samples(series, parse("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence"))
+    instants, _ = index_samples(series, parse("prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"))
+    assert len(rms) == 1000 and len(instants) == 20_000 and math.isinf(count)
+    assert rms == pytest.approx(np.full(1000, rate * 1e-3 * math.sqrt((20**2 - 1) / 12)), rel=1e-6)
+    assert instants.max() / rms.max() == pytest.approx(math.sqrt(3.0), rel=0.05)
+
+
+@pytest.mark.parametrize("quantity", ["rms APE", "rms |RPE(20 ms)|", "|RPE(20 ms)", "RPE(20 ms)|"])
+def test_other_forms_are_refused(quantity: str) -> None:
+    with pytest.raises(RequirementError):
+        parse(f"prob({quantity} < 40 mas) >= 0.997 at 95 % confidence")
+
+
+def test_a_short_run_says_whether_it_keeps_its_limit(noise_run) -> None:
+    short = noise_run(1.0, 5.0)
+    kept, broken = (judge(parse(RPE.format(limit=limit)), [short]) for limit in (1000, 0.01))
+    assert kept.status == "not enough data" and kept.keeps
+    assert kept.statement.startswith("keeps its limit; ") and kept.statement.endswith(" s would prove it")
+    assert broken.statement == broken.status == "not compliant" and not broken.keeps

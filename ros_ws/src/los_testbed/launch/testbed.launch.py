@@ -1,40 +1,132 @@
-"""All four nodes; the run ends when the plant has finished.
+"""All nodes of a run; it ends when the plant has finished, with an error if one of them failed.
 
-ros2 launch los_testbed testbed.launch.py params:=/path/to/run.yaml
+ros2 launch los_testbed testbed.launch.py duration:=60.0 loop:=fsm
+ros2 launch los_testbed testbed.launch.py params:=/path/to/run.yaml namespace:=/foo mode:=lockstep record:=false
 """
 
 from pathlib import Path
 
+import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 NODES = ("plant", "estimator", "controller", "recorder")
+SETTINGS = ("mode", "duration", "loop", "scenario", "output")
+ARGUMENTS = {
+    "params": ("", "parameter file; empty for the one that is installed with the package"),
+    "namespace": ("/telescope", "namespace of nodes and topics"),
+    "mode": ("", "realtime or lockstep"),
+    "duration": ("", "length of the run [s]"),
+    "loop": ("", "stage: none, isolator, fsm or fsm+pma"),
+    "scenario": ("", "disturbance scenario"),
+    "output": ("", "folder of the bag; it must be new"),
+    "record": ("true", "whether a recorder takes part"),
+    "live": ("false", "whether to start foxglove_bridge on 127.0.0.1, if it is installed"),
+    "respawn": ("true", "in real time: whether a node that dies is started again, at most three times"),
+}
+"""Arguments with defaults and descriptions; an empty one leaves the value of the parameter file."""
+
+RESPAWNS = 3
+RESPAWN_DELAY_S = 0.5
+"""The end of the run arrives within this time: a plant that has finished is not started again."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Nodes with one parameter file."""
-    default = Path(get_package_share_directory("los_testbed")) / "config" / "run.yaml"
+    """Arguments, and the nodes that follow from them."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text) for name, (value, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=start)])
+
+
+def start(context):
+    """Nodes and event handlers.
+
+    Raises
+    ------
+    ValueError
+        No such parameter file, or an argument that is neither true nor false.
+    """
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    for name in ("record", "live", "respawn"):
+        if given[name].lower() not in ("true", "false"):
+            raise ValueError(f"{name} must be true or false, got {given[name]!r}")
+    file = Path(given["params"] or Path(get_package_share_directory("los_testbed"), "config", "run.yaml"))
+    if not file.is_file():
+        raise ValueError(f"params must be a file, got {file}")
+    record = given["record"].lower() == "true"
+    values = settings(file, given, record)
+    respawn = given["respawn"].lower() == "true" and values["mode"] == "realtime"
+    names = NODES if record else NODES[:3]
+    # a recorder with a bag of a given name cannot begin it twice
+    again = {name: respawn and not (name == "recorder" and values.get("output")) for name in names}
     nodes = {
         name: Node(
             package="los_testbed",
             executable=name,
-            parameters=[LaunchConfiguration("params")],
+            namespace=given["namespace"],
+            parameters=[str(file), values],
             output="screen",
+            respawn=again[name],
+            respawn_delay=RESPAWN_DELAY_S,
+            respawn_max_retries=RESPAWNS,
         )
-        for name in NODES
+        for name in names
     }
-    finished = OnProcessExit(
-        target_action=nodes["plant"], on_exit=[EmitEvent(event=Shutdown(reason="the run is over"))]
-    )
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("params", default_value=str(default), description="parameter file"),
-            *nodes.values(),
-            RegisterEventHandler(finished),
-        ]
-    )
+    end = RunEnd({name: RESPAWNS if again[name] else 0 for name in names})
+    handlers = [
+        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=end.handler(name)))
+        for name, node in nodes.items()
+    ]
+    bridge = {"address": "127.0.0.1"}
+    live = [Node(package="foxglove_bridge", executable="foxglove_bridge", parameters=[bridge])]
+    return [*handlers, *nodes.values(), *(live if given["live"].lower() == "true" else [])]
+
+
+def settings(file, given, record):
+    """Parameters that the arguments name, the mode, and what follows from it."""
+    content = yaml.safe_load(file.read_text("utf-8"))
+    try:
+        stated = content["/**"]["ros__parameters"]
+    except (KeyError, TypeError):
+        raise ValueError(f"params must be a ROS parameter file with /**: ros__parameters:, got {file}") from None
+    values = {name: stated[name] for name in ("output",) if stated.get(name)}
+    values.update({name: given[name] for name in SETTINGS if given[name]})
+    if "duration" in values:
+        values["duration"] = float(values["duration"])
+    values["mode"] = values.get("mode", stated.get("mode", "realtime"))
+    return {**values, "use_sim_time": values["mode"] == "lockstep", "wait_for_recorder": record}
+
+
+class RunEnd:
+    """Ends the run with the plant, or with a node that cannot be started again; fails if a node failed."""
+
+    def __init__(self, respawns):
+        self.running = set(respawns)
+        self.respawns = dict(respawns)
+        self.failures = []
+
+    def handler(self, name):
+        """What to do when this node ends."""
+
+        def ended(event, context):
+            code = event.returncode
+            if code:
+                self.failures.append(f"{name} ended with code {code}")
+            if code and not context.is_shutdown and self.respawns[name]:
+                self.respawns[name] -= 1
+                return [LogInfo(msg=f"{self.failures[-1]}; it is started again")]
+            self.running.discard(name)
+            if not context.is_shutdown and (code or name == "plant"):
+                why = self.failures[-1] if code else "the run is over"
+                return [EmitEvent(event=Shutdown(reason=why))]
+            if not self.running and self.failures:  # makes the return code of the launch 1
+                raise RuntimeError("; ".join(self.failures))
+            return [LogInfo(msg="all nodes ended without an error")] if not self.running else []
+
+        return ended

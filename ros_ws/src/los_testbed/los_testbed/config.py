@@ -24,6 +24,12 @@ NAMESPACE = "/telescope"
 
 MODES = ("realtime", "lockstep", "inprocess")
 
+STARTS = ("steady", "rest")
+"""Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
+
+WORST_OF = ("RPE", "APE", "slow", "fast")
+"""Index that the tone of the scenario worst_case is worst for, see :mod:`los_design.worst_tone`."""
+
 
 def _parameter(
     default: Any, description: str, unit: str = "", low: float | None = None, high: float | None = None
@@ -61,6 +67,8 @@ class RunConfig:
     mode: str = _choice("realtime", "how plant, estimator and controller run", MODES)
     loop: str = _choice(STAGES[-1], "stage: which loops are closed", STAGES)
     scenario: str = _choice(SCENARIOS[0], "disturbance scenario", SCENARIOS)
+    worst_of: str = _choice(WORST_OF[0], "what the scenario worst_case is worst for", WORST_OF)
+    start: str = _choice(STARTS[0], "start: steady state of the loop that runs, or rest", STARTS)
     seed: int = _parameter(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
     noise: bool = _parameter(True, "sensor noise on")
     disturbance: bool = _parameter(True, "wheel and drive disturbances on")
@@ -157,7 +165,7 @@ class RunConfig:
 FIELDS: dict[str, Field[Any]] = {entry.name: entry for entry in fields(RunConfig)}
 
 PHYSICAL = (
-    "scenario", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
+    "scenario", "worst_of", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
     "omega_1", "omega_2", "theta_rate", "wheel_acceleration", "ramp_duration", "parameters",
 )  # fmt: skip
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""

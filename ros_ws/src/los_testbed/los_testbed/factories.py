@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig
+from los_testbed.run_start import RunStart, find_run_start, with_tones
 from los_testbed.variants import check_ranges
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
+    from los_design.steady_state import LoopStart
     from los_design.tone_model import LoopModel
     from titop_plant.simulation import PlantConfig
 
@@ -123,7 +125,7 @@ def check_controllers(config: RunConfig) -> tuple[str, ...]:
 
 
 def build_estimator(config: RunConfig) -> LosEstimator:
-    """Observer of the configuration.
+    """Observer of the configuration; its reset leads to the start of the run.
 
     Raises
     ------
@@ -132,11 +134,17 @@ def build_estimator(config: RunConfig) -> LosEstimator:
     """
     k_fsm = SampledSystem.from_file(controller_files(config)["k_fsm"])
     design_warnings([k_fsm], telescope_basis(config), closed=config.loop in MIRROR_STAGES)
-    return LosEstimator(k_fsm)
+    estimator = LosEstimator(k_fsm)
+    states = _states(config, None)
+    if states is not None:
+        estimator.start_at(states.k_fsm, states.camera)
+    return estimator
 
 
 def build_controller(config: RunConfig) -> FsmPmaController:
     """Mirror and proof-mass laws of the configuration; the mirror's gain is that of the file of K_FSM.
+
+    Its reset leads to the start of the run.
 
     Raises
     ------
@@ -145,7 +153,16 @@ def build_controller(config: RunConfig) -> FsmPmaController:
     """
     found, telescope = load_controllers(config), telescope_basis(config)
     compare_with_telescope(found, telescope, config.loop)
-    return assemble_controller(found, telescope, config.loop)
+    controller = assemble_controller(found, telescope, config.loop)
+    states = _states(config, found)
+    if states is not None:
+        controller.start_at(states.k_pma)
+    return controller
+
+
+def _states(config: RunConfig, controllers: Mapping[str, SampledSystem] | None) -> LoopStart | None:
+    """States in which the run starts; None at rest, where nothing needs to be computed."""
+    return None if config.start == "rest" else run_start(config, controllers).states
 
 
 def assemble_controller(
@@ -179,41 +196,25 @@ def assemble_controller(
 
 
 def build_plant(config: RunConfig) -> Plant:
-    """Telescope of the configuration, sampled at the tick rate.
+    """Telescope of the configuration, sampled at the tick rate, in the state in which the run starts.
 
     Raises
     ------
     ValueError
-        A parameter outside its range; the message names both.
+        A parameter outside its range; the message names both. A file that is no controller.
     """
     from titop_plant import simulation
 
+    start = run_start(config)
+    physical = plant_config(config, start)
     with one_thread():
-        plant: Plant = simulation.build_plant(plant_config(config))
+        state = np.zeros(simulation.plant_order(physical)) if start.states is None else start.states.plant
+        plant: Plant = simulation.build_plant(physical, state)
     return plant
 
 
-def plant_config(config: RunConfig) -> PlantConfig:
-    """Physical settings of a run.
-
-    Raises
-    ------
-    ValueError
-        A parameter outside its range; the message names both.
-    """
-    from titop_plant.simulation import PlantConfig
-
-    check_ranges(config)
-    values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL}
-    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
-    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # empty: its default
-        if not values[name]:
-            del values[name]
-    return PlantConfig(**values)
-
-
-def tone_model(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> LoopModel:
-    """Model of a run from its disturbance tones to its line of sight.
+def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> RunStart:
+    """Worst-case tone of a run and the states in which it starts.
 
     Parameters
     ----------
@@ -226,14 +227,73 @@ def tone_model(config: RunConfig, controllers: Mapping[str, SampledSystem] | Non
     ValueError
         A telescope outside its family, a file that is missing or no controller.
     """
+    chosen = load_controllers(config) if controllers is None else controllers
+    return find_run_start(config, _physical(config), chosen, telescope_basis(config).authority)
+
+
+def plant_config(config: RunConfig, start: RunStart | None = None) -> PlantConfig:
+    """Physical settings of a run.
+
+    Parameters
+    ----------
+    config : RunConfig
+    start : RunStart, optional
+        With the tone of the scenario worst_case; default: that of :func:`run_start`.
+
+    Raises
+    ------
+    ValueError
+        A parameter outside its range; the message names both. A start without the tone that the scenario needs.
+    """
+    physical = _physical(config)
+    if config.scenario != "worst_case" or not config.disturbance:
+        return physical
+    return with_tones(physical, run_start(config) if start is None else start)
+
+
+def _physical(config: RunConfig) -> PlantConfig:
+    """Physical settings but for the worst-case tone: the scenario worst_case comes without disturbance."""
+    from titop_plant.simulation import PlantConfig
+
+    check_ranges(config)
+    values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL if name != "worst_of"}
+    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
+    values["disturbance"] = config.disturbance and config.scenario != "worst_case"
+    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # empty: its default
+        if not values[name]:
+            del values[name]
+    return PlantConfig(**values)
+
+
+def tone_model(
+    config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None, start: RunStart | None = None
+) -> LoopModel:
+    """Model of the loop that runs, with its tones, for comparisons with a record.
+
+    Parameters
+    ----------
+    config : RunConfig
+    controllers : mapping, optional
+        ``k_fsm`` and ``k_pma``; default: those of the files that the configuration names.
+    start : RunStart, optional
+        Start of the recorded run; default: that of :func:`run_start`.
+
+    Raises
+    ------
+    ValueError
+        A telescope outside its family, a file that is missing or no controller.
+    """
     from los_design.tone_model import LoopModel
 
     if controllers is None:
         controllers = load_controllers(config)
+    if start is None:
+        start = run_start(config, controllers)
     with one_thread():
         return LoopModel.of(
-            plant_config(config), controllers, loop=config.loop, authority=telescope_basis(config).authority
-        )
+            plant_config(config, start), controllers, loop=config.loop, authority=telescope_basis(config).authority,
+            steady=start.states is not None,
+        )  # fmt: skip
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:

@@ -8,6 +8,7 @@ ranges are those of the parameter file.
 from __future__ import annotations
 
 import difflib
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +21,18 @@ if TYPE_CHECKING:
 
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
+
+MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2")
+"""Settings that choose a member of the family."""
+
+WORST_POINTS = "worst_points.json"
+"""File of the worst parameter values of each stage, beside the controllers that they were found for."""
+
+DESIGN_FILES = {"k_fsm": "k_fsm.json", "k_pma": "k_pma.json"}
+"""Files of the controllers in a folder of designs."""
+
+TELESCOPE_FILE = "telescope.toml"
+"""Parameter file of the telescope that a folder of designs was made for."""
 
 
 def family(parameters: str = "") -> dict[str, RealParameter]:
@@ -120,12 +133,98 @@ def random_member(seed: int, parameters: str = "") -> dict[str, Any]:
         raise ValueError(f"sample must be a seed that is not negative, got {seed}")
     rng = np.random.default_rng(seed)
     drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
+    return _settings(drawn)
+
+
+def _settings(values: Mapping[str, float]) -> dict[str, Any]:
+    """Values of the uncertain parameters as settings of a run."""
     return {
-        "tau": drawn["solar_array.tau"],
-        "wheel_speed": [drawn[f"wheel_{i}.speed"] for i in range(1, 5)],
-        "omega_1": drawn["solar_array.omega_1"],
-        "omega_2": drawn["solar_array.omega_2"],
+        "tau": values["solar_array.tau"],
+        "wheel_speed": [values[f"wheel_{i}.speed"] for i in range(1, 5)],
+        "omega_1": values["solar_array.omega_1"],
+        "omega_2": values["solar_array.omega_2"],
     }
+
+
+def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = "") -> dict[str, Any]:
+    """Settings of the member of the family that is worst for a stage.
+
+    Parameters
+    ----------
+    loop : str
+        Stage.
+    worst_of : {"RPE", "APE", "slow", "fast"}
+    parameters : str
+        Parameter file; empty for the reference telescope.
+    designs : str
+        Folder of designs with :data:`WORST_POINTS`; empty for the stored designs.
+
+    Returns
+    -------
+    dict
+        As :func:`random_member`; empty where no worst values of this telescope are stored: nominal values are meant.
+
+    Raises
+    ------
+    ValueError
+        A file of another form.
+    """
+    import los_design
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+
+    folder = Path(designs) if designs else Path(str(los_design.__file__)).parent
+    path = folder / WORST_POINTS
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        if content["parameters_hash"] != parameters_hash(load_parameters(parameters or REFERENCE)):
+            return {}
+        return _settings(content["stages"][loop][worst_of]["parameters"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
+
+
+def of_designs(designs: str) -> dict[str, Any]:
+    """Settings that a folder of designs stands for: its controllers, and its telescope where it holds one.
+
+    Raises
+    ------
+    ValueError
+        A controller is missing.
+    """
+    if not designs:
+        return {}
+    folder = Path(designs)
+    settings = {name: str(folder / file) for name, file in DESIGN_FILES.items()}
+    for path in settings.values():
+        if not Path(path).exists():
+            raise ValueError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
+    telescope = folder / TELESCOPE_FILE
+    return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
+
+
+def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
+    """Member of the family that a scenario asks for where the settings name none.
+
+    The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
+    at structural modes.
+
+    Parameters
+    ----------
+    settings : mapping
+        Of the run, those that are given.
+    designs : str
+        Folder of designs; empty for the stored ones.
+    """
+    config = RunConfig.from_mapping({**settings})
+    if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
+        return worst_member(config.loop, config.worst_of, config.parameters, designs)
+    if config.scenario == "imbalance" and "wheel_speed" not in settings:
+        from titop_plant.simulation import resonant_speeds
+
+        return {"wheel_speed": list(resonant_speeds(config.parameters or None))}
+    return {}
 
 
 def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:

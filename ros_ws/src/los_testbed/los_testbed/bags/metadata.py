@@ -12,25 +12,32 @@ import yaml
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
-from titop_plant.interface import RATE
+from titop_plant.interface import FORCE_STAGES, RATE
+from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
-def run_metadata(config: RunConfig) -> dict[str, str]:
+def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]:
     """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
 
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
-    other parameters or limits, and is missing where none was.
+    other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
+    state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
+    differs from the reference.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
     return {
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
+        **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "rate_hz": str(RATE),
+        **({} if start.states is None else {"transient_s": "0"}),
+        **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
@@ -39,9 +46,27 @@ def run_metadata(config: RunConfig) -> dict[str, str]:
     }
 
 
-def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """The same with the statistics of each node, as one JSON object, and the plant's tones."""
-    record = run_metadata(config)
+def _budget(config: RunConfig) -> dict[str, float]:
+    """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
+    from pointing_analysis.errors import RAD_PER_MAS
+    from pointing_analysis.tone_budget import EDGE
+    from titop_plant.telescope.budget import BAND_EDGE, error_budget
+
+    budget = error_budget(load_parameters(config.parameters or REFERENCE))
+    shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
+    if config.loop in FORCE_STAGES:
+        shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
+    return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, EDGE: BAND_EDGE}
+
+
+def final_metadata(
+    config: RunConfig, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
+) -> dict[str, str]:
+    """The same with the statistics of each node, as one JSON object, the plant's tones, and ``rpe_budget_mas``.
+
+    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.tone_budget`).
+    """
+    record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
     plant = dict(statistics.get("plant", {}))
     for name in ("tones_rad_s", "plant_parameters_hash"):
         if name in plant:
@@ -50,13 +75,14 @@ def final_metadata(config: RunConfig, statistics: Mapping[str, Mapping[str, str]
     return record
 
 
-def attachments(config: RunConfig) -> dict[str, tuple[str, bytes]]:
-    """Files of the controllers and the configuration as YAML."""
+def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
+    """Files of the controllers, the configuration as YAML, tone and states of the start."""
     content = {
         f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
     }
     text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
+    content[START_FILE] = ("application/json", start.to_bytes())
     return content
 
 

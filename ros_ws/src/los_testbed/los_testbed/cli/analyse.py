@@ -17,24 +17,50 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
     los-testbed analyse bags/run-20260101-120000
 
     los-testbed analyse bags/isolator bags/fsm+pma --report comparison.html --json
+
+    los-testbed analyse my_bag --los /my/los --unit arcsec --rate 512     # another bag: topic, or topic.field
+
+    los-testbed analyse measured.csv --los x,y --unit mas --requirements mission.toml --report measured.html
+
+`los-testbed bag topics BAG` lists what a bag has that could be a line of sight.
 """
 
 
 def analyse(
-    bags: Annotated[list[Path], typer.Argument(help="Bags: folders or .mcap files.")],
+    bags: Annotated[
+        list[Path], typer.Argument(help="Bags (folders or .mcap files), or tables: .csv, .parquet, .npy, .npz.")
+    ],
     report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
     transient: Annotated[float | None, typer.Option(help="Seconds to leave out at the start.")] = None,
+    los: Annotated[
+        str | None,
+        typer.Option(
+            help="Line of sight: topic or topic.field of another bag, two columns of a table.", metavar="NAME"
+        ),
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")] = None,
+    time: Annotated[
+        str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
+    ] = None,
+    requirements: Annotated[
+        Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
+    ] = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
     """See ANALYSE_EXAMPLES."""
     from los_testbed.run.summary import print_summary, summarise_runs
+    from pointing_analysis.los_source import open_los
+    from pointing_analysis.requirements import load
 
     seconds("--transient", transient)
     target = report
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"
-    summaries = summarise_runs(bags, target, transient, chunk_limit(max_chunk))
+    given = None if requirements is None else load(requirements)
+    runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=chunk_limit(max_chunk)) for bag in bags]
+    summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Console(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

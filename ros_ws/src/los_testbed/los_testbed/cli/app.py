@@ -15,6 +15,7 @@ import typer
 from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
+from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
@@ -38,6 +39,7 @@ app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
+bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")

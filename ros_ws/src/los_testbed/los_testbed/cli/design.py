@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.redesign import ALL_EXAMPLES, design_all, verify_folder
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -32,6 +33,12 @@ MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
     los-testbed design {kind} --nominal                # on the nominal model alone
 
     los-testbed design {kind} --output mine.json --time-limit 60
+
+    los-testbed design {kind} --parameters mine.toml --output mine.json      # for your telescope
+{more}"""
+
+WITH_OBSERVER = """
+    los-testbed design k-pma --k-fsm mine_observer.json --output mine.json  # on this observer
 """
 
 NOMINAL_POINTS = 60
@@ -48,24 +55,29 @@ Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
 Seed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
 Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
+Telescope = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
 
 
-@design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm"))
+@design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm", more=""))
 def k_fsm(
     nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
-    starts: Starts = 0, output: Output = None, json_: Json = False,
+    starts: Starts = 0, parameters: Telescope = None, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
-    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), parameters, None, output, json_)
 
 
-@design_app.command("k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma"))
+@design_app.command(
+    "k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma", more=WITH_OBSERVER)
+)
 def k_pma(
     nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
-    starts: Starts = 0, output: Output = None, json_: Json = False,
+    starts: Starts = 0, parameters: Telescope = None,
+    k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
+    output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
-    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), output, json_)
+    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), parameters, k_fsm, output, json_)
 
 
 def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
@@ -85,26 +97,52 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
     )
 
 
-def _make(kind: str, options: DesignOptions, output: Path | None, json_: bool) -> None:
+def _make(
+    kind: str, options: DesignOptions, file: Path | None, observer: Path | None, output: Path | None, json_: bool
+) -> None:
     from los_design.store import design_file
     from los_design.synthesis import design_actuators, design_observer
     from lti import SampledSystem
     from lti.threads import one_thread
     from pointing_analysis.atomic_output import check_output
+    from titop_plant.interface import design_warnings
     from titop_plant.simulation import telescope
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
+    if output is None and (file is not None or observer is not None):
+        raise ValueError(
+            "--output must be given with --parameters or --k-fsm, got none: the stored design is not theirs"
+        )
     path = output or design_file(kind, options.variant)
     check_output(path, "--output")
-    parameters, assembled = load_parameters(), telescope()
+    parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
     with one_thread():
         if kind == "k-fsm":
-            system = design_observer(assembled, parameters, options)
+            system = design_observer(assembled, parameters, options, _say)
         else:
-            observer = SampledSystem.from_file(design_file("k-fsm", options.variant))
-            system = design_actuators(assembled, parameters, observer, options)
+            k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
+            for warning in design_warnings([k_fsm], design_basis(parameters), closed=True):
+                sys.stderr.write(f"warning: {warning}\n")
+            system = design_actuators(assembled, parameters, k_fsm, options, _say)
     system.to_file(path)
     _show_design(system, path, json_)
+    if not_met := _not_met(system):
+        for text in not_met:
+            sys.stderr.write(f"not met: {text}\n")
+        raise typer.Exit(1)
+
+
+def _say(text: str) -> None:
+    """Progress of a design, one line for each round, on the error output."""
+    sys.stderr.write(f"{text}\n")
+
+
+def _not_met(system: SampledSystem) -> list[str]:
+    """One line for each requirement whose gamma is above 1."""
+    provenance = system.provenance
+    worst = {w["requirement"]: w["value"] for w in provenance.get("worst_cases", [])}
+    values = {**provenance["tuned_values"], **worst}
+    return [f"{name} {value:.4f}, must be at most 1" for name, value in values.items() if not value <= 1.0]
 
 
 def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
@@ -114,16 +152,20 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
         print_json({"file": str(path), **shown})
         return
     table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
-    for column in ("requirement", "tuned", "worst found", "at [rad/s]"):
+    for column in ("requirement", "tuned", "worst found", "at [rad/s]", ""):
         table.add_column(column, justify="left" if column == "requirement" else "right")
     worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
     for name, value in provenance["tuned_values"].items():
         found = worst.get(name)
         row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
-        table.add_row(name, f"{value:.4f}", *row)
+        largest = max(value, found["value"]) if found else value
+        table.add_row(name, f"{value:.4f}", *row, "met" if largest <= 1.0 else "[red]not met[/red]")
     console = Console()
     console.print(table)
     console.print(f"written to {path}", soft_wrap=True)
+
+
+design_app.command("all", help=ALL_EXAMPLES)(design_all)
 
 
 @design_app.command()
@@ -165,6 +207,7 @@ def table(json_: Json = False) -> None:
 
 @design_app.command()
 def verify(
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     json_: Json = False,
 ) -> None:
@@ -176,6 +219,9 @@ def verify(
     number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
 
+    if folder is not None:
+        verify_folder(folder, samples, json_)
+        return
     with one_thread():
         result, failed = _verified(samples)
     if json_:

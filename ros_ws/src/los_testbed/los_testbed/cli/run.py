@@ -18,7 +18,7 @@ from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.runner import Results
 from los_testbed.run.screen import say
-from los_testbed.variants import check_ranges, chosen_member, layered
+from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
 
 RESTARTED = 3
@@ -48,7 +48,11 @@ def run(
     duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
     mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
     loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
-    scenario: Annotated[str | None, typer.Option(help="design or imbalance.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="worst_case, design or imbalance.")] = None,
+    worst_of: Annotated[
+        str | None, typer.Option(metavar="INDEX", help="Of the scenario worst_case: RPE, APE, slow or fast.")
+    ] = None,
+    start: Annotated[str | None, typer.Option(help="steady (of the loop that runs) or rest.")] = None,
     seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
     noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
     disturbance: Annotated[
@@ -59,6 +63,9 @@ def run(
     ] = None,
     k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
+    designs: Annotated[
+        str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")
+    ] = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
     domain: Annotated[
         str | None, typer.Option(metavar="INTEGER", help="ROS domain; free: one that nobody uses on this machine.")
@@ -98,7 +105,8 @@ def run(
         domain = str(free_domain(namespace or NAMESPACE))
         sys.stderr.write(f"ROS domain {domain}\n")
     given = {
-        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "seed": seed, "noise": noise,
+        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "worst_of": worst_of, "start": start,
+        "seed": seed, "noise": noise,
         "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
@@ -106,7 +114,7 @@ def run(
     }  # fmt: skip
     from los_testbed.run.summary import print_summary, summarise_runs
 
-    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample)
+    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
         from los_testbed.run.runner import run_alone
 
@@ -131,15 +139,18 @@ def configure(
     case: str | None = None,
     cases: Path | None = None,
     sample: str | None = None,
+    designs: str | None = None,
 ) -> RunConfig:
-    """Configuration from file, named case, random member, ``--set`` and options; the later ones win.
+    """Configuration from folder of designs, file, named case, random member, ``--set`` and options; later ones win.
+
+    Where none of them names a member of the telescope's family, the scenario chooses it.
 
     Raises
     ------
     ValueError
         Unknown names, values that do not fit.
     """
-    first: dict[str, Any] = read_yaml(file) if file is not None else {}
+    first: dict[str, Any] = {**of_designs(designs or ""), **(read_yaml(file) if file is not None else {})}
     stated: dict[str, Any] = {}
     for setting in settings:
         name, sign, text = setting.partition("=")
@@ -148,7 +159,8 @@ def configure(
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
-    chosen = RunConfig.from_mapping(layered(first, named, drawn, stated, options))
+    settings_given = layered(first, named, drawn, stated, options)
+    chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
     if not chosen.output:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
@@ -180,11 +192,27 @@ def check(config: RunConfig) -> tuple[str, ...]:
     return warnings
 
 
+DIFFERENCES_SHOWN = 12
+
+
+def telescope_differences(config: RunConfig) -> list[str]:
+    """Lines about the values in which the telescope of a run differs from the reference."""
+    from titop_plant.telescope.parameters import differences
+
+    if not config.parameters:
+        return []
+    lines = differences(config.parameters)
+    more = len(lines) - DIFFERENCES_SHOWN
+    return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
+
+
 def execute(config: RunConfig) -> tuple[Path, Results]:
     """Run, with a progress bar; the bag and what happened."""
     warnings = check(config)
     for warning in warnings:
         sys.stderr.write(f"warning: {warning}\n")
+    for line in telescope_differences(config):
+        sys.stderr.write(f"telescope: {line}\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
 
         def progress(ticks: int) -> None:

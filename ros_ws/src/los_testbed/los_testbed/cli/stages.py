@@ -24,13 +24,16 @@ if TYPE_CHECKING:
 STAGES_EXAMPLES = """Compare the four stages: none, isolator, fsm, fsm+pma.
 
 Same seed and disturbance for all, several telescopes of the family, the disturbance and the sensor noise also alone;
-the transmissibility of each stage beside that of the model. Writes stages.md, stages.json and one report per scenario.
+the transmissibility of each stage beside that of the model. In the scenario worst_case each stage has its own worst
+parameters and tones. Writes stages.md, stages.json and one report per scenario.
 
 **Examples**
 
-    los-testbed stages                                       # both scenarios, three telescopes; some minutes
+    los-testbed stages                                       # worst_case and imbalance; some minutes
 
-    los-testbed stages --scenario design --samples 1 --no-parts --json
+    los-testbed stages --scenario worst_case --json
+
+    los-testbed stages --scenario design --samples 1 --no-parts
 
     los-testbed stages --k-fsm my_observer.json --duration 30
 
@@ -39,13 +42,14 @@ the transmissibility of each stage beside that of the model. Writes stages.md, s
 
 
 def stages(
-    scenario: Annotated[str, typer.Option(help="design, imbalance or both.")] = "both",
+    scenario: Annotated[str, typer.Option(help="worst_case, imbalance, both of them, or design.")] = "both",
     samples: Annotated[int, typer.Option(help="Telescopes: the nominal one and random members.", min=1, max=100)] = 3,
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
     k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
     k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
+    designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
     camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
@@ -58,23 +62,23 @@ def stages(
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
     from los_testbed.run.runner import check_ros
-    from los_testbed.run.stages import PARTS, Plan, perform
+    from los_testbed.run.stages import COMPARED, PARTS, Plan, perform
+    from los_testbed.variants import of_designs
     from titop_plant.interface import SCENARIOS
 
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
-    base = RunConfig(
-        duration=duration, seed=seed, mode=mode, k_fsm=k_fsm, k_pma=k_pma, camera_rate=camera_rate,
-        parameters=parameters,
-    )  # fmt: skip
+    files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
+    settings = {**of_designs(designs), **{name: value for name, value in files.items() if value}}
+    base = RunConfig(duration=duration, seed=seed, mode=mode, camera_rate=camera_rate, **settings)
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
     for warning in check_controllers(base):
         sys.stderr.write(f"warning: {warning}\n")
     if mode != "inprocess":
         check_ros()
-    chosen = SCENARIOS if scenario == "both" else (scenario,)
-    plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep)
+    chosen = COMPARED if scenario == "both" else (scenario,)
+    plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep, designs)
     console = Console(stderr=json_)
     with Progress("stages") as bar:
         runs = plan.runs()
@@ -110,21 +114,25 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the four stages side by side, the model beside the measured lines."""
     from los_testbed.run.predictions import predictions
-    from los_testbed.run.stages import select
+    from los_testbed.run.stages import REPORTED, WORST, select
+    from los_testbed.run.summary import remarks_of
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
+    from pointing_analysis.summary import summarise
     from titop_plant.interface import STAGES
 
     paths = []
     for scenario in plan.scenarios:
-        kept = [select(results, scenario, loop, "all")["nominal"].bag for loop in STAGES]
+        shown = REPORTED if scenario == WORST else "nominal"
+        kept = [select(results, scenario, loop, "all")[shown].bag for loop in STAGES]
         runs = [Run.open(bag) for bag in kept if bag is not None]
         model = {}
         for run, label in zip(runs, labels(runs)):
-            alone = select(results, scenario, str(run.parameters["loop"]), "disturbance").get("nominal")
+            alone = select(results, scenario, str(run.parameters["loop"]), "disturbance").get(shown)
             if alone is not None and alone.tones:
                 model[label] = alone.model()
         if runs:
             page = plan.folder / f"report-{scenario}.html"
-            paths.append(write_report(runs, page, model=model, predictions=predictions(runs)))
+            remarks = [remarks_of(run, summarise(run)) for run in runs]
+            paths.append(write_report(runs, page, model=model, predictions=predictions(runs), remarks=remarks))
     return paths

@@ -108,8 +108,8 @@ class CommandGate:
             self._ramp += 1
         np.multiply(self._held, self._weights[self._ramp], out=out)
 
-    def begin(self, start_ns: int) -> None:
-        """Forget the past: a run begins at `start_ns` with a zero command that counts as just given."""
-        self._held[:] = 0.0
+    def begin(self, start_ns: int, command: FloatArray | None = None) -> None:
+        """Forget the past: a run begins at `start_ns` with a command (default zero) that counts as just given."""
+        self._held[:] = 0.0 if command is None else command
         self.last_stamp = start_ns - TICK_NS
         self._ramp = self.fade_ticks

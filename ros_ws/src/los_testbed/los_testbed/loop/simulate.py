@@ -18,7 +18,8 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes
+from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes, run_start
+from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
 from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
@@ -73,15 +74,26 @@ def simulate(
     controller: Controller,
     ticks: int,
     sink: Callable[[Block, int], None],
+    first_command: NDArray[np.float64] | None = None,
 ) -> None:
     """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
+
+    Parameters
+    ----------
+    plant, estimator, controller
+        In the state in which the run starts.
+    ticks : int
+    sink : callable
+    first_command : ndarray, shape (8,), optional
+        Command that the first tick applies [rad, N]; default: zero.
 
     Raises
     ------
     LoopDivergedError
         A signal is no longer finite.
     """
-    block, command = Block(BLOCK), np.zeros(COMMANDS)
+    block = Block(BLOCK)
+    command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     for first in range(0, ticks, BLOCK):
@@ -135,7 +147,7 @@ def run_in_process(
     bag_path : Path
         Folder to make.
     plant : Plant, optional
-        Another plant than the one of the configuration.
+        Another plant than the one of the configuration. It starts where it is, the controllers at rest.
     progress : callable
         Called with the number of ticks done, once per block.
 
@@ -146,11 +158,16 @@ def run_in_process(
     LoopDivergedError
         The controllers do not stabilise the plant; the bag holds the run up to there.
     """
+    if plant is not None:  # what is steady is known of the telescope only
+        config = at_rest(config)
     estimator, controller = build_estimator(config), build_controller(config)
+    start = run_start(config) if plant is None else RunStart()
     if plant is None:
         plant = build_plant(config)
+    estimator.reset()
+    controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant)}}
-    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config)}, attachments(config))
+    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config, start)}, attachments(config, start))
     sink, done = BagSink(bag, plant.frame_ticks), 0
 
     def write(block: Block, rows: int) -> None:
@@ -161,9 +178,9 @@ def run_in_process(
 
     try:
         with one_thread():
-            simulate(plant, estimator, controller, config.ticks, write)
+            simulate(plant, estimator, controller, config.ticks, write, start.command)
     finally:
         statistics["plant"]["ticks"] = str(done)
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
-        bag.close({METADATA_NAME: final_metadata(config, statistics)})
+        bag.close({METADATA_NAME: final_metadata(config, statistics, start)})
     return statistics

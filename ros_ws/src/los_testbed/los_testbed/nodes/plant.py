@@ -13,9 +13,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, build_plant, plant_notes
+from los_testbed.factories import Plant, build_plant, plant_notes, run_start
 from los_testbed.loop.changes import NAMES
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
@@ -30,6 +31,8 @@ from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, 
 
 RING = 64
 
+OWN_PLANT = "start must be rest, in every node, for another plant than the telescope, got steady"
+
 CLOCK_TICKS = 10
 """Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
 
@@ -43,9 +46,14 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
     def body(context: NodeContext) -> int:
         refuse_second_plant(context)
         context.event("alone")
-        plant = build(context.config)
+        plant, command = build(context.config), None
+        if build is build_plant:
+            command = run_start(context.config).command
+        elif context.config.start != "rest":
+            context.event("warning", message=OWN_PLANT)
+            context.warn_alone([OWN_PLANT])
         with one_thread():
-            return PlantLoop(context, plant).run()
+            return PlantLoop(context, plant, command).run()
 
     return run_node("plant", arguments, body)
 
@@ -59,11 +67,14 @@ class PlantLoop:
         The node.
     plant : Plant
         The simulated telescope.
+    first_command : ndarray, shape (8,), optional
+        Command that the first tick applies [rad, N]; default: zero.
     """
 
-    def __init__(self, context: NodeContext, plant: Plant) -> None:
+    def __init__(self, context: NodeContext, plant: Plant, first_command: NDArray[np.float64] | None = None) -> None:
         self.context = context
         self.plant = plant
+        self._first_command = first_command
         self.io = PlantIo(context)
         self.ticks = 0
         self.held = 0
@@ -98,7 +109,7 @@ class PlantLoop:
         else:
             start = aligned_start(time.time_ns() + 20_000_000, config.frame_ticks)
             self.clock.begin(time.monotonic_ns() + start - time.time_ns())
-        self.io.begin(start)
+        self.io.begin(start, self._first_command)
         context.event("running", start_ns=start)
         if config.mode == "lockstep":
             self._lockstep(start)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.factories import run_start
 from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -55,6 +56,7 @@ class Recorder:
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
+        self.start = run_start(config)
         self._reported: dict[str, int] = {}
         frame_ns = config.frame_ticks * TICK_NS
         self.tracks = [
@@ -161,8 +163,8 @@ class Recorder:
             config = self.context.config
             self.bag = BagWriter(
                 self.path,
-                {METADATA_NAME: run_metadata(config)},
-                attachments(config),
+                {METADATA_NAME: run_metadata(config, self.start)},
+                attachments(config, self.start),
                 diagnostics=not self.simulated,
             )
         for track in self.tracks:
@@ -221,7 +223,7 @@ class Recorder:
         """Results into the head of the bag, and its index."""
         if self.bag is not None:
             final = {**self.statistics, "recorder": self.own_statistics()}
-            self.bag.close({METADATA_NAME: final_metadata(self.context.config, final)})
+            self.bag.close({METADATA_NAME: final_metadata(self.context.config, final, self.start)})
 
     def _close(self) -> None:
         self._write_chunk()

@@ -13,9 +13,11 @@ from los_design.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
 from los_testbed.run.replay import controller_of
+from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.bag_metadata import value_of
 from pointing_analysis.prediction import Prediction
 from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.structured_text import load_yaml
 from titop_plant.interface import TICK_NS
 from titop_plant.simulation import configuration_hash
@@ -29,7 +31,7 @@ LATE = 100
 
 
 def predictions(
-    runs: Sequence[Run], transient: float | None = None, start: float = 0.0, stop: float = math.inf
+    runs: Sequence[Recording], transient: float | None = None, start: float = 0.0, stop: float = math.inf
 ) -> list[Prediction | None]:
     """For each run the predicted and measured amplitude of its tones.
 
@@ -37,7 +39,7 @@ def predictions(
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Recording
     transient : float, optional
         Seconds of start-up to leave out.
     start, stop : float
@@ -49,7 +51,7 @@ def predictions(
         None where there is nothing to predict: a bag of another program, no tones, a telescope that changes during the
         run, a plant of another kind, a replay. A prediction without tones says in its note why it failed.
     """
-    return [_prediction(run, transient, start, stop) for run in runs]
+    return [_prediction(run, transient, start, stop) if isinstance(run, Run) else None for run in runs]
 
 
 def _prediction(run: Run, transient: float | None, start: float, stop: float) -> Prediction | None:
@@ -60,14 +62,17 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         return None
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
-        physical = plant_config(config)
+        if START_FILE not in run.attachments:
+            raise ValueError(f"the bag does not hold {START_FILE}")
+        run_start = RunStart.from_bytes(run.attachments[START_FILE])
+        physical = plant_config(config, run_start)
         if physical.ramps:
             return None
         if value_of(configuration_hash(physical)) != known:
             raise ValueError("the telescope's figures are no longer those of the run")
         _check(run, config, start, stop)
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
-        model = tone_model(config, controllers)
+        model = tone_model(config, controllers, run_start)
         tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
     except (ValueError, TypeError, OSError, OverflowError) as error:
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)

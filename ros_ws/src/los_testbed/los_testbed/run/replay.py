@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from los_design.steady_state import LoopStart
 from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
@@ -20,6 +21,7 @@ from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import assemble_controller, compare_with_telescope
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
+from los_testbed.run_start import START_FILE, RunStart
 from los_testbed.topics import TOPICS
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
@@ -105,8 +107,19 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     warnings = compare_with_telescope(chosen, telescope, stage)
     controller = assemble_controller(chosen, _completed(telescope), stage)
     files = {"k_fsm.json": fsm_file, "k_pma.json": pma_file}
-    as_recorded = stage == recorded and all(run.attachments.get(n) == data for n, data in files.items())
-    return Controllers(files, stage, as_recorded, LosEstimator(fsm), controller, warnings)
+    same = {name: run.attachments.get(name) == data for name, data in files.items()}
+    estimator, states = LosEstimator(fsm), _states(run)
+    if states is not None and same["k_fsm.json"]:
+        estimator.start_at(states.k_fsm, states.camera)
+    if states is not None and same["k_pma.json"] and stage == recorded:
+        controller.start_at(states.k_pma)
+    return Controllers(files, stage, stage == recorded and all(same.values()), estimator, controller, warnings)
+
+
+def _states(run: Run) -> LoopStart | None:
+    """States in which the recorded controllers started; None: at rest."""
+    data = run.attachments.get(START_FILE)
+    return None if data is None else RunStart.from_bytes(data).states
 
 
 def telescope_of(run: Run) -> DesignBasis:

@@ -23,6 +23,7 @@ from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
 from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
 from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import RATE
@@ -162,7 +163,7 @@ class Runner:
         progress: Callable[[int], None] = lambda ticks: None,
         commands: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        self._config = config
+        self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
         self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
         self._nodes: dict[str, NodeProcess] = {}

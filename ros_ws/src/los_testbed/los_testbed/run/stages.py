@@ -1,7 +1,8 @@
 """The four loop stages side by side: same seed, same disturbance, several telescopes, both parts of the error.
 
 Every metric is computed from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
-noise) and the noise alone (no disturbance).
+noise) and the noise alone (no disturbance). In the scenario worst_case each stage has its own worst parameters and
+tone, one for each index (:mod:`los_testbed.run.worst_case_rows`).
 """
 
 from __future__ import annotations
@@ -24,17 +25,26 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
-from los_testbed.variants import check_ranges, random_member
+from los_testbed.run.worst_case_rows import WORST_INDICES, WorstTone, worst_tone_of
+from los_testbed.variants import MEMBER, check_ranges, of_scenario, random_member, worst_member
 from pointing_analysis.read import Run
 from pointing_analysis.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 
 FloatArray = NDArray[np.float64]
 
+WORST = SCENARIOS[0]
+
 PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, False)}
 """Parts of the error: whether there is noise and whether there is a disturbance."""
 
-METRICS = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas")
+COMPARED = tuple(name for name in SCENARIOS if name != "design")
+"""Scenarios of a comparison, where none is named."""
+
+REPORTED = "fast"
+"""Index of the worst-case runs that the report shows side by side."""
+
+METRICS = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_windows_p997_mas")
 
 
 @dataclass(frozen=True)
@@ -53,15 +63,18 @@ class Plan:
     parts : tuple of str
         Keys of :data:`PARTS`.
     keep : bool
-        Keep the bags of all runs; otherwise those of the first telescope with both parts of the error.
+        Keep the bags of all runs; otherwise those that the reports show.
+    designs : str
+        Folder of designs whose worst parameters are run; empty for the stored ones.
     """
 
     base: RunConfig
     folder: Path
-    scenarios: tuple[str, ...] = SCENARIOS
+    scenarios: tuple[str, ...] = COMPARED
     samples: int = 3
     parts: tuple[str, ...] = tuple(PARTS)
     keep: bool = False
+    designs: str = ""
 
     def members(self) -> dict[str, RunConfig]:
         """Telescopes by name."""
@@ -75,21 +88,39 @@ class Plan:
 
     def runs(self) -> list[StageRun]:
         """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
-        first = self.scenarios[0]
-        return [
-            StageRun(
-                scenario,
-                member,
-                loop,
-                part,
-                replace(config, scenario=scenario, loop=loop, noise=PARTS[part][0], disturbance=PARTS[part][1]),
-            )
-            for scenario in self.scenarios
-            for member, config in self.members().items()
-            for loop in STAGES
-            for part in self.parts
-            if part != "noise" or scenario == first
-        ]
+        found = []
+        for scenario in self.scenarios:
+            if scenario == WORST:
+                found += self._worst_runs()
+                continue
+            first = next(name for name in self.scenarios if name != WORST)
+            found += [
+                self._run(scenario, member, loop, part, config)
+                for member, config in self.members().items()
+                for loop in STAGES
+                for part in self.parts
+                if part != "noise" or scenario == first
+            ]
+        return found
+
+    def _worst_runs(self) -> list[StageRun]:
+        """Each stage at its own worst parameters, for each index, with the noise and without."""
+        found = []
+        for loop in STAGES:
+            for index in WORST_INDICES:
+                member = worst_member(loop, index, self.base.parameters, self.designs)
+                own = {name: value for name, value in self.base.to_mapping().items() if name not in MEMBER}
+                config = RunConfig.from_mapping({**own, "worst_of": index, **member})
+                found += [self._run(WORST, index, loop, part, config) for part in ("all", "disturbance")]
+        return found
+
+    def _run(self, scenario: str, member: str, loop: str, part: str, config: RunConfig) -> StageRun:
+        noise, disturbance = PARTS[part]
+        config = replace(config, scenario=scenario, loop=loop, noise=noise, disturbance=disturbance)
+        if scenario != WORST:
+            settings = {name: value for name, value in config.to_mapping().items() if value or name != "wheel_speed"}
+            config = RunConfig.from_mapping({**settings, **of_scenario(settings, self.designs)})
+        return StageRun(scenario, member, loop, part, config)
 
 
 @dataclass(frozen=True)
@@ -101,6 +132,11 @@ class StageRun:
     loop: str
     part: str
     config: RunConfig
+
+    @property
+    def reported(self) -> bool:
+        """Whether a report shows it: of the first telescope (the worst case of fast tones), both parts of the error."""
+        return self.part == "all" and self.member in ("nominal", REPORTED)
 
     @property
     def name(self) -> str:
@@ -125,6 +161,10 @@ class StageResult:
     bag : Path or None
         Where it is kept.
     note : str
+    worst : WorstTone or None
+        Of runs of the scenario worst_case with the disturbance alone.
+    summary : Summary or None
+        All metrics; None where the loop diverged.
     """
 
     run: StageRun
@@ -133,6 +173,8 @@ class StageResult:
     tones: tuple[ToneResponse, ...] = ()
     bag: Path | None = None
     note: str = ""
+    worst: WorstTone | None = None
+    summary: Summary | None = None
 
     def model(self) -> tuple[FloatArray, FloatArray]:
         """What the model expects at the tones: frequencies [rad/s] and rms of the line of sight [rad]."""
@@ -151,6 +193,7 @@ class StageResult:
             "transient_s": self.transient,
             "bag": None if self.bag is None else self.bag.name,
             **({"note": self.note} if self.note else {}),
+            **({"worst_tone": self.worst.as_dict()} if self.worst else {}),
         }
 
 
@@ -179,7 +222,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
             results.append(replace(evaluate(plan, run, bag), note=note))
         except LoopDivergedError as error:
             results.append(StageResult(run, dict.fromkeys(METRICS, math.nan), 0.0, note=str(error)))
-        if not (plan.keep or (run.member == "nominal" and run.part == "all")):
+        if not (plan.keep or run.reported):
             shutil.rmtree(bag, ignore_errors=True)
     return tuple(results)
 
@@ -199,14 +242,12 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     """Metrics of a recorded run."""
     opened = Run.open(bag)
     summary: Summary = summarise(opened, requirements=())
-    values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_p997)
-    tones = (
-        tone_responses(opened, tone_model(run.config))
-        if run.part == "disturbance" and not run.config.ramp_duration
-        else ()
-    )
-    kept = plan.keep or (run.member == "nominal" and run.part == "all")
-    return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, bag if kept else None)
+    values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_windows_p997)
+    alone = run.part == "disturbance" and not run.config.ramp_duration
+    tones = tone_responses(opened, tone_model(run.config)) if alone else ()
+    kept = bag if plan.keep or run.reported else None
+    worst = worst_tone_of(opened) if alone and run.scenario == WORST else None
+    return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, kept, worst=worst, summary=summary)
 
 
 def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) -> dict[str, StageResult]:

@@ -8,7 +8,8 @@ from typing import Any
 
 from rich.table import Table
 
-from los_testbed.run.stages import Plan, StageResult, provenance, select
+from los_testbed.run import worst_case_rows
+from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
 from pointing_analysis.errors import RAD_PER_MAS
 from titop_plant.interface import STAGES
 
@@ -19,7 +20,7 @@ HEADS = {
     "ape_max_arcsec": "APE max [arcsec]",
     "ape_p997_arcsec": "APE 99.7 % [arcsec]",
     "rpe_rms_mas": "RPE rms [mas]",
-    "rpe_p997_mas": "RPE 99.7 % [mas]",
+    "rpe_windows_p997_mas": "RPE 99.7 % of windows [mas]",
 }
 PART_METRICS = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
 """What is shown of each part of the error."""
@@ -44,9 +45,21 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, me
     return digits(first) if len(found) == 1 else f"{digits(first)} ({digits(worst)})"
 
 
+def worst_rows(results: Sequence[StageResult]) -> list[list[str]]:
+    """Rows of the table of the scenario worst_case."""
+    cells = []
+    for loop in STAGES:
+        whole = select(results, WORST, loop, "all")
+        for index, alone in select(results, WORST, loop, "disturbance").items():
+            summary = whole[index].summary
+            if alone.worst is not None and summary is not None:
+                cells.append((loop, alone.worst, summary))
+    return worst_case_rows.rows(cells)
+
+
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
     """Part, metric and heading of each column."""
-    parts = dict.fromkeys(r.run.part for r in results)
+    parts = dict.fromkeys(r.run.part for r in results if r.run.scenario != WORST)
     return [
         (part, metric, HEADS[metric] if part == "all" else f"{part} alone: {HEADS[metric]}")
         for part in parts
@@ -84,6 +97,10 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
 def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
     """Tables for the terminal."""
     for scenario in plan.scenarios:
+        if scenario == WORST:
+            title = f"{WORST}: {worst_caption(plan)}"
+            yield _plain_table(worst_case_rows.HEADS, worst_rows(results), title)
+            continue
         whole = [c for c in columns(results) if c[0] == "all"]
         for chosen in (whole, [c for c in columns(results) if c[0] != "all"]):
             title = caption(results, plan) if chosen is whole else "parts of the error, each alone"
@@ -97,7 +114,8 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
                 yield table
         if "disturbance" in plan.parts:
             found, total = tone_rows(results, scenario)
-            yield _tone_table(
+            yield _plain_table(
+                ("Hz", *STAGES),
                 found,
                 f"{scenario}: transmissibility \\[mas per N], measured / model (when settled), {_of(found, total)}",
             )
@@ -107,19 +125,28 @@ def _of(found: Sequence[Any], total: int) -> str:
     return f"the {len(found)} strongest of {total} tones" if len(found) < total else f"{total} tones"
 
 
-def _tone_table(found: list[list[str]], title: str) -> Table:
+def _plain_table(heads: Sequence[str], found: Sequence[Sequence[str]], title: str) -> Table:
     table = Table(title=title, title_justify="left")
-    for head in ("Hz", *STAGES):
+    for head in heads:
         table.add_column(head, justify="right")
     for row in found:
         table.add_row(*row)
     return table
 
 
+def worst_caption(plan: Plan) -> str:
+    """What the rows of the scenario worst_case are."""
+    return (
+        f"{plan.base.duration:g} s, {plan.base.start} start, seed {plan.base.seed}, {plan.base.mode}; each stage at "
+        "its own worst parameters, with the tone of unit norm that is worst there"
+    )
+
+
 def caption(results: Sequence[StageResult], plan: Plan) -> str:
     """How the metrics came about."""
-    settled = max(r.transient for r in results)
-    text = f"{plan.base.duration:g} s, first {settled:g} s left out, seed {plan.base.seed}, {plan.base.mode}"
+    settled = max((r.transient for r in results if r.run.scenario != WORST), default=0.0)
+    start = f"first {settled:g} s left out" if settled else f"{plan.base.start} start"
+    text = f"{plan.base.duration:g} s, {start}, seed {plan.base.seed}, {plan.base.mode}"
     return text + (f"; in brackets the worst of {plan.samples} telescopes" if plan.samples > 1 else "")
 
 
@@ -132,6 +159,10 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     """All tables as Markdown."""
     lines, shown = [], columns(results)
     for scenario in plan.scenarios:
+        if scenario == WORST:
+            lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of 20 ms)", ""]
+            lines += _markdown_table(worst_case_rows.HEADS, worst_rows(results)) + [""]
+            continue
         lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
         lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
         if "disturbance" in plan.parts:
@@ -160,6 +191,6 @@ def as_json(results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:
                 "tones": [tone.as_dict() for tone in r.tones],
             }
             for r in results
-            if r.tones
+            if r.tones and r.run.scenario != WORST
         ],
     }

@@ -17,8 +17,9 @@ from los_testbed.run.screen import say
 from pointing_analysis.atomic_output import check_output
 from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
+from pointing_analysis.recording import Recording
 from pointing_analysis.report import digits, write_report
-from pointing_analysis.requirements import Verdict
+from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import Summary, summarise
 
 
@@ -33,28 +34,37 @@ class RunSummaries:
         Each run as the JSON object of the command line.
     report : Path or None
         HTML report, if one was written.
+    remarks : tuple of tuple of str
+        Of each run sentences beside its verdict.
     """
 
     summaries: tuple[Summary, ...]
     runs: tuple[dict[str, Any], ...]
     report: Path | None
+    remarks: tuple[tuple[str, ...], ...] = ()
 
 
 def summarise_runs(
-    bags: Sequence[Path], report: Path | None, transient: float | None = None, max_chunk: int = MAX_CHUNK
+    bags: Sequence[Path | Recording],
+    report: Path | None,
+    transient: float | None = None,
+    max_chunk: int = MAX_CHUNK,
+    requirements: Sequence[Requirement] | None = None,
 ) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
 
     Parameters
     ----------
-    bags : sequence of Path
-        Folders or .mcap files.
+    bags : sequence of Path or Recording
+        Folders or .mcap files of the testbed, or what is open already.
     report : Path or None
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
     max_chunk : int
         Largest chunk that is unpacked [byte].
+    requirements : sequence of Requirement, optional
+        By default those of the reference telescope.
 
     Raises
     ------
@@ -63,16 +73,30 @@ def summarise_runs(
     """
     if report is not None:
         check_output(report, "the report")
-    opened = [Run.open(bag, max_chunk=max_chunk) for bag in bags]
-    summaries = tuple(summarise(run, transient=transient) for run in opened)
+    opened = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
+    summaries = tuple(summarise(run, transient=transient, requirements=requirements) for run in opened)
+    remarks = tuple(remarks_of(run, found) if isinstance(run, Run) else () for run, found in zip(opened, summaries))
     if report is not None:
         from los_testbed.run.predictions import predictions
 
-        write_report(opened, report, transient=transient, predictions=predictions(opened, transient))
-    return RunSummaries(summaries, tuple(_metrics(r, s) for r, s in zip(opened, summaries)), report)
+        expected = predictions(opened, transient)
+        write_report(
+            opened, report, transient=transient, requirements=requirements, predictions=expected, remarks=remarks
+        )
+    metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
+    return RunSummaries(summaries, metrics, report, remarks)
 
 
-def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
+def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
+    """Sentences beside the verdict of a run."""
+    from los_testbed.run.control_effect import control_effect
+
+    effect = control_effect(run, summary)
+    note = run.parameters.get("start_note", "")
+    return tuple(text for text in (effect.remark if effect else "", str(note)) if text)
+
+
+def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
     """One run as the JSON object of the command line."""
     plant, recorder = (_statistics(run, node) for node in ("plant", "recorder"))
     return {
@@ -84,11 +108,12 @@ def _metrics(run: Run, summary: Summary) -> dict[str, Any]:
         "periods": int(plant.get("ticks", summary.ticks)) + int(plant.get("skipped_periods", 0)),
         "missed_ticks": int(plant["missed_ticks"]) if "missed_ticks" in plant else None,
         "latency_us": _latency(run, plant),
+        "remarks": list(remarks),
         "samples_lost": max(summary.samples_lost, int(recorder.get("samples_lost", 0))),
     }
 
 
-def _statistics(run: Run, node: str) -> dict[str, float]:
+def _statistics(run: Recording, node: str) -> dict[str, float]:
     """Statistics of a node as the bag has them; what is no number is left out."""
     statistics = run.parameters.get("statistics", {})
     found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
@@ -100,7 +125,7 @@ def _statistics(run: Run, node: str) -> dict[str, float]:
     return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
 
 
-def _latency(run: Run, plant: Mapping[str, float]) -> dict[str, float | None]:
+def _latency(run: Recording, plant: Mapping[str, float]) -> dict[str, float | None]:
     """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
     names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
     if all(name in plant for name in names.values()):
@@ -116,6 +141,10 @@ def print_summary(console: Console, results: RunSummaries) -> None:
     """Print a table for each run, and the paths."""
     for summary, metrics in zip(results.summaries, results.runs):
         console.print(_table(summary, metrics))
+        if summary.budget is not None:
+            console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
+        for remark in metrics["remarks"]:
+            console.print(f"[yellow]note:[/yellow] {remark}", soft_wrap=True)
         for problem in summary.problems:
             say(console, problem, "note")
         say(console, f"bag     {summary.path}")
@@ -124,8 +153,9 @@ def print_summary(console: Console, results: RunSummaries) -> None:
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
-    title = f"{summary.loop or summary.path.name}, {summary.scenario}, {summary.mode}, {summary.duration:g} s, "
-    title += f"first {summary.transient:g} s (start-up) left out"
+    what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
+    title = ", ".join(part for part in what if part)
+    title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
     table = Table(title=Text(title, style="table.title"))
     table.add_column("metric")
     table.add_column("value", justify="right")
@@ -136,7 +166,8 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     _row(table, "APE max", summary.ape_max, "arcsec", ape, judged=False)
     _row(table, "APE 99.7 %", summary.ape_p997, "arcsec", ape)
     _row(table, "RPE rms, 20 ms windows", summary.rpe_rms, "mas", rpe, judged=False)
-    _row(table, "RPE 99.7 %, 20 ms windows", summary.rpe_p997, "mas", rpe)
+    _row(table, "RPE rms of a window, 99.7 %", summary.rpe_windows_p997, "mas", rpe)
+    _row(table, "RPE at every instant, 99.7 %", summary.rpe_p997, "mas", None)
     lost = metrics["samples_lost"]
     table.add_row("samples lost", str(lost), "0", "met" if not lost else "[red]not met[/red]")
     missed, periods = metrics["missed_ticks"], metrics["periods"]
@@ -156,7 +187,9 @@ def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | No
     if verdict is not None:
         bound = verdict.requirement.limit / verdict.requirement.scale
         limit = f"{bound:g} {unit}"
-        status = str(verdict.status) if judged else "below" if value < bound else "above"
-        if status in ("not compliant", "above"):
+        status = verdict.statement if judged else "below" if value < bound else "above"
+        if verdict.status == "not compliant" if judged else status == "above":
             status = f"[red]{status}[/red]"
+        elif judged and (verdict.status == "compliant" or (verdict.status != "not judged" and verdict.keeps)):
+            status = f"[green]{status}[/green]"
     table.add_row(name, f"{digits(value)} {unit}", limit, status)

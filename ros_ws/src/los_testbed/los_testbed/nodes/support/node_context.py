@@ -158,7 +158,9 @@ class NodeContext:
         self._statistics.publish(message)
 
     def event(self, kind: str, **content: Any) -> None:
-        """Tell the runner, if one listens."""
+        """Tell the runner, if one listens; else log what a user wants to know."""
+        if not self._events and (text := _log_line(kind, content)):
+            self.node.get_logger().info(text)
         if self._events:
             try:
                 os.write(1, (json.dumps({"event": kind, "node": self.name, **content}) + "\n").encode())
@@ -178,6 +180,20 @@ class NodeContext:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _log_line(kind: str, content: Mapping[str, Any]) -> str:
+    """Line for the log where no runner listens; empty for what is of no interest there."""
+    if kind == "running":
+        return f"run begins at {content['start_ns'] / 1e9:.3f} s"
+    if kind == "bag":
+        return f"bag closed: {content['path']}"
+    if kind != "done":
+        return ""
+    shown = ("ticks", "missed_ticks", "skipped_periods", "latency_median_us", "gap_ticks", "messages", "samples_lost")
+    found = content["statistics"]
+    words = [f"{name} {found[name]}" for name in shown if name in found]
+    return ", ".join(["done", *words, *([f"bag {content['bag']}"] if content.get("bag") else [])])
 
 
 def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeContext], int]) -> int:

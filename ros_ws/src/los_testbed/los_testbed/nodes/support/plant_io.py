@@ -13,7 +13,7 @@ from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, Raw
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.message_types import HEADER
-from titop_plant.interface import TICK_NS
+from titop_plant.interface import FORCES, MIRROR, TICK_NS
 
 FloatArray = NDArray[np.float64]
 
@@ -58,14 +58,14 @@ class PlantIo:
         """Let the readers take in what was sent last."""
         settle([publisher for _, publisher, _ in self._sensors] + [self._truth[0]])
 
-    def begin(self, start: int) -> None:
-        """Drop what is left of the handshake; the run begins at `start`."""
+    def begin(self, start: int, command: FloatArray | None = None) -> None:
+        """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""
         self.start = start
         for subscription in (self.fsm_input, self.pma_input):
             while subscription.take() is not None:
                 pass
-        self.fsm_gate.begin(start)
-        self.pma_gate.begin(start)
+        self.fsm_gate.begin(start, None if command is None else command[MIRROR])
+        self.pma_gate.begin(start, None if command is None else command[FORCES])
 
     def fading(self) -> bool:
         """Whether an actuator is being brought to zero for want of commands."""

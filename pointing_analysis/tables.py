@@ -1,0 +1,200 @@
+"""Line of sight in a table: CSV, Parquet or NumPy file.
+
+Columns are chosen by name (``x,y``) or, without names, by position: two columns are the line of sight; of three the
+first is the time. A time column whose name ends in ``_ns`` is in nanoseconds, any other in seconds.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.series import ORIGIN, Series, make_series, stamps_of
+
+Column = NDArray[np.float64] | NDArray[np.int64]
+SUFFIXES = (".csv", ".txt", ".parquet", ".npy", ".npz")
+TIME_NAMES = (
+    "t",
+    "time",
+    "time_s",
+    "t_s",
+    "seconds",
+    "timestamp",
+    "stamp",
+    "time_ns",
+    "t_ns",
+    "stamp_ns",
+    "timestamp_ns",
+)
+X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"))
+
+
+class TableError(ValueError):
+    """A table that cannot be used; the message says what it must be and what it is."""
+
+
+def read_table(
+    path: Path, los: str | None = None, *, unit: str | None, rate: float | None = None, time: str | None = None
+) -> Series:
+    """Line of sight from a table.
+
+    Parameters
+    ----------
+    path : file ending in .csv, .txt, .parquet, .npy or .npz
+    los : names of two columns, ``x,y``; by default x, y or those that are left beside the time
+    unit : of the line of sight
+    rate : sampling rate [Hz]; needed where there is no time
+    time : name of the time column; by default one of `TIME_NAMES`, or the first of three
+
+    Raises
+    ------
+    TableError
+        A file that cannot be read, or columns that are not there.
+    ValueError
+        Unknown unit, or neither times nor a rate.
+    """
+    if not path.is_file():
+        raise TableError(f"{path}: no such file")
+    columns = _READERS[path.suffix.lower()](path)
+    if not columns:
+        raise TableError(f"{path}: table must have numeric columns, got none")
+    when = _time_column(path, columns, time, los)
+    x, y = _los_columns(path, columns, los, when)
+    xy = np.column_stack([columns[x], columns[y]]).astype(float)
+    about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate"}
+    return make_series(_stamps(columns, when, len(xy), rate), xy, unit=unit, rate=rate, path=path, parameters=about)
+
+
+def _stamps(columns: Mapping[str, Column], when: str | None, n: int, rate: float | None) -> NDArray[np.int64]:
+    if when is None:
+        return stamps_of(None, n, rate)
+    column = columns[when]
+    if not when.endswith("_ns"):
+        return stamps_of(column, n, rate)
+    whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column).astype(np.int64)
+    return np.asarray(whole - whole.min() + ORIGIN)
+
+
+def _time_column(path: Path, columns: Mapping[str, Column], asked: str | None, los: str | None) -> str | None:
+    if asked is not None:
+        if asked not in columns:
+            raise TableError(f"{path}: time must be one of {', '.join(columns)}, got {asked!r}")
+        return asked
+    lower = {name.lower(): name for name in columns}
+    for name in TIME_NAMES:
+        if name in lower:
+            return lower[name]
+    names = list(columns)
+    return names[0] if los is None and len(names) == 3 and not _known_pair(names) else None
+
+
+def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:
+    lower = {name.lower(): name for name in names}
+    return next(((lower[x], lower[y]) for x, y in X_NAMES if x in lower and y in lower), None)
+
+
+def _los_columns(path: Path, columns: Mapping[str, Column], los: str | None, when: str | None) -> tuple[str, str]:
+    if los is not None:
+        asked = tuple(part.strip() for part in los.split(","))
+        if len(asked) != 2 or any(name not in columns for name in asked):
+            raise TableError(f"{path}: los must be two of the columns {', '.join(columns)}, got {los!r}")
+        return asked[0], asked[1]
+    rest = [name for name in columns if name != when]
+    pair = _known_pair(rest) or ((rest[0], rest[1]) if len(rest) == 2 else None)
+    if pair is None:
+        raise TableError(f"{path}: los must name two of the columns {', '.join(columns)} (--los X,Y), got none")
+    return pair
+
+
+def _number(text: str) -> float:
+    text = text.strip()
+    return float(text) if text else math.nan
+
+
+def _csv(path: Path) -> dict[str, Column]:
+    """Numeric columns; an empty cell is a missing sample. Lines that begin with # are left out."""
+    try:
+        text = path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: table must be UTF-8 text, got {error}") from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise TableError(f"{path}: table must have rows, got none")
+    separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
+    rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    try:
+        [_number(cell) for cell in rows[0]]
+        names = [f"column_{i + 1}" for i in range(len(rows[0]))]
+    except ValueError:
+        names = [cell.strip() for cell in rows.pop(0)]
+    if len(set(names)) < len(names):
+        raise TableError(f"{path}: columns must have different names, got {', '.join(names)}")
+    uneven = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
+    if uneven is not None:
+        raise TableError(f"{path}: every row must have {len(names)} cells, got {len(rows[uneven])} in row {uneven + 1}")
+    found: dict[str, Column] = {}
+    for i, name in enumerate(names):
+        cells = [row[i] for row in rows]
+        try:
+            found[name] = np.array([int(c) for c in cells], np.int64) if name.endswith("_ns") else np.array(
+                [_number(c) for c in cells]
+            )  # fmt: skip
+        except (ValueError, OverflowError):
+            continue  # text
+    return found
+
+
+def _parquet(path: Path) -> dict[str, Column]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
+    try:
+        table = parquet.read_table(path)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise TableError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
+    found: dict[str, Column] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if pyarrow.types.is_timestamp(column.type):
+            column = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            name = name if name.endswith("_ns") else f"{name}_ns"
+        if pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+            found[name] = column.to_numpy()
+    return found
+
+
+def _numpy(path: Path) -> dict[str, Column]:
+    try:
+        content = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise TableError(f"{path}: file must hold plain NumPy arrays, got {error}") from None
+    if isinstance(content, np.ndarray):
+        if content.dtype.names:
+            return {name: content[name] for name in content.dtype.names}
+        if content.ndim != 2 or content.shape[1] not in (2, 3) or content.dtype.kind not in "fiu":
+            raise TableError(
+                f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {content.shape}"
+            )
+        return {f"column_{i + 1}": content[:, i] for i in range(content.shape[1])}
+    found: dict[str, Column] = {}
+    for name in content.files:
+        array = content[name]
+        if array.dtype.kind not in "fiu":
+            continue
+        if array.ndim == 1:
+            found[name] = array
+        elif array.ndim == 2 and array.shape[1] in (2, 3):
+            found.update({f"{name}.{axis}": array[:, i] for i, axis in enumerate("xyz"[: array.shape[1]])})
+    if len({len(column) for column in found.values()}) > 1:
+        raise TableError(f"{path}: arrays must have the same length, got {sorted({len(c) for c in found.values()})}")
+    return found
+
+
+_READERS = {".csv": _csv, ".txt": _csv, ".parquet": _parquet, ".npy": _numpy, ".npz": _numpy}

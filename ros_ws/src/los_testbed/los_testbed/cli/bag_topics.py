@@ -1,0 +1,40 @@
+"""Command ``los-testbed bag topics``: what a bag has that could be a line of sight."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
+
+TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
+
+**Example**
+
+    los-testbed bag topics my_bag
+"""
+
+
+def topics(
+    bag: Annotated[Path, typer.Argument(help="Bag of any program: folder or .mcap file.")],
+    json_: Json = False,
+) -> None:
+    """See TOPICS_EXAMPLES."""
+    from pointing_analysis.external_bag import candidates
+
+    found = candidates(bag)
+    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left")
+    for head in ("--los", "message type", "components", "time", "messages", "Hz"):
+        table.add_column(head, justify="right" if head in ("messages", "Hz") else "left", overflow="fold")
+    for c in found:
+        when = "header" if c.stamped else "log"
+        table.add_row(c.name, c.schema, ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}")
+    Console(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
+    if json_:
+        rows = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
+        print_json({"bag": str(bag), "candidates": rows})

@@ -1,0 +1,150 @@
+"""Commands of ``los-testbed design`` for folders of designs: a redesign for any telescope, and its verification."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
+from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from lti.progress import Progress
+
+ALL_EXAMPLES = """Design K_FSM, then K_PMA on it, for a telescope; find their worst points and verify them.
+
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. What is there from
+an interrupted design of the same telescope is kept. The exit code is 1 if a requirement is not met.
+
+**Examples**
+
+    los-testbed design all --parameters soft.toml --output designs/soft
+
+    los-testbed run --designs designs/soft                 # the telescope and its controllers
+
+    los-testbed design verify designs/soft
+"""
+
+FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
+
+
+def check_output(folder: Path, parameters: Path | None) -> None:
+    """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
+
+    Raises
+    ------
+    ValueError
+        A file in its place, a folder of another telescope's designs, or one that cannot be written to.
+    """
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+
+    own = load_parameters(parameters or REFERENCE)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--output must be a folder, got the file {folder}")
+    kept = folder / TELESCOPE_FILE
+    if kept.exists() and parameters_hash(load_parameters(kept)) != parameters_hash(own):
+        raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if parameters is None or any(own[body]["modal_data"] for body in ("body", "payload")):
+            return  # the reference, or modal data that belong beside the file
+        if not (kept.exists() and kept.samefile(parameters)):
+            shutil.copyfile(parameters, kept)
+    except OSError as error:
+        raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+
+
+def design_all(
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
+    parameters: Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of starts and searches.", min=0)] = 0,
+    effort: Annotated[str, typer.Option(help="full or short.")] = "full",
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
+    json_: Json = False,
+) -> None:
+    """See ALL_EXAMPLES."""
+    from los_design import redesign
+    from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
+
+    check_output(output, parameters)
+    for line in differences(parameters or REFERENCE):
+        sys.stderr.write(f"telescope: {line}\n")
+    summary = redesign.design_all(
+        load_parameters(parameters or REFERENCE), output, seed=seed, effort=effort, resume=resume,
+        report=_say,
+    )  # fmt: skip
+    _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def verify_folder(folder: Path, samples: int, json_: bool) -> None:
+    """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
+
+    Raises
+    ------
+    ValueError
+        A file is missing.
+    """
+    from los_design.verification import broken_requirements, check_implemented, verification_points
+    from lti import SampledSystem
+    from lti.threads import one_thread
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation import control_loop_plant
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+
+    if not folder.is_dir():
+        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+    file = folder / TELESCOPE_FILE
+    parameters = load_parameters(file if file.exists() else REFERENCE)
+    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    for warning in design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True):
+        sys.stderr.write(f"warning: {warning}\n")
+    with one_thread(), Progress(f"{folder.name} as implemented") as bar:
+        system = control_loop_plant(build_telescope(parameters), parameters)
+        at = [*verification_points(parameters, system, samples), *_worst(folder)]
+        done = iter(range(1, 4 * len(at) + 10))
+        check = check_implemented(system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), len(at) + 1))
+    _show(folder, check.to_mapping(), broken_requirements(check), json_)
+
+
+def _worst(folder: Path) -> list[dict[str, float]]:
+    """Parameter points of the stored worst points with fine control."""
+    from titop_plant.interface import MIRROR_STAGES
+
+    path = folder / WORST_POINTS
+    if not path.exists():
+        return []
+    stages = json.loads(path.read_text("utf-8"))["stages"]
+    return [dict(point["parameters"]) for stage in MIRROR_STAGES for point in stages[stage].values()]
+
+
+def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: bool) -> None:
+    """Table or JSON object, one line for each requirement that is not met, exit code 1 if there is one."""
+    if json_:
+        print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met})
+    else:
+        table = Table(title=f"{folder}: gammas as implemented (1 is the limit)")
+        for column in ("stage", "requirement", "gamma", ""):
+            table.add_column(column, justify="right" if column == "gamma" else "left")
+        for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
+            for name, gamma in zip(names, implemented[stage]):
+                met = isinstance(gamma, float) and gamma <= 1.0
+                table.add_row(stage, name, f"{gamma}", "met" if met else "[red]not met[/red]")
+        Console().print(table)
+        for key in ("margins", "noise", "worst_point"):
+            if key in implemented:
+                Console().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False, markup=False)
+    for text in not_met:
+        sys.stderr.write(f"not met: {text}\n")
+    if not_met:
+        raise typer.Exit(1)

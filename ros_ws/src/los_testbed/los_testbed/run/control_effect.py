@@ -1,0 +1,80 @@
+"""Whether fine control removes more of the error than it adds, from the bag alone.
+
+The telescope on its isolator without fine control, under the disturbance of the run, is modelled; the run itself is
+measured. Where its error is larger, sensor noise through the loops outweighs the disturbance that they remove.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from los_testbed.config import RunConfig
+from los_testbed.factories import tone_model
+from los_testbed.run.replay import controller_of
+from los_testbed.run_start import START_FILE, RunStart
+from lti.threads import one_thread
+from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.read import Run
+from pointing_analysis.structured_text import load_yaml
+from pointing_analysis.summary import WINDOW, Summary
+from pointing_analysis.weights import rpe_discrete
+from titop_plant.interface import DT, MIRROR_STAGES
+
+
+@dataclass(frozen=True)
+class ControlEffect:
+    """Relative error with and without fine control [mas rms, norm of both axes].
+
+    Parameters
+    ----------
+    closed : float
+        Measured in the run.
+    isolated : float
+        Modelled: isolator alone, the same disturbance.
+    """
+
+    closed: float
+    isolated: float
+
+    @property
+    def remark(self) -> str:
+        """One line where control adds more than it removes, else empty."""
+        if self.closed <= self.isolated:
+            return ""
+        return (
+            f"control adds more than it removes: RPE {self.closed:.3g} mas rms with it, "
+            f"{self.isolated:.3g} mas rms on the isolator alone (model)"
+        )
+
+
+def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
+    """Effect of control in a recorded run; None where it is not known.
+
+    It is known for a stage with fine control, a telescope of constant parameters and a bag that holds how its run
+    started.
+
+    Parameters
+    ----------
+    run : Run
+    summary : Summary
+        Of the run.
+    """
+    needed = {"run.yaml", START_FILE, "k_fsm.json", "k_pma.json"}
+    known = "plant_parameters_hash" in run.parameters and needed <= set(run.attachments)
+    if not known or summary.loop not in MIRROR_STAGES or run.parameters.get("mode") == "replay":
+        return None
+    try:
+        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
+        start = RunStart.from_bytes(run.attachments[START_FILE])
+        if config.ramp_duration or not np.isfinite(summary.rpe_rms):
+            return None
+        controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
+        with one_thread():
+            model = tone_model(replace(config, loop="isolator"), controllers, start)
+            amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
+    except (ValueError, OSError, OverflowError):
+        return None
+    weights = rpe_discrete(model.omega, round(WINDOW / DT), DT)
+    return ControlEffect(summary.rpe_rms, float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0)) / RAD_PER_MAS)

@@ -1,0 +1,113 @@
+"""The scenario worst_case of the stage comparison: each stage at its own worst parameters, tone by tone.
+
+For each index the run with the disturbance alone gives the measured amplitude of the tone, the model gives gamma times
+the limit, and the run with noise as well gives the quantile that the requirement is asked of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from los_testbed.run_start import START_FILE, RunStart
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.read import Run
+from pointing_analysis.requirements import load
+from pointing_analysis.summary import WINDOW, Summary
+from titop_plant.interface import DT
+from titop_plant.telescope.weights import rpe_weight
+
+WORST_INDICES = ("APE", "slow", "fast")
+"""Indices whose worst tones are compared; the worst RPE is that of a slow or of a fast tone."""
+
+
+@dataclass(frozen=True)
+class WorstTone:
+    """One tone of unit norm: what the model says of it and what a record shows.
+
+    Parameters
+    ----------
+    index : str
+    omega : float
+        rad/s.
+    gamma : float
+    limit, predicted, measured : float
+        Limit of the index and amplitude of the error; arcsec for the APE, else mas.
+    """
+
+    index: str
+    omega: float
+    gamma: float
+    limit: float
+    predicted: float
+    measured: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of the amplitudes."""
+        return "arcsec" if self.index == "APE" else "mas"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values for JSON."""
+        return {k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in asdict(self).items()}
+
+
+def worst_tone_of(run: Run) -> WorstTone | None:
+    """The tone of a run without noise, fitted to its record; None where the bag holds no worst-case tone."""
+    data = run.attachments.get(START_FILE)
+    tone = None if data is None else RunStart.from_bytes(data).tone
+    if tone is None:
+        return None
+    values = run["truth/los"].values[:, :2]
+    angle = tone.omega * DT * np.arange(len(values))
+    fit = linalg.lstsq(np.column_stack([np.cos(angle), np.sin(angle)]), values)[0]
+    size = float(np.sqrt(np.sum(fit**2)))
+    unit, weight = RAD_PER_ARCSEC, 1.0
+    if tone.index != "APE":
+        unit, weight = RAD_PER_MAS, float(rpe_weight(tone.omega, WINDOW))
+    return WorstTone(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
+
+
+def limits_kept(summary: Summary, index: str) -> str:
+    """What a run keeps of the limits of its index: "keeps 100, breaks 40".
+
+    The quantile of 99.7 % is compared with each limit.
+    """
+    found = summary.ape_p997 if index == "APE" else summary.rpe_windows_p997
+    name = "APE" if index == "APE" else "RPE"
+    bounds = sorted({r.limit / r.scale for r in load() if r.index == name and not r.axis}, reverse=True)
+    kept, broken = ([f"{b:g}" for b in bounds if (found <= b) == keeps] for keeps in (True, False))
+    parts = (("keeps", kept), ("breaks", broken))
+    return ", ".join(f"{word} {' and '.join(texts)}" for word, texts in parts if texts)
+
+
+def figure(value: float) -> str:
+    """Three digits."""
+    return "diverged" if not math.isfinite(value) else f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+HEADS = (
+    "stage", "worst tone", "rad/s", "Hz", "gamma", "predicted", "measured", "with noise, 99.7 %", "limits",
+)  # fmt: skip
+
+
+def rows(cells: Sequence[tuple[str, WorstTone, Summary]]) -> list[list[str]]:
+    """Rows of the table: stage, tone, run with noise."""
+    table = []
+    for loop, tone, summary in cells:
+        quantile = summary.ape_p997 if tone.index == "APE" else summary.rpe_windows_p997
+        table.append([
+            loop, tone.index if tone.index == "APE" else f"RPE, {tone.index}", f"{tone.omega:.4g}",
+            f"{tone.omega / (2.0 * math.pi):.4g}", f"{tone.gamma:.3f} of {tone.limit:g} {tone.unit}",
+            f"{figure(tone.predicted)} {tone.unit}", f"{figure(tone.measured)} {tone.unit}",
+            f"{figure(quantile)} {tone.unit}", limits_kept(summary, tone.index),
+        ])  # fmt: skip
+    return table
+
+
+__all__ = ["HEADS", "WORST_INDICES", "WorstTone", "limits_kept", "rows", "worst_tone_of"]

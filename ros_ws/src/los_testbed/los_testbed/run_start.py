@@ -1,0 +1,207 @@
+"""How a run starts: its worst-case tone, and the states of plant and controllers at tick 0.
+
+Every process computes this from the configuration alone, the same bits on the same machine; the bag holds it as
+``start.json``, so that replay and report need no second computation.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from los_testbed.config import RunConfig, physical_hash
+from lti.sampled_system import SampledSystem
+from lti.threads import one_thread
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from los_design.steady_state import LoopStart
+    from los_design.worst_tone import WorstTone
+    from titop_plant.simulation import PlantConfig
+
+START_FILE = "start.json"
+"""Name of the attachment in a bag."""
+
+FORMAT = "los-testbed/run-start"
+
+_KEPT = 8
+_found: dict[str, RunStart] = {}
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """Tone and states with which a run starts.
+
+    Parameters
+    ----------
+    tone : WorstTone or None
+        Disturbance of the scenario worst_case; None in the others and without disturbance.
+    states : LoopStart or None
+        States in which the loop starts; None: at rest, all states zero.
+    note : str
+        Why it is not as the configuration asks for; empty otherwise.
+    """
+
+    tone: WorstTone | None = None
+    states: LoopStart | None = None
+    note: str = ""
+
+    def to_bytes(self) -> bytes:
+        """JSON text; numbers are exact."""
+        content = {
+            "format": FORMAT,
+            "version": 1,
+            "tone": None if self.tone is None else self.tone.to_mapping(),
+            "states": None if self.states is None else self.states.to_mapping(),
+            "note": self.note,
+        }
+        return (json.dumps(content) + "\n").encode()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> RunStart:
+        """Read what :meth:`to_bytes` wrote.
+
+        Raises
+        ------
+        ValueError
+            Another format.
+        """
+        from los_design.steady_state import LoopStart
+        from los_design.worst_tone import WorstTone
+
+        try:
+            content = json.loads(data)
+        except ValueError:
+            raise ValueError(f"{START_FILE} must be JSON, the text is not") from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise ValueError(f'{START_FILE} must have "format": "{FORMAT}"')
+        tone, states = content.get("tone"), content.get("states")
+        return cls(
+            None if tone is None else WorstTone.from_mapping(tone),
+            None if states is None else LoopStart.from_mapping(states),
+            str(content.get("note", "")),
+        )
+
+    @property
+    def command(self) -> NDArray[np.float64] | None:
+        """Command (8,) that the first tick applies [rad, N]; None: zero."""
+        return None if self.states is None else self.states.command
+
+    def tones(self) -> tuple[tuple[float, ...], ...]:
+        """The tone as :class:`titop_plant.simulation.PlantConfig` takes it."""
+        if self.tone is None:
+            return ()
+        return ((self.tone.omega, *self.tone.amplitude.real.tolist(), *self.tone.amplitude.imag.tolist()),)
+
+
+AT_REST = RunStart()
+"""The start with all states zero."""
+
+
+def find_run_start(
+    config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
+) -> RunStart:
+    """Tone and states of a run; what was computed last is kept.
+
+    A loop that is not stable has neither: its tone is that of the telescope without fine control, and it starts at
+    rest (`RunStart.note` says so).
+
+    Parameters
+    ----------
+    config : RunConfig
+    physical : PlantConfig
+        Telescope and disturbance of the run; in the scenario worst_case without disturbance.
+    controllers : mapping
+        ``k_fsm`` and ``k_pma``.
+    authority : (float, float)
+        Largest commands of the run: mirror [rad], actuators [N].
+    """
+    if config.start == "rest" and not _needs_tone(config):
+        return RunStart()
+    key = _key(config, physical, controllers)
+    if key not in _found:
+        while len(_found) >= _KEPT:
+            del _found[next(iter(_found))]
+        with one_thread():
+            _found[key] = _computed(config, physical, controllers, authority)
+    return _found[key]
+
+
+def _needs_tone(config: RunConfig) -> bool:
+    return config.scenario == "worst_case" and config.disturbance
+
+
+def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem]) -> str:
+    from titop_plant.simulation import configuration_hash
+
+    digest = hashlib.sha256(f"{physical_hash(config)} {config.loop} {config.start} {config.duration}".encode())
+    digest.update(configuration_hash(physical).encode())
+    for name in ("k_fsm", "k_pma"):
+        system = controllers[name]
+        for matrix in (system.A, system.B, system.C, system.D):
+            digest.update(matrix.tobytes())
+        digest.update(json.dumps(dict(system.design_basis), sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def _computed(
+    config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
+) -> RunStart:
+    from los_design.steady_state import steady_start
+    from los_design.tone_model import LoopModel
+    from titop_plant.simulation import sensor_bias
+
+    notes: list[str] = []
+    tone = _tone(config, physical, controllers, authority, notes) if _needs_tone(config) else None
+    states = None
+    if config.start == "steady":
+        chosen = with_tones(physical, RunStart(tone)) if tone else physical
+        model = LoopModel.of(chosen, controllers, loop=config.loop, authority=authority)
+        orders = controllers["k_fsm"].order, controllers["k_pma"].order
+        try:
+            states = steady_start(model, sensor_bias(physical), orders)
+        except ValueError as error:
+            notes.append(f"{error}: the run starts at rest")
+    return RunStart(tone, states, "; ".join(notes))
+
+
+def _tone(
+    config: RunConfig,
+    physical: PlantConfig,
+    controllers: Mapping[str, SampledSystem],
+    authority: tuple[float, float],
+    notes: list[str],
+) -> WorstTone:
+    """Worst tone of the loop; of the telescope without fine control where the loop is not stable."""
+    from los_design.tone_model import LoopModel
+    from los_design.worst_tone import worst_tone
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    parameters = load_parameters(config.parameters or REFERENCE)
+    open_loop = "isolator" if physical.isolated else "none"
+    for loop in (config.loop, open_loop):
+        model = LoopModel.of(physical, controllers, loop=loop, authority=authority)
+        try:
+            found = worst_tone(
+                model.loop, model.plant, parameters, index=config.worst_of, stage=config.loop, closed=loop != open_loop
+            )
+        except ValueError as error:
+            notes.append(f"{error}: the tone is the worst one of the stage {open_loop}")
+        else:
+            return found.peaking_at(0.5 * config.duration)
+    raise AssertionError("the loop above returns or raises")
+
+
+def at_rest(config: RunConfig) -> RunConfig:
+    """The configuration of a run with another plant: of the telescope only is it known what is steady."""
+    return replace(config, start="rest")
+
+
+def with_tones(physical: PlantConfig, start: RunStart) -> PlantConfig:
+    """The physical settings with the worst-case tone of a start."""
+    return replace(physical, scenario="worst_case", disturbance=True, tones=start.tones())

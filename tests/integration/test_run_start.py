@@ -1,0 +1,91 @@
+"""A run starts in the steady state of the loop that runs: nothing decays, from the first tick on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import build_controller, build_estimator, build_plant, run_start
+from los_testbed.loop.simulate import simulate
+from los_testbed.run_start import RunStart
+
+from pointing_analysis.metrics import radial, windows
+from titop_plant.interface import DT, FRAME_TICKS, STAGES
+
+WHEELS = (300.0, -200.0, 150.0, -400.0)
+
+
+def line_of_sight(config: RunConfig) -> np.ndarray:
+    """Truth of every tick (n, 2), by the parts that run and without a bag."""
+    estimator, controller, found = build_estimator(config), build_controller(config), []
+    estimator.reset()
+    controller.reset()
+    simulate(
+        build_plant(config), estimator, controller, config.ticks,
+        lambda block, rows: found.append(block.truth[:rows].copy()), run_start(config).command,
+    )  # fmt: skip
+    return np.concatenate(found)
+
+
+@pytest.fixture(scope="module")
+def biased(tmp_path_factory) -> RunConfig:
+    """A telescope whose sensors have their bias and no noise."""
+    file = tmp_path_factory.mktemp("biased") / "telescope.toml"
+    zeros = ", ".join(["0.0"] * 6)
+    file.write_text(
+        f"[sensors]\naccelerometer_noise = [{zeros}]\ncamera_noise = 0.0\nstrain_gauge_noise = 0.0\n", "utf-8"
+    )
+    return RunConfig(duration=4.0, mode="inprocess", parameters=str(file), wheel_speed=WHEELS, tau=0.3)
+
+
+@pytest.mark.parametrize("loop", STAGES)
+def test_a_steady_start_has_no_transient(biased: RunConfig, loop: str) -> None:
+    """Tone, its sidebands at the camera's frame rate and the harmonics of the bias: fitted to the last second, they are
+    all that the first one holds."""
+    config = replace(biased, loop=loop)
+    tone = run_start(config).tone
+    los, t = line_of_sight(config), DT * np.arange(config.ticks)
+    frame = 2.0 * np.pi / (FRAME_TICKS * DT)
+    columns = [np.exp(1j * (tone.omega + k * frame) * t) for k in range(-FRAME_TICKS // 2, FRAME_TICKS // 2)]
+    columns += [np.exp(1j * k * frame * t) for k in range(FRAME_TICKS // 2 + 1)]
+    basis = np.column_stack([part for c in columns for part in (c.real, c.imag)])
+    fit = np.linalg.lstsq(basis[-2000:], los[-2000:], rcond=1e-10)[0]
+    assert np.abs(los - basis @ fit).max() < 1e-6 * np.abs(los).max()
+
+
+def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
+    """After 200 s; at the beginning the washout's answer to the bias of the accelerometers is many times as large."""
+    biased = replace(biased, worst_of="fast")
+    steady = line_of_sight(replace(biased, duration=2.0))
+    rest = line_of_sight(replace(biased, duration=200.0, start="rest"))
+    first, last, same = (np.hypot(*windows(part, DT, 0.02).rpe_rms) for part in (rest[:1000], rest[-2000:], steady))
+    assert last == pytest.approx(same, rel=0.02)
+    assert radial(rest[2000:6000]).max() > 5.0 * radial(steady).max()
+    assert first != pytest.approx(same, rel=0.02)
+
+
+def test_the_bag_holds_the_start_to_the_last_bit() -> None:
+    start = run_start(RunConfig(loop="fsm"))
+    again = RunStart.from_bytes(start.to_bytes())
+    assert again.tone.gamma == start.tone.gamma
+    for name in ("plant", "command", "k_fsm", "k_pma", "camera"):
+        np.testing.assert_array_equal(getattr(again.states, name), getattr(start.states, name))
+    np.testing.assert_array_equal(again.tone.amplitude, start.tone.amplitude)
+
+
+def test_open_stages_with_noise_alone_do_not_move() -> None:
+    start = run_start(RunConfig(loop="isolator", disturbance=False))
+    assert not start.states.plant.any() and not start.states.command.any()
+    assert start.states.k_fsm.any()  # the washout has answered the bias
+
+
+def test_a_loop_that_is_not_stable_starts_at_rest_and_says_so(tmp_path) -> None:
+    from los_testbed.factories import load_controllers
+
+    chosen = load_controllers(RunConfig())
+    wild = replace(chosen["k_fsm"], C=40.0 * chosen["k_fsm"].C, D=40.0 * chosen["k_fsm"].D)
+    start = run_start(RunConfig(loop="fsm"), {**chosen, "k_fsm": wild})
+    assert start.states is None and start.tone is not None
+    assert "must be stable" in start.note and "rest" in start.note

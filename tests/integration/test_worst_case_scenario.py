@@ -1,0 +1,116 @@
+"""The scenario worst_case runs the disturbance of unit norm that is worst: its tone measures gamma times the limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import build_controller, build_estimator, build_plant, load_controllers, run_start
+from los_testbed.factories import plant_config as physical_settings
+from los_testbed.loop.simulate import simulate
+from los_testbed.variants import of_scenario
+
+from los_design.sampled_loop import sampled_loop
+from los_design.worst_tone import INDICES, WorstTone, worst_tone
+from titop_plant.disturbances import Tones, weight_amplitudes
+from titop_plant.interface import COMMANDS, DT, STAGES
+from titop_plant.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation import plant_and_tones, sample
+from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.weights import rpe_weight
+
+
+def measured(config: RunConfig, omega: float) -> float:
+    """Amplitude of the line of sight at the tone [rad], norm of both axes, fitted to the record of a run."""
+    estimator, controller, found = build_estimator(config), build_controller(config), []
+    estimator.reset()
+    controller.reset()
+    simulate(
+        build_plant(config), estimator, controller, config.ticks,
+        lambda block, rows: found.append(block.truth[:rows].copy()), run_start(config).command,
+    )  # fmt: skip
+    t = DT * np.arange(config.ticks)
+    basis = np.column_stack([np.cos(omega * t), np.sin(omega * t)])
+    fit = np.linalg.lstsq(basis, np.concatenate(found), rcond=None)[0]
+    return float(np.sqrt(np.sum(fit**2)))
+
+
+@pytest.mark.parametrize("index", INDICES)
+@pytest.mark.parametrize("loop", STAGES)
+def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> None:
+    """Within 2 %, at the worst parameters of the stage, with the designs that ship."""
+    chosen = {"loop": loop, "worst_of": index, "duration": 10.0, "noise": False, "mode": "inprocess"}
+    config = RunConfig.from_mapping({**chosen, **of_scenario(chosen)})
+    tone, parameters = run_start(config).tone, load_parameters()
+    weight = 1.0 if index == "APE" else float(rpe_weight(tone.omega, parameters["weights"]["rpe_window"]))
+    assert weight * measured(config, tone.omega) == pytest.approx(tone.gamma * tone.limit, rel=0.02)
+    norm = np.linalg.norm(tone.amplitude / weight_amplitudes(parameters, tone.omega)[0])
+    assert norm == pytest.approx(1.0, rel=1e-12)
+
+
+def loop_at(config: RunConfig):
+    plant, _ = plant_and_tones(physical_settings(config))
+    chosen = load_controllers(config)
+    return sampled_loop(plant, chosen["k_fsm"], chosen["k_pma"], loop=config.loop, frame_ticks=20), plant
+
+
+def test_no_other_tone_of_unit_norm_is_worse() -> None:
+    """Random frequencies, most of them near the worst one, and random directions, in the time domain."""
+    config = RunConfig(loop="fsm", disturbance=False, worst_of="fast")
+    parameters = load_parameters()
+    loop, plant = loop_at(config)
+    worst = worst_tone(loop, plant, parameters, index="fast", stage="fsm")
+    rng = np.random.default_rng(8)
+    for omega in worst.omega * (1.0 + np.array([0.0, 1e-3, -1e-3, 0.02, -0.3])):
+        direction = rng.standard_normal(22) + 1j * rng.standard_normal(22)
+        for mix in (0.0, 0.3, 1.0):
+            unit = worst.amplitude / weight_amplitudes(parameters, worst.omega)[0] + mix * direction
+            amplitude = weight_amplitudes(parameters, omega)[0] * unit / np.linalg.norm(unit)
+            los = loop_response(loop, plant, omega, amplitude)
+            size = float(rpe_weight(omega, 0.02)) * np.linalg.norm(los)
+            assert size <= worst.gain * (1.0 + 1e-6)
+
+
+def loop_response(loop, plant, omega: float, amplitude: np.ndarray) -> np.ndarray:
+    """Phasor of the line of sight by the periodic solve of the tone model, which shares no code with the search."""
+    from los_design.tone_model import LoopModel
+
+    model = LoopModel(loop, plant, np.array([omega]), amplitude[:, None], np.full(COMMANDS, 1.0))
+    return model.settled()[:, 0]
+
+
+def test_the_phase_of_the_tone_puts_its_peak_into_the_middle_of_the_run() -> None:
+    config = RunConfig(loop="isolator", worst_of="APE", noise=False, duration=10.0)
+    tone = run_start(config).tone
+    t = np.linspace(0.0, 10.0, 1001)
+    size = np.linalg.norm((tone.los[:, None] * np.exp(1j * tone.omega * t)).imag, axis=0)
+    assert t[size.argmax()] == pytest.approx(5.0, abs=0.011)
+    assert WorstTone.from_mapping(tone.to_mapping()).gamma == tone.gamma
+
+
+def test_imbalance_begins_at_structural_modes() -> None:
+    """Of the wheels' speeds each is where the line of sight of the telescope is louder than 5 % beside it."""
+    speeds = of_scenario({"scenario": "imbalance"})["wheel_speed"]
+    assert of_scenario({"scenario": "imbalance", "wheel_speed": [1.0, 2.0, 3.0, 4.0]}) == {}
+    config = RunConfig(scenario="imbalance", loop="isolator", wheel_speed=tuple(speeds), disturbance=False)
+    plant, _ = plant_and_tones(physical_settings(config))
+
+    def loudness(wheel: int, speed: float) -> float:
+        amplitude = np.zeros((22, 1), complex)
+        amplitude[5 * wheel : 5 * wheel + 2, 0] = 1.0, -1j * np.sign(speed)
+        tones = Tones(np.array([abs(speed)]), amplitude, np.zeros(1), np.array([-1]))
+        at_rest = np.linalg.solve(
+            1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0]
+        )
+        sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
+        run = SampledPlant([sample(plant, tones, 10**9)], at_rest.imag, sensors, np.ones(8), dt=DT,
+                           tones=tones.frequency, parameters_hash="test")  # fmt: skip
+        y, truth, los = np.zeros(22), np.zeros(2), np.zeros((400, 2))
+        for row in los:
+            run.step(np.zeros(8), y, truth)
+            row[:] = truth
+        return float(np.sqrt(np.mean(los**2)))
+
+    louder = [loudness(i, s) > max(loudness(i, 0.95 * s), loudness(i, 1.05 * s)) for i, s in enumerate(speeds)]
+    assert sum(louder) >= 3
+    assert len({round(abs(s)) for s in speeds}) == 4

@@ -1,0 +1,102 @@
+"""Folders of designs: what a run takes from them, and what is refused before any work is done."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from los_testbed.cli import app as cli
+from los_testbed.cli.redesign import check_output
+from los_testbed.cli.run import configure
+from los_testbed.run.control_effect import ControlEffect
+from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS, of_designs, worst_member
+
+from los_design.store import design_file
+from titop_plant.interface import STAGES
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+SOFT = "[isolator]\nstiffness = [1.33e6, 1.33e6, 1.33e6, 0.365e6, 0.52e6, 0.8825e6]\n"
+
+
+@pytest.fixture
+def soft(tmp_path: Path) -> Path:
+    file = tmp_path / "soft.toml"
+    file.write_text(SOFT, "utf-8")
+    return file
+
+
+@pytest.fixture
+def folder(tmp_path: Path, soft: Path) -> Path:
+    """A folder of designs for the soft telescope, the controllers those that ship."""
+    made = tmp_path / "designs"
+    check_output(made, soft)
+    for kind in ("k-fsm", "k-pma"):
+        (made / f"{kind.replace('-', '_')}.json").write_bytes(design_file(kind).read_bytes())
+    values = {f"wheel_{i}.speed": 100.0 * i for i in range(1, 5)}
+    values |= {"solar_array.omega_1": 0.75, "solar_array.omega_2": 2.6, "solar_array.tau": 0.25}
+    point = {"parameters": values, "omega": 400.0, "gamma": 0.9, "limit": 1e-7}
+    stages = {stage: dict.fromkeys(("APE", "RPE", "slow", "fast"), point) for stage in STAGES}
+    content = {"parameters_hash": parameters_hash(load_parameters(soft)), "stages": stages}
+    (made / WORST_POINTS).write_text(json.dumps(content), "utf-8")
+    return made
+
+
+def test_a_run_takes_controllers_telescope_and_worst_point(folder: Path) -> None:
+    config = configure(None, [], {"output": "bag", "mode": "inprocess"}, designs=str(folder))
+    assert config.k_fsm == str(folder / "k_fsm.json") and config.k_pma == str(folder / "k_pma.json")
+    assert config.parameters == str(folder / TELESCOPE_FILE)
+    assert (config.tau, config.wheel_speed) == (0.25, (100.0, 200.0, 300.0, 400.0))
+    assert load_parameters(config.parameters) == load_parameters(folder / TELESCOPE_FILE)
+
+
+def test_a_member_that_is_named_stays(folder: Path) -> None:
+    given = {"output": "bag", "tau": 0.1, "scenario": "worst_case"}
+    config = configure(None, [], given, designs=str(folder))
+    assert (config.tau, config.wheel_speed, config.omega_1) == (0.1, (), 0.0)
+
+
+def test_worst_points_of_another_telescope_are_not_used(folder: Path, soft: Path) -> None:
+    assert worst_member("fsm", "fast", str(soft), str(folder))["omega_2"] == 2.6
+    assert worst_member("fsm", "fast", "", str(folder)) == {}
+    assert worst_member("fsm", "fast", str(soft)) == {}
+    assert set(worst_member("fsm+pma", "RPE")) == {"tau", "wheel_speed", "omega_1", "omega_2"}
+
+
+def test_a_folder_without_a_controller_is_refused(folder: Path) -> None:
+    (folder / "k_pma.json").unlink()
+    with pytest.raises(ValueError, match=r"designs must hold k_fsm\.json and k_pma\.json"):
+        of_designs(str(folder))
+
+
+def test_the_output_is_refused_before_the_work(folder: Path, soft: Path, tmp_path: Path) -> None:
+    check_output(folder, soft)  # the same telescope: goes on
+    with pytest.raises(ValueError, match="without designs of another telescope"):
+        check_output(folder, None)
+    with pytest.raises(ValueError, match="must be a folder, got the file"):
+        check_output(soft, None)
+    with pytest.raises(ValueError, match="folder that can be written to"):
+        check_output(soft / "below", None)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["all"],
+        ["verify", "nowhere"],
+        ["k-pma", "--k-fsm", "nowhere.json"],
+        ["k-fsm", "--parameters", "nowhere.toml", "--output", "k.json"],
+    ],
+)
+def test_a_mistake_is_one_line(tmp_path: Path, monkeypatch, capsys, arguments: list[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["design", *arguments])
+    assert stop.value.code == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_effect_of_control_is_told_where_it_is_adverse() -> None:
+    assert ControlEffect(closed=5.0, isolated=20.0).remark == ""
+    text = ControlEffect(closed=31.3, isolated=2.2).remark
+    assert text.startswith("control adds more than it removes") and "31.3" in text and "2.2" in text

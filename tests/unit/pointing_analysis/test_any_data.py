@@ -1,0 +1,260 @@
+"""The same samples give the same verdict wherever they come from: our bag, another bag, CSV, Parquet, NumPy, arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+
+from pointing_analysis.errors import RAD_PER_ARCSEC
+from pointing_analysis.los_source import open_los
+from pointing_analysis.read import Run
+from pointing_analysis.report import render
+from pointing_analysis.requirements import load, parse
+from pointing_analysis.series import judge_series, series
+from pointing_analysis.summary import Summary, summarise
+from pointing_analysis.synthetic import write_bag
+
+external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
+
+RATE = 512.0
+REQUIREMENTS = """
+[[requirement]]
+text = "prob(|APE| < 0.12 arcsec) >= 0.95 at 90 % confidence"
+[[requirement]]
+text = "prob(|RPE(31.25 ms)| < 60 mas) >= 0.9 at 90 % confidence"
+[[requirement]]
+text = "prob(|RPE_x(15.625 ms)| < 20 mas) >= 0.9 at 90 % confidence"
+[[requirement]]
+text = "prob(|PDE(62.5 ms, 500 ms)| < 90 mas) >= 0.5 at 90 % confidence"
+"""
+
+
+def samples(n: int = 6000) -> np.ndarray[Any, Any]:
+    """Tone and noise [arcsec]; none of the numbers is short in decimal or binary."""
+    t = np.arange(n) / RATE
+    tone = 0.07 * np.column_stack([np.sin(2 * np.pi * 11.3 * t), np.cos(2 * np.pi * 7.7 * t)])
+    return np.asarray(tone + 0.011 * np.random.default_rng(3).standard_normal((n, 2)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same samples in our bag, another bag, CSV and NumPy."""
+    made, xy = tmp_path_factory.mktemp("any"), samples()
+    (made / "mission.toml").write_text(REQUIREMENTS)
+    write_bag(made / "ours", {"truth/los": xy * RAD_PER_ARCSEC}, dt=1 / RATE)
+    topics = {"/my/los": ("geometry_msgs/msg/PointStamped", xy), "/text": ("std_msgs/msg/String", xy[:3])}
+    external_bags.write_external(made / "theirs", topics, RATE)
+    t = np.arange(len(xy)) / RATE
+    rows = "\n".join(f"{a!r},{x!r},{y!r}" for a, (x, y) in zip(t.tolist(), xy.tolist()))
+    (made / "a.csv").write_text("time,x,y\n" + rows + "\n")
+    (made / "bare.csv").write_text("\n".join(f"{x!r};{y!r}" for x, y in xy.tolist()))
+    np.save(made / "a.npy", xy)
+    np.savez(made / "a.npz", t=t, los=xy)
+    return made
+
+
+def comparable(summary: Summary) -> dict[str, Any]:
+    """All of a summary but where it comes from."""
+    values = dataclasses.asdict(summary)
+    return {name: value for name, value in values.items() if name not in ("path", "problems")}
+
+
+SOURCES = [
+    ("theirs", {"los": "/my/los", "rate": RATE}),
+    ("theirs", {"los": "/my/los.point"}),
+    ("a.csv", {"rate": RATE}),
+    ("a.csv", {"los": "x,y"}),
+    ("bare.csv", {"rate": RATE}),
+    ("a.npy", {"rate": RATE}),
+    ("a.npz", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), SOURCES, ids=lambda value: str(value)[:40])
+def test_every_source_gives_the_verdict_of_our_own_bag(folder: Path, name: str, options: dict[str, Any]) -> None:
+    requirements = load(folder / "mission.toml")
+    ours = summarise(Run.open(folder / "ours"), requirements=requirements)
+    assert {v.status for v in ours.verdicts} >= {"compliant", "not compliant"}
+    other = summarise(open_los(folder / name, unit="arcsec", **options), requirements=requirements)
+    assert repr(comparable(other)) == repr(comparable(ours))
+
+
+def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    xy = samples()
+    stamps = external_bags.START + np.arange(len(xy)) * round(1e9 / RATE)
+    columns = {"when": pyarrow.array(stamps, pyarrow.timestamp("ns")), "az": xy[:, 0], "el": xy[:, 1]}
+    parquet.write_table(pyarrow.table(columns), folder / "a.parquet")
+    run = open_los(folder / "a.parquet", los="az,el", unit="arcsec", time="when_ns")
+    ours = summarise(Run.open(folder / "ours"), requirements=load(folder / "mission.toml"))
+    assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))
+
+
+def test_parquet_without_pyarrow_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ValueError, match=r"pip install 'los-testbed\[parquet\]'"):
+        open_los(tmp_path / "a.parquet", unit="rad")
+
+
+def test_arrays_give_the_same_objects_and_the_same_page(folder: Path) -> None:
+    xy, requirements = samples(), load(folder / "mission.toml")
+    ours = summarise(Run.open(folder / "ours"), requirements=requirements)
+    found = judge_series(None, xy, unit="arcsec", rate=RATE, requirements=requirements)
+    assert repr(comparable(found)) == repr(comparable(ours))
+    assert (
+        found.verdicts
+        == judge_series(None, xy, unit="arcsec", rate=RATE, requirements=folder / "mission.toml").verdicts
+    )
+    in_mas = judge_series(np.arange(len(xy)) / RATE, 1e3 * xy, unit="mas", requirements=list(requirements))
+    assert [v.status for v in in_mas.verdicts] == [v.status for v in ours.verdicts]
+    pages = [
+        render([run], requirements=requirements)
+        for run in (Run.open(folder / "ours"), series(None, xy, unit="arcsec", rate=RATE, name="ours"))
+    ]
+    tables = [page[page.index('<section id="requirements"') : page.index('<section id="provenance"')] for page in pages]
+    untimed = [table.replace("<p", "\n<p").splitlines() for table in tables]
+    assert [line for line in untimed[0] if "imulated times" not in line] == [
+        line for line in untimed[1] if "imulated times" not in line
+    ]
+
+
+def test_the_command_line_judges_a_bag_of_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--unit", "arcsec", "--rate", "512", "--requirements", str(folder / "mission.toml"), "--json"]
+    results = []
+    for name, more in (("theirs", ["--los", "/my/los"]), ("a.csv", []), ("ours", None)):
+        chosen = options[4:] if more is None else [*options, *more]
+        assert main(["analyse", str(folder / name), *chosen, "--report", str(folder / f"{name}.html")]) == 0
+        results.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
+        assert "<html" in (folder / f"{name}.html").read_text("utf-8")[:200]
+    assert results[0]["requirements"] == results[1]["requirements"] == results[2]["requirements"]
+    assert results[0]["ape_arcsec"] == results[2]["ape_arcsec"]
+    assert any("not a whole number of samples" in problem for problem in results[0]["problems"])
+
+
+def test_listing_of_what_could_be_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bag", "topics", str(folder / "theirs"), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["candidates"]
+    assert row["los"] == "/my/los.point" and row["components"] == ["x", "y", "z"]
+    assert row["messages"] == 6000 and row["rate"] == pytest.approx(RATE, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "los", "time"),
+    [
+        ("geometry_msgs/msg/TwistStamped", "/a.twist.angular", "header"),
+        ("sensor_msgs/msg/Imu", "/a.angular_velocity", "header"),
+        ("geometry_msgs/msg/Vector3", "/a", "log"),
+        ("std_msgs/msg/Float64MultiArray", "/a", "log"),
+        ("my_msgs/msg/LosError", "/a", "header"),
+    ],
+)
+def test_any_message_with_two_numbers(tmp_path: Path, kind: str, los: str, time: str) -> None:
+    xy = samples(40)
+    bag = external_bags.write_external(tmp_path / "bag", {"/a": (kind, xy)}, RATE)
+    run = open_los(bag, los=los, unit="mas")
+    single = kind == external_bags.CUSTOM
+    expected = xy.astype(np.float32).astype(float) if single else xy
+    mas = RAD_PER_ARCSEC / 1000
+    assert run["truth/los"].values.tolist() == (expected * mas).tolist()
+    assert run.parameters["time"] == time
+    assert run["truth/los"].period == pytest.approx(1 / RATE, rel=1e-9)
+
+
+def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> None:
+    xy, rng = samples(3000), np.random.default_rng(1)
+    even = external_bags.START + np.arange(len(xy)) * round(1e9 / RATE)
+    kept = np.delete(np.arange(len(xy)), [700, 701])
+    logged = (even + rng.integers(-400_000, 400_000, len(xy)))[kept]
+    topics = {"/a": ("geometry_msgs/msg/Vector3", xy[kept])}
+    bag = external_bags.write_external(tmp_path / "bag", topics, RATE, logged)
+    run = open_los(bag, los="/a", unit="rad", rate=RATE)
+    assert run["truth/los"].integrity.missing == 2 and len(run["truth/los"]) == len(xy) - 2
+    with pytest.raises(ValueError, match=r"rate must be that of the samples, about 5\d\d"):
+        open_los(bag, los="/a", unit="rad", rate=100.0)
+
+
+def test_a_bag_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
+    xy = samples(20_000)
+    bag = write_bag(tmp_path / "bag", {"truth/los": xy}, dt=1 / RATE, chunk_size=1 << 14)
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    run = open_los(bag, los="/telescope/truth/los", unit="rad", rate=RATE)
+    n = len(run["truth/los"])
+    assert 0 < n < len(xy) and run["truth/los"].values.tolist() == xy[:n].tolist()
+    assert any("damaged place" in problem for problem in run.problems)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        (
+            "theirs",
+            {"los": "/other"},
+            r"los must be one of /my/los.point \(geometry_msgs/msg/PointStamped: x, y, z\), got",
+        ),
+        ("theirs", {"los": "/text"}, "los must be one of /my/los.point"),
+        ("theirs", {"los": "/my/los", "unit": None}, "unit must be one of mas, arcsec, .* got None"),
+        ("theirs", {"los": "/my/los", "unit": "deg"}, "unit must be one of .* got 'deg'"),
+        ("theirs", {"los": "/my/los", "rate": -1.0}, "rate must be positive"),
+        ("theirs", {"los": "/my/los", "time": "clock"}, "time must be one of auto, header, log, got 'clock'"),
+        ("ours", {}, "los must be given with unit, rate or time"),
+        ("a.npy", {}, "rate must be given where the samples have no times"),
+        ("a.csv", {"los": "x,z"}, "los must be two of the columns time, x, y, got 'x,z'"),
+        ("a.csv", {"time": "when"}, "time must be one of time, x, y, got 'when'"),
+        ("none.csv", {}, "no such file"),
+        ("none", {"los": "/a"}, "no such bag"),
+    ],
+)
+def test_mistakes_are_one_line(folder: Path, name: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        open_los(folder / name, **{"unit": "arcsec", **options})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
+    for content, message in (
+        ("", "must have rows"),
+        ("a,b,c,d\n1,2,3,4\n", "los must name two of the columns a, b, c, d"),
+        ("x,y\n1,2\n3\n", "every row must have 2 cells, got 1 in row 2"),
+        ("x,x\n1,2\n", "different names"),
+        ("x,y\nred,blue\n", "must have numeric columns"),
+    ):
+        (tmp_path / "a.csv").write_text(content)
+        with pytest.raises(ValueError, match=message):
+            open_los(tmp_path / "a.csv", unit="rad", rate=1.0)
+    np.save(tmp_path / "a.npy", np.zeros(5))
+    with pytest.raises(ValueError, match="array must have the shape"):
+        open_los(tmp_path / "a.npy", unit="rad", rate=1.0)
+
+
+def test_an_empty_cell_is_a_missing_sample(tmp_path: Path) -> None:
+    rows = [f"{i / 100},{i}.5,1" for i in range(300)]
+    rows[200] = "2.0,,1"
+    (tmp_path / "a.csv").write_text("# measured on the bench\nt,x,y\n" + "\n".join(rows))
+    found = summarise(open_los(tmp_path / "a.csv", unit="mas"), requirements=[parse(
+        "prob(|RPE(20 ms)| < 1 mas) >= 0.9 at 90 % confidence")])  # fmt: skip
+    assert found.windows_skipped == 1 and found.ticks == 300
+
+
+def test_a_message_that_lies_about_its_length_is_left_out(tmp_path: Path) -> None:
+    from pointing_analysis import ros_definitions
+
+    types = ros_definitions.parse_definition("a/msg/B", "string s\nfloat64 x\nfloat64 y")
+    whole = b"\x00\x01\x00\x00" + struct.pack("<I", 4) + b"abc\x00" + struct.pack("<dd", 1.5, 2.5)
+    places = ros_definitions.locate("a/msg/B", types, "", whole)
+    values, fits = ros_definitions.numbers(np.frombuffer(whole, np.uint8)[None], places)
+    assert values.tolist() == [[1.5, 2.5]] and fits.all()
+    for data in (whole[:-1], whole[:4] + b"\xff\xff\xff\xff" + whole[8:], b"\x00\x07" + whole[2:], b""):
+        with pytest.raises(ValueError, match=r"cut short|plain CDR|two numbers"):
+            ros_definitions.locate("a/msg/B", types, "", data)

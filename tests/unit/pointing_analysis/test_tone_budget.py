@@ -1,0 +1,55 @@
+"""The parts of the relative error: tones and noise of known size are found."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pointing_analysis import metrics
+from pointing_analysis.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.tone_budget import ToneBudget, tone_budget
+from pointing_analysis.weights import rpe_discrete
+
+T = 1e-3 * np.arange(60_000)
+
+
+def series(values: np.ndarray) -> ErrorSeries:
+    return ErrorSeries(values * RAD_PER_MAS, 1e-3, 0.0, 0)
+
+
+def run_with(**parameters: object) -> SimpleNamespace:
+    return SimpleNamespace(parameters=parameters)
+
+
+def test_tones_and_noise_of_known_size_are_found() -> None:
+    rng = np.random.default_rng(3)
+    slow, fast = 20.0, 300.0
+    tones = np.column_stack([100.0 * np.sin(slow * T), 15.0 * np.cos(fast * T + 0.3)])
+    noise = 5.0 * rng.standard_normal(tones.shape)
+    found = tone_budget(run_with(tones_rad_s=[slow, fast]), series(tones + noise), 0.02, 40.0)
+    weights = rpe_discrete(np.array([slow, fast]), 20, 1e-3)
+    assert found.slow == pytest.approx(100.0 * weights[0], rel=0.01)
+    assert found.fast == pytest.approx(15.0 * weights[1], rel=0.02)
+    assert found.noise == pytest.approx(5.0 * math.sqrt(2.0 * 19 / 20), rel=0.02)
+    assert found.total == 40.0 and found.allowances == {}
+
+
+def test_a_run_without_tones_is_noise_alone() -> None:
+    values = np.random.default_rng(4).standard_normal((5000, 2))
+    found = tone_budget(run_with(), series(values), 0.02, 3.0)
+    assert (found.slow, found.fast) == (0, 0)
+    assert found.noise == pytest.approx(float(np.hypot(*metrics.rpe_rms(values, 1e-3, 0.02))))
+
+
+def test_the_line_holds_every_part_beside_its_allowance() -> None:
+    found = tone_budget(
+        run_with(rpe_budget_mas={"noise": 12.0, "slow": 20.5, "fast": 27, "total": 40, "other": 1}),
+        series(np.zeros((100, 2))), 0.02, 38.25,
+    )  # fmt: skip
+    text = "noise 0 rms of 12, slow tones 0 of 20.5, fast tones 0 of 27, total (99.7 %) 38.2 of 40"
+    assert str(found) == f"budget of the RPE [mas]: {text}"
+    assert found.as_dict()["allowances"] == {"noise": 12.0, "slow": 20.5, "fast": 27.0, "total": 40.0}
+    assert ToneBudget(math.nan, 0.0, 0.0, 1.0, {}).as_dict()["noise"] is None
