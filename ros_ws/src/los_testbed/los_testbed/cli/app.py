@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, control, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, plant, design."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
+from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
@@ -40,6 +41,7 @@ app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
+app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
