@@ -186,7 +186,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     return {k: v for k, v in lost.items() if v}, problems, dropped
 
 
-def _failure(run: Run) -> str:
+def _failure(run: Recording) -> str:
     """What the recorded statistics say of a run that failed; empty for one that did not."""
     statistics = run.parameters.get("statistics")
     plant = statistics.get("plant") if isinstance(statistics, dict) else None
