@@ -16,9 +16,11 @@ from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
+from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
+from los_testbed.cli.proofs import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, run
@@ -36,11 +38,13 @@ app.command(name="run", help=RUN_EXAMPLES)(run)
 app.command(name="analyse", help=ANALYSE_EXAMPLES)(analyse)
 app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
+app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")
+design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
 app.add_typer(design_app, name="design")
 
 

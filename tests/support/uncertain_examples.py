@@ -1,0 +1,75 @@
+"""Uncertain systems of the literature and by construction, for bounds of gain and stability."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lti import Port, RealParameter, UncertainSystem
+
+
+def de_gaston_safonov() -> UncertainSystem:
+    """``800 (1 + 0.1 d1) (s + 2) / (s (s + 4 + 0.2 d2) (s + 6 + 0.3 d3) (s + 10))`` under unit feedback.
+
+    de Gaston and Safonov, IEEE Trans. AC 33 (1988), 156-171: km = 3.41740.
+    """
+    A = np.array([[-10.0, 0, 0, -1], [-6400, -4, 0, -800], [0, 1, -6, 0], [0, 0, 1, 0]])
+    B = np.array([[0.0, 0, 0], [80, -0.2, 0], [0, 0, -0.3], [0, 0, 0]])
+    C = np.array([[-8.0, 0, 0, -1], [0, 1, 0, 0], [0, 0, 1, 0]])
+    names = ("d1", "d2", "d3")
+    parameters = tuple(RealParameter(name, 0.0, -1.0, 1.0) for name in names)
+    return UncertainSystem(A, B, C, np.zeros((3, 3)), (), (), names, parameters)
+
+
+def two_mass_benchmark(masses: bool = True) -> UncertainSystem:
+    """Two masses and a spring, all 1 +- 20 %, under ``100 (s + 1)^3 / (0.001 s + 1)^3`` from the second position.
+
+    The benchmark of Wie and Bernstein (ACC 1990) with the controller of the Robust Control Toolbox's manual, "Robust
+    Stability and Worst-Case Gain of Uncertain System": margin between 2.8826 and 2.8864, at 575.0339 rad/s, with
+    k = 1.5773. Without `masses` the spring alone is uncertain.
+    """
+    plant = np.array([[0.0, 1, 0, 0], [-1, 0, 1, 0], [0, 0, 0, 1], [1, 0, -1, 0]])
+    w_in = np.array([[0.0, 0, 0], [1, -1, 0], [0, 0, 0], [-1, 0, -1]])
+    u_in = np.array([[0.0], [1], [0], [0]])
+    z_out, y_out = np.array([[-1.0, 0, 1, 0], [-1, 0, 1, 0], [1, 0, -1, 0]]), np.array([[0.0, 0, 1, 0]])
+    z_w, z_u = np.array([[0.0, 0, 0], [1, -1, 0], [-1, 0, -1]]), np.array([[0.0], [1], [0]])
+    # each factor is 1000 - 999000 / (s + 1000); the three follow one another
+    a, g, d = 1000.0, 999.0, 1000.0
+    K_A = np.array([[-a, 0, 0], [-g * a, -a, 0], [-g * d * a, -g * a, -a]])
+    K_B = np.array([[a], [a * d], [a * d * d]])
+    K_C, K_D = 100.0 * np.array([[-g * d * d, -g * d, -g]]), np.array([[100.0 * d**3]])
+    A = np.block([[plant - u_in @ K_D @ y_out, u_in @ K_C], [-K_B @ y_out, K_A]])
+    B = np.vstack([w_in, np.zeros((3, 3))])
+    C = np.hstack([z_out - z_u @ K_D @ y_out, z_u @ K_C])
+    names = ("k", "m1", "m2")
+    keep = 3 if masses else 1
+    parameters = tuple(RealParameter(name, 1.0, 0.8, 1.2) for name in names[:keep])
+    return UncertainSystem(A, B[:, :keep], C[:keep], z_w[:keep, :keep], (), (), names[:keep], parameters)
+
+
+def aligned_modes(count: int, damping: float) -> UncertainSystem:
+    """Sum of the velocities of oscillators of unit mass under one force, each with an uncertain stiffness.
+
+    At resonance each has the gain 1 / (2 damping) in phase with the force, and 2.2 is in all the intervals.
+    """
+    A, B = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, count + 1))
+    C = np.zeros((count + 1, 2 * count))
+    parameters = []
+    for i in range(count):
+        position, velocity = 2 * i, 2 * i + 1
+        stiffness = (1.0 + 0.3 * i) ** 2
+        A[position, velocity], A[velocity, position], A[velocity, velocity] = 1.0, -stiffness, -2.0 * damping
+        B[velocity, i], B[velocity, count] = -1.0, 1.0
+        C[i, position], C[count, velocity] = 1.0, 1.0
+        parameters.append(RealParameter(f"k{i}", stiffness, 0.8, 2.6))
+    names = tuple(p.name for p in parameters)
+    ports = (Port("force", 1),), (Port("velocity", 1),)
+    return UncertainSystem(A, B, C, np.zeros((count + 1, count + 1)), *ports, names, tuple(parameters))
+
+
+def tangent_crossing(excess: float) -> UncertainSystem:
+    """``x'' + ((delta - 1)^2 + excess) x' + x = 0`` with delta in [-1, 1]: poles touch the axis at 1 without excess."""
+    A = np.array([[0.0, 1.0], [-1.0, -1.0 - excess]])
+    # -(d^2 - 2 d) v = w1 with w1 = d (2 v - w2), w2 = d v
+    B, C = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.0, 2.0], [0.0, 1.0]])
+    D = np.array([[0.0, -1.0], [0.0, 0.0]])
+    return UncertainSystem(A, B, C, D, (), (), ("delta", "delta"), (RealParameter("delta", 0.0, -1.0, 1.0),))
