@@ -207,7 +207,7 @@ class _Reader:
 
     def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: Floats) -> Floats:
         """Magnitude of all transfers at some frequencies [Hz]."""
-        total = np.ones(hertz.size)
+        total: Floats = np.ones(hertz.size)
         for entry in transfers:
             if isinstance(entry, (int, float)) and not isinstance(entry, bool):
                 total = total * abs(float(entry))

@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def called(folder: Path, arguments: list[str]) -> tuple[int, str]:
     """Exit code and error output of a command; it must not leave anything in the temporary folder."""
-    before, began = set(os.listdir(tempfile.gettempdir())), time.monotonic()
+    before, start_time = set(os.listdir(tempfile.gettempdir())), time.monotonic()
     out, err, here = io.StringIO(), io.StringIO(), Path.cwd()
     os.chdir(folder / "work")
     try:
@@ -56,7 +56,7 @@ def called(folder: Path, arguments: list[str]) -> tuple[int, str]:
                 code = int(stop.code or 0)
     finally:
         os.chdir(here)
-    assert time.monotonic() - began < LIMIT_S
+    assert time.monotonic() - start_time < LIMIT_S
     left = {name for name in set(os.listdir(tempfile.gettempdir())) - before if name.startswith("los_testbed")}
     assert not left
     return code, err.getvalue()
