@@ -24,6 +24,7 @@ from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import ReportTrack, Track, merge
 from los_testbed.run.bag_names import free_name
+from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
 from pointing_analysis.cdr import Encoder
 from pointing_analysis.message_types import HEADER
@@ -56,7 +57,8 @@ class Recorder:
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
-        self.start = run_start(config)
+        # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
+        self.start = AT_REST if config.start == "rest" else run_start(config)
         self._reported: dict[str, int] = {}
         frame_ns = config.frame_ticks * TICK_NS
         self.tracks = [

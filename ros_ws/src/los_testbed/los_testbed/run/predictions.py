@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from los_design.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
+from los_testbed.factories import run_start as find_start
 from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.bag_metadata import value_of
@@ -65,13 +66,15 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         if START_FILE not in run.attachments:
             raise ValueError(f"the bag does not hold {START_FILE}")
         run_start = RunStart.from_bytes(run.attachments[START_FILE])
+        _check(run, config, start, stop)
+        controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
+        if run_start.states is None and run_start.tone is None:  # the recorder node leaves the tone out at rest
+            run_start = find_start(config, controllers)
         physical = plant_config(config, run_start)
         if physical.ramps:
             return None
         if value_of(configuration_hash(physical)) != known:
             raise ValueError("the telescope's figures are no longer those of the run")
-        _check(run, config, start, stop)
-        controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
         model = tone_model(config, controllers, run_start)
         tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
     except (ValueError, TypeError, OSError, OverflowError) as error:
