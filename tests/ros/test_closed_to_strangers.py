@@ -44,7 +44,7 @@ def observe(names, folder, discovery):
     try:
         answers = {}
         for host in ("b", "a"):
-            out, errors = started[host].communicate(timeout=120)
+            out, errors = started[host].communicate(timeout=240)
             assert started[host].returncode == 0, errors
             answers[host] = json.loads(out)
     finally:

@@ -32,7 +32,7 @@ COMMAND = [sys.executable, "-m", "los_testbed.cli.app", "control"]
 class User:
     """Remote control in this process, with a context of its own."""
 
-    def __init__(self, domain, namespace="/telescope", timeout=20.0):
+    def __init__(self, domain, namespace="/telescope", timeout=60.0):
         with middleware():
             self.context = Context()
             self.context.init(domain_id=domain)
@@ -156,7 +156,7 @@ def test_changes_apply_at_the_tick_that_the_bag_names(controlled):
 def test_a_change_at_a_tick_gives_the_same_bits_twice_in_lockstep(tmp_path):
     changes = {
         "controller": {"name": "stage", "value": "isolator", "at": 0.8},
-        "plant": {"name": "camera_dropout", "value": 1.0, "at": 0.4},
+        "plant": {"name": "stop", "value": True, "at": 1.199},
     }
     hashes = []
     for name in ("a", "b"):
@@ -168,16 +168,16 @@ def test_a_change_at_a_tick_gives_the_same_bits_twice_in_lockstep(tmp_path):
             file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"fault": json.dumps(change)}}}))
             own = PLANT if node == "plant" else node_command(node)
             commands[node] = [*own, "--ros-args", "--params-file", str(file)]
-        config = config_for(folder, mode="lockstep", duration=1.2)
+        config = config_for(folder, mode="lockstep", duration=60.0)
         results = Runner(config, commands={"plant": PLANT, **commands}).run()
         hashes.append(topic_hashes(folder / "bag"))
     assert hashes[0] == hashes[1]
+    assert hashes[0]["/telescope/truth/los"][0] == 1200
+    assert not results.interrupted and not results.failures
     run = Run.open(results.bag)
     zero = np.all(run["fsm/command"].values[:, :2] == 0.0, axis=1)
     assert np.flatnonzero(zero)[-400:].tolist() == list(range(800, 1200))
     assert not zero[500:800].any()
-    frames = np.isnan(run["camera/los"].values[:, 0])
-    assert np.flatnonzero(frames).tolist() == list(range(20, 60))
 
 
 def test_without_a_run_the_control_says_so(tmp_path):

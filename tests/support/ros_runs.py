@@ -34,7 +34,7 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         "output": str(folder / "bag"),
         "domain": private_domain(),
         "wait_for_recorder": True,
-        "start_timeout": 20.0,
+        "start_timeout": 60.0,
         "start": "rest",  # of the telescope alone is it known what is steady
         **write_controllers(folder),
     }

@@ -64,6 +64,13 @@ def fault(
         remote.change(name, yaml.safe_load(value), at)
 
 
+@control_app.command()
+def stop(at: At = None, domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+    """End the run at one tick; its bag is complete."""
+    with _remote(domain, namespace, timeout) as remote:
+        remote.change("stop", True, at)
+
+
 def _turn(node: str, transition: str, domain: int, namespace: str, timeout: float) -> None:
     if node not in ("estimator", "controller"):
         raise ValueError(f"node must be estimator or controller, got {node!r}")

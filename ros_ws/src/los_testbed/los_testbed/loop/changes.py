@@ -16,12 +16,15 @@ MAX_KEPT = 100
 """Changes that are kept for the record; the first ones stay."""
 
 NAMES = {
-    "plant": ("noise", "disturbance", "camera_dropout"),
+    "plant": ("noise", "disturbance", "camera_dropout", "stop"),
     "controller": ("loop", "fsm_authority", "pma_authority"),
 }
 """Settings that may change during a run, by the node that applies them."""
 
 ALIASES = {"stage": "loop"}
+
+STOP = "stop"
+"""Change that ends the run."""
 
 ACTIVE = "active"
 """Change that lets the output of a node fade to zero or in again."""
@@ -102,7 +105,10 @@ class Changes:
         if name not in self.appliers:
             known = ", ".join(sorted(self.appliers)) or "nothing"
             raise ValueError(f"name must be a setting that this node can change ({known}), got {name!r}")
-        checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
+        if name == STOP:
+            checked: Any = True
+        else:
+            checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
         if name == "loop" and (checked == "none") != (self.config.loop == "none"):
             raise ValueError(
                 f"loop must be a stage with the isolator as at the start, {self.config.loop}: it is part of the plant, "

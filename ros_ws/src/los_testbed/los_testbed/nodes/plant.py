@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes, run_start
-from los_testbed.loop.changes import NAMES
+from los_testbed.loop.changes import NAMES, STOP, Apply
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
@@ -90,8 +90,10 @@ class PlantLoop:
         self._truth = np.zeros(TRUTH)
         self._reported: tuple[int, int] = (0, 0)
         change = getattr(plant, "change", None)
-        names = NAMES["plant"] if change is not None else ()
-        self.changes = context.allow_changes({name: partial(change, name) for name in names if change is not None})
+        appliers: dict[str, Apply] = {STOP: context.end}
+        if change is not None:
+            appliers.update({name: partial(change, name) for name in NAMES["plant"] if name != STOP})
+        self.changes = context.allow_changes(appliers)
         self._faded = False
         self._second = ""
 

@@ -101,6 +101,10 @@ class NodeContext:
         self._changing = ChangingParameters(self.node, changes)
         return changes
 
+    def end(self, value: bool = True) -> None:
+        """End the node as a signal does."""
+        self.stop = self.stop or value
+
     def become_real_time(self) -> None:
         """Raise the process to real time, or say once what was not permitted."""
         if not self.config.priority or self.config.mode != "realtime":

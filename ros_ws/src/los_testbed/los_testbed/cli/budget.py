@@ -1,0 +1,69 @@
+"""Command ``los-testbed budget``: a pointing budget, its contributions and margins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from los_testbed.cli.output import Json, print_json
+
+BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
+
+Without FILE the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop.
+
+**Examples**
+
+    los-testbed budget
+
+    los-testbed budget my_budget.toml --output budget.html --json
+"""
+ROWS = 12
+
+
+def budget(
+    file: Annotated[Path | None, typer.Argument(help="TOML file of the budget.")] = None,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    json_: Json = False,
+) -> None:
+    """See BUDGET_EXAMPLES."""
+    import pointing_analysis.budget_file as budget_file
+    from los_testbed.run.budget_sources import testbed_sources
+    from pointing_analysis.atomic_output import check_output, write_text
+    from pointing_analysis.budget_page import digits, render_budget, vector
+    from pointing_analysis.budget_total import as_dict, axis_total, evaluate
+
+    shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
+    if output is not None:
+        check_output(output, "the page")
+    found = budget_file.load_budget(file or shipped, testbed_sources)
+    verdicts = evaluate(found)
+    console = Console(stderr=json_)
+    console.print(f"{found.title} [{found.unit}]", markup=False, highlight=False, soft_wrap=True)
+    for v in verdicts:
+        table = Table(title=f"{v.requirement}", title_justify="left")
+        table.add_column("source", overflow="fold")
+        for head in ("sigma", "alone", "share"):
+            table.add_column(head, justify="right")
+        for s in v.shares[:ROWS]:
+            table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
+        if len(v.shares) > ROWS:
+            rest = sum(s.share for s in v.shares[ROWS:])
+            table.add_row(f"{len(v.shares) - ROWS} others", "", "", f"{100 * rest:.3g} %")
+        table.add_row("total", "", digits(v.total), "", style="bold")
+        table.add_row("limit", "", digits(v.limit), "")
+        table.add_row("margin", "", digits(v.margin), "", style="green" if v.compliant else "red")
+        console.print(table)
+    for rule in found.totals:
+        total = axis_total(found, rule)
+        axes = ", ".join(found.axes)
+        text = f"{rule.index}, factor {rule.factor:g}, {axes}: RSS {vector(total.rss.tolist())}"
+        console.print(f"{text}; level {vector(total.level.tolist())}", highlight=False, soft_wrap=True)
+    if output is not None:
+        write_text(output, render_budget(found, verdicts))
+        console.print(f"page    {output}", soft_wrap=True, highlight=False)
+    if json_:
+        print_json(as_dict(found, verdicts))

@@ -1,0 +1,144 @@
+"""Sources of a pointing budget from the testbed's own closed loop: tones of the disturbance, noise by sensor.
+
+Everything is the steady state of the loop as implemented: plant sampled at 1 kHz, commands one tick late, camera held
+between its frames. Windows are those of the analysis, whole numbers of ticks; noise is averaged over the position of
+the window in the camera's frame period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from los_design.sampled_loop import SampledLoop
+from los_design.tone_model import LoopModel
+from los_testbed.config import RunConfig
+from los_testbed.factories import tone_model
+from lti.threads import one_thread
+from pointing_analysis import budget_sources as kinds
+from pointing_analysis.budget_sources import Source
+from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
+from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+Floats = NDArray[np.float64]
+GAUGES = slice(CAMERA.stop, MEASUREMENTS)
+GROUPS: Mapping[str, slice] = {"accelerometers": slice(0, CAMERA.start), "camera": CAMERA, "strain gauges": GAUGES}
+PARTS = ("tones", "noise", "all")
+SETTINGS = {"theta", "tau", "wheel_speed", "parameters", "k_fsm", "k_pma", "camera_rate"}
+
+
+def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float) -> list[Source]:
+    """Sources of a table of type ``testbed``.
+
+    Parameters
+    ----------
+    path : tuple of str
+        Of the table in the tree.
+    table : mapping
+        ``loop``, ``scenario``, ``seed``; ``part``: ``tones``, ``noise`` or ``all`` (default); ``settings``: of the
+        run.
+    unit : float
+        Unit of the budget [rad].
+
+    Raises
+    ------
+    ValueError
+        A part, a stage or a setting that does not exist, or a loop that is unstable.
+    """
+    part = table.get("part", "all")
+    if part not in PARTS:
+        raise ValueError(f"{' / '.join(path)}: part must be one of {', '.join(PARTS)}, got {part!r}")
+    settings = dict(table.get("settings", {}))
+    if set(settings) - SETTINGS:
+        unknown = ", ".join(sorted(set(settings) - SETTINGS))
+        raise ValueError(f"{' / '.join(path)}: settings must be of {', '.join(sorted(SETTINGS))}, got {unknown}")
+    values = {key: table[key] for key in ("loop", "scenario", "seed") if key in table}
+    config = RunConfig.from_mapping({**settings, **values})
+    model = tone_model(config)
+    if not model.loop.spectral_radius() < 1:
+        raise ValueError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
+    found = []
+    if part != "noise":
+        found += _tones(path, model, unit)
+    if part != "tones" and config.loop in MIRROR_STAGES and config.noise:
+        found += _noise(path, model.loop, config, unit)
+    return found
+
+
+def _tones(path: tuple[str, ...], model: LoopModel, unit: float) -> list[Source]:
+    """One source for each tone; tones of one frequency on several channels are one."""
+    with one_thread():
+        phasors = model.settled() / unit
+    return [
+        kinds.tones((*path, f"tone {w / (2 * np.pi):.3f} Hz"), [w], phasors[:, i : i + 1], DT)
+        for i, w in enumerate(model.omega)
+    ]
+
+
+def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: float) -> list[Source]:
+    sensors: Any = load_parameters(config.parameters or REFERENCE)["sensors"]
+    sigma = np.r_[
+        np.tile(sensors["accelerometer_noise"], 3),
+        np.full(2, sensors["camera_noise"]),
+        np.full(2, sensors["strain_gauge_noise"]),
+    ]
+    found = []
+    for name, rows in GROUPS.items():
+        chosen = np.zeros_like(sigma)
+        chosen[rows] = sigma[rows]
+        with one_thread():
+            correlation = _correlation(loop, chosen, unit)
+        found.append(kinds.gaussian((*path, f"noise, {name}"), correlation(0), _within(correlation), "noise"))
+    return found
+
+
+def _correlation(loop: SampledLoop, sigma: Floats, unit: float) -> Callable[[int], Floats]:
+    """Covariance (2, 2) of the line of sight with itself some ticks later, mean over a frame period."""
+    frame, hold = (N * sigma for N in (loop.noise_frame, loop.noise_hold))
+    ticks = [(loop.frame, frame @ frame.T)] + [(loop.hold, hold @ hold.T)] * (loop.frame_ticks - 1)
+    size = len(loop.hold)
+    period: Floats = np.eye(size)
+    total: Floats = np.zeros((size, size))
+    for A, Q in ticks:
+        period, total = A @ period, A @ total @ A.T + Q
+    P: Floats = np.asarray(linalg.solve_discrete_lyapunov(period, total))
+    start = []
+    for A, Q in ticks:
+        start.append(P @ loop.truth.T)
+        P = A @ P @ A.T + Q
+    C = loop.truth / unit**2
+
+    @cache
+    def carried(lag: int) -> tuple[Floats, ...]:
+        if lag == 0:
+            return tuple(start)
+        before = carried(lag - 1)
+        # The state that began at phase k has reached phase k + lag - 1.
+        return tuple(ticks[(k + lag - 1) % len(ticks)][0] @ state for k, state in enumerate(before))
+
+    def correlation(lag: int) -> Floats:
+        for step in range(lag):
+            carried(step)
+        return np.asarray(np.mean([C @ state for state in carried(lag)], axis=0))
+
+    return correlation
+
+
+def _within(correlation: Callable[[int], Floats]) -> Callable[[float], Floats]:
+    """Covariance of the line of sight less its mean over a window, at each of its ticks."""
+
+    @cache
+    def within(window: float) -> Floats:
+        n = round(window / DT)
+        lags = [correlation(lag) for lag in range(n)]
+        table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(n)] for i in range(n)])
+        mean = table.mean(axis=1)
+        whole = mean.mean(axis=0)
+        return np.stack([table[i, i] - mean[i] - mean[i].T + whole for i in range(n)])
+
+    return within

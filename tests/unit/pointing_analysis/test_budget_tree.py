@@ -1,0 +1,138 @@
+"""Pointing budgets from a file: the standard's example, closed forms, runs of the command, mistakes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+
+import pointing_analysis
+from pointing_analysis import budget_sources as kinds
+from pointing_analysis.budget_file import load_budget
+from pointing_analysis.budget_total import axis_factor, axis_total, evaluate, norm_quantile
+from pointing_analysis.synthetic import write_bag
+from pointing_analysis.weights import rpe_exact
+
+FOLDER = Path(pointing_analysis.__file__).parent
+HEAD = 'unit = "mas"\ndraws = 20000\n'
+
+
+def budget(tmp_path: Path, text: str, requirement: str = "prob(|APE_x| < 10 mas) >= 0.9 at 95 % confidence"):
+    """Verdict of a budget with one requirement."""
+    file = tmp_path / "budget.toml"
+    file.write_text(f'{HEAD}[[requirement]]\ntext = "{requirement}"\n{text}')
+    return evaluate(load_budget(file))[0]
+
+
+def test_the_example_of_the_standard_to_its_digits() -> None:
+    """Annex C of ECSS-E-ST-60-10C; one printed digit contradicts the others, see tests/published."""
+    found = load_budget(FOLDER / "budget_ecss_annex_c.toml")
+    ape, rpe = (axis_total(found, rule) for rule in found.totals)
+    assert np.round(ape.rss, 2).tolist() == [13.51, 8.37, 8.61]
+    assert np.round(ape.level, 2).tolist()[:2] == [27.01, 16.75]
+    assert ape.level[2] == pytest.approx(17.21, abs=0.0065)
+    assert np.round(rpe.rss, 2).tolist() == [10.70, 6.89, 6.28]
+    assert np.round(rpe.level, 2).tolist() == [21.40, 13.78, 12.57]
+
+
+def test_factors_of_gaussian_errors() -> None:
+    assert axis_factor(0.997) == pytest.approx(2.96774, abs=5e-6)
+    for probability, factor in ((0.95, 2.44775), (0.997, 3.40856), (0.9973, 3.43933)):
+        assert norm_quantile(np.zeros(2), np.ones(2), probability) == pytest.approx(factor, abs=6e-6)
+    assert norm_quantile(np.zeros(2), np.array([2.0, 0.0]), 0.997) == pytest.approx(2 * 2.96774, abs=2e-5)
+    assert norm_quantile(np.array([3.0, 4.0]), np.zeros(2), 0.9) == 5.0
+
+
+def test_a_tone_has_the_quantile_of_a_sine(tmp_path: Path) -> None:
+    found = budget(tmp_path, '[sources.a]\ntype = "periodic"\nfrequency = 30\namplitude = [4, 0]\n')
+    assert found.level == pytest.approx(4 * math.sin(0.9 * math.pi / 2), rel=5e-3)
+    assert found.rss == pytest.approx(axis_factor(0.9) * 4 / math.sqrt(2))
+
+
+@pytest.mark.parametrize("hertz", [3.0, 11.0, 42.0])
+def test_a_tone_within_an_exposure(hertz: float) -> None:
+    source = kinds.tones(("a",), [2 * math.pi * hertz], np.array([[1.0], [1j]]))
+    rng = np.random.default_rng(2)
+    drawn = source.draw(rng, rng.random(200_000), 0.02)
+    expected = rpe_exact(2 * math.pi * hertz, 0.02) / math.sqrt(2)
+    assert source.sigma(0.02) == pytest.approx([expected, expected])
+    assert drawn.std(axis=0) == pytest.approx([expected, expected], rel=0.01)
+    assert np.all(np.abs(drawn).max(axis=0) <= source.worst(0.02) * 1.01)
+
+
+def test_an_exponentially_correlated_process_within_an_exposure() -> None:
+    """Var(mean) of exp(-t / tau) over T is 2 tau / T (1 - tau / T (1 - exp(-T / tau)))."""
+    tau, window = 0.03, 0.02
+    source = kinds.process(("a",), lambda lag: np.exp(-lag / tau)[:, None] * np.ones(2), "random")
+    ratio = tau / window
+    of_mean = 2 * ratio * (1 - ratio * (1 - math.exp(-1 / ratio)))
+    assert source.sigma(window) ** 2 == pytest.approx([1 - of_mean] * 2, rel=2e-3)
+    rng = np.random.default_rng(1)
+    assert source.draw(rng, rng.random(100_000), window).std(axis=0) == pytest.approx(source.sigma(window), rel=0.02)
+
+
+def test_interpretations_and_transfers(tmp_path: Path) -> None:
+    text = (
+        '[sources.group]\ntransfer = 0.5\n[sources.group.bias]\ntype = "constant"\nhalf_range = 2\n'
+        '[sources.group.tone]\ntype = "periodic"\nfrequency = 10\namplitude = [6, 0]\n'
+        "transfer = {numerator = [62.83185307], denominator = [1, 62.83185307]}\n"
+    )
+    amplitude = 0.5 * 6 / math.sqrt(2)  # at the corner of the low-pass
+    kept = "prob(|APE_x| < 10 mas) >= 0.9 at 95 % confidence"
+    levels = {kind: budget(tmp_path, text, kept + tail).level for kind, tail in
+              (("temporal", ""), ("ensemble", ", ensemble"), ("mixed", ", mixed"))}  # fmt: skip
+    assert levels["temporal"] == pytest.approx(1.0 + amplitude * math.sin(0.9 * math.pi / 2), rel=5e-3)
+    assert levels["ensemble"] == pytest.approx(amplitude + 0.9, rel=5e-3)
+    assert levels["mixed"] < min(levels["temporal"], levels["ensemble"])
+
+
+def test_a_spectrum_and_a_drift(tmp_path: Path) -> None:
+    flat = budget(tmp_path, '[sources.a]\ntype = "spectrum"\nfrequency = [10, 110]\npsd = [0.04, 0.04]\n')
+    assert flat.shares[0].sigma == pytest.approx([2.0, 2.0], rel=1e-3)
+    drift = budget(tmp_path, '[sources.a]\ntype = "drift"\nrate = [0.1, 0]\nduration = 20\n')
+    assert drift.level == pytest.approx(0.9 * 2, rel=1e-2)  # uniform from 0 to 2
+
+
+def test_a_measured_bag_replaces_a_source(tmp_path: Path) -> None:
+    noise = 3 * np.random.default_rng(5).standard_normal((20_000, 2))
+    write_bag(tmp_path / "bag", {"truth/los": noise * math.pi / 648_000_000})
+    requirement = "prob(|RPE(20 ms)| < 10 mas) >= 0.9 at 95 % confidence"
+    found = budget(tmp_path, '[sources.a]\ntype = "measured"\nbag = "bag"\ntransient = 1.0\n', requirement)
+    assert found.level == pytest.approx(3 * math.sqrt(19 / 20) * math.sqrt(2 * math.log(10)), rel=0.02)
+
+
+def test_the_command_prints_and_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    budget(tmp_path, '[sources.a]\ntype = "random"\nsigma = 2.0\n')
+    page = tmp_path / "budget.html"
+    assert main(["budget", str(tmp_path / "budget.toml"), "--output", str(page), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"][0]
+    assert result["compliant"] and result["margin"] == pytest.approx(10 - 2 * axis_factor(0.9), rel=0.02)
+    text = page.read_text("utf-8")
+    assert "within the limit" in text and "data:image/svg+xml;base64," in text and "http" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "sources must hold at least one source"),
+        ('[sources.a]\ntype = "magic"\n', "a: type must be one of constant, .* got 'magic'"),
+        ('[sources.a]\ntype = "random"\nsigma = -1\n', "a: sigma must be zero or more"),
+        ('[sources.a]\ntype = "random"\nsigma = [1, 2, 3]\n', "sigma must be 2 finite numbers"),
+        (
+            '[sources.a]\ntype = "random"\nsigma = 1\nvalue = 2\n',
+            "keys must be of correlation_time, sigma, got 'value'",
+        ),
+        ('[sources.a]\ntype = "tones"\n', "tones must be a list"),
+        ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such bag"),
+        ('[sources.a]\ntype = "testbed"\n', "type testbed needs the command"),
+        ('[sources.a]\ntype = "random"\nsigma = 1\ntransfer = "x"\n', "transfer must be a number"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        budget(tmp_path, text)
+    assert "\n" not in str(caught.value)
