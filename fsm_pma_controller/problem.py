@@ -36,7 +36,7 @@ from robust_design import H2Gain, HinfGain, Requirement, state_space
 from robust_design.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, K_PMA_INPUTS, PLATFORM
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import TUNED_SENSITIVITY, band_error_weight, error_budget
+from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_FORCE_SENSITIVITY, band_error_weight, error_budget
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
@@ -171,10 +171,10 @@ def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple
         force,
         HinfGain(DISTURBANCES, (MIRROR_COMMAND.name,), authority, weight_in=expected, hard=True, name="mirror"),
         *(
-            HinfGain((added.name,), (applied,), TUNED_SENSITIVITY, hard=True, name=f"sensitivity, {name}")
-            for name, added, applied in (
-                ("mirror", ADDED_COMMAND, APPLIED_COMMAND),
-                ("forces", ADDED_FORCE, APPLIED_FORCE),
+            HinfGain((added.name,), (applied,), bound, hard=True, name=f"sensitivity, {name}")
+            for name, added, applied, bound in (
+                ("mirror", ADDED_COMMAND, APPLIED_COMMAND, MAX_SENSITIVITY),
+                ("forces", ADDED_FORCE, APPLIED_FORCE, TUNED_FORCE_SENSITIVITY),
             )
         ),
     )

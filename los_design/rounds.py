@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,12 +63,27 @@ class Outcome:
         Worst point of every metric by the last search.
     active : list of dict
         Parameter points of the models.
+    bounds : mapping of str to (requirement, factor)
+        See :class:`Task`.
     """
 
     status: str
     tuning: TuningResult
     worst: dict[str, WorstPoint]
     active: list[dict[str, float]]
+    bounds: Mapping[str, tuple[str, float]]
+
+    def worst_cases(self) -> list[dict[str, Any]]:
+        """Worst value of each requirement, in its own normalisation, with frequency and parameters."""
+        return [
+            {
+                "requirement": self.bounds[name][0],
+                "value": float(f"{p.gamma * self.bounds[name][1]:.6g}"),
+                "omega": p.omega,
+                "parameters": dict(p.parameters),
+            }
+            for name, p in self.worst.items()
+        ]
 
     @property
     def controller(self) -> StateSpace:
@@ -131,16 +147,18 @@ def design_in_rounds(
     hard = {r.name: r.hard for r in task.requirements}
     start_time, known = time.monotonic(), list[WorstPoint]()
     for number in range(effort.rounds):
+        # a start that meets the requirements is kept as it is
+        options = replace(tuning, target=max(tuning.target, 1.0 + SLACK)) if number == 0 else tuning
+        models = [task.plant(values) for values in points]
         result = tune(
-            [task.plant(values) for values in points], task.requirements, task.structure, initial=[x],
-            loop_delay=task.loop_delay, options=tuning,
-        )  # fmt: skip
+            models, task.requirements, task.structure, initial=[x], loop_delay=task.loop_delay, options=options
+        )
         x, values = result.x, {n: float(v.max()) for n, v in zip(result.requirement_names, result.values)}
         if not np.isfinite(result.abscissa) or result.abscissa >= 0.0:
-            return Outcome(str(result.status), result, {}, points)
+            return Outcome(str(result.status), result, {}, points, task.bounds)
         controller = task.sampled(result.controller)
-        for options in (effort.quick, effort.thorough):
-            found = task.search(controller, options).run(list(task.bounds), known)
+        for search in (effort.quick, effort.thorough):
+            found = task.search(controller, search).run(list(task.bounds), known)
             worst = {name: peaks[0] for name, peaks in found.items() if peaks}
             new = _new(task, found, {n: max(1.0, v if hard[n] else result.soft) for n, v in values.items()})
             if new or number + 1 == effort.rounds:
@@ -148,10 +166,10 @@ def design_in_rounds(
         report(_line(number, result, worst, task, len(points), time.monotonic() - start_time))
         known = [p for peaks in found.values() for p in peaks[:3]]
         if not new:
-            return Outcome(_status(result), result, worst, points)
+            return Outcome(_status(result), result, worst, points, task.bounds)
         if number + 1 < effort.rounds:
             points += [dict(p.parameters) for p in new]
-    return Outcome("rounds", result, worst, points)
+    return Outcome("rounds", result, worst, points, task.bounds)
 
 
 def _status(result: TuningResult) -> str:

@@ -27,7 +27,7 @@ from robust_design.structures import controller
 from titop_plant.simulation import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_SENSITIVITY, error_budget
+from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_FORCE_SENSITIVITY, TUNED_SENSITIVITY, error_budget
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
@@ -233,15 +233,14 @@ def _implemented_actuators(
     alone = Search(system, parameters, observer, zero_controller("k-pma"), "fsm", FIRST_SEARCH)
     active = [{}, *_first_points(alone)]
     budget, fine = error_budget(parameters), parameters["weights"]["rpe_limit_fine"]
-    margin = MAX_SENSITIVITY / TUNED_SENSITIVITY
     bounds = {
         "fast": ("fast", fine / budget.fast),
         "slow": ("slow", fine / budget.tone),
         "force": ("force", 1.0 / FORCE_SHARE),
         "APE": ("APE", 1.0),
         "mirror": ("mirror", 1.0),
-        "sensitivity, mirror": ("sensitivity, mirror", margin),
-        "sensitivity, forces": ("sensitivity, forces", margin),
+        "sensitivity, mirror": ("sensitivity, mirror", 1.0),
+        "sensitivity, forces": ("sensitivity, forces", MAX_SENSITIVITY / TUNED_FORCE_SENSITIVITY),
     }
     requirements = actuator_requirements(parameters, implemented=True)
     task = Task(plant, requirements, structure, options.delay, sampled, search, bounds)
@@ -316,8 +315,5 @@ def _provenance(kind: str, result: RobustResult | TuningResult | Outcome, option
             for w in result.worst
         ]
     elif isinstance(result, Outcome):
-        content["worst_cases"] = [
-            {"requirement": name, "value": p.gamma, "omega": p.omega, "parameters": dict(p.parameters)}
-            for name, p in result.worst.items()
-        ]
+        content["worst_cases"] = result.worst_cases()
     return content

@@ -66,6 +66,7 @@ def test_it_ends_when_the_thorough_search_finds_nothing_worse_either(monkeypatch
     assert found.status == "converged" and found.active == [{}]
     assert (bench.tuned, bench.searched) == ([[0.0]], [1, 2])
     assert found.worst["hard tones"].gamma == 1.002 and found.controller == "K"
+    assert [(c["requirement"], c["value"]) for c in found.worst_cases()] == [("soft", 1.002), ("hard", 1.002)]
     assert bench.lines[0].startswith("round 1: 1 models, tuned 0.900, worst found: soft tones 1.002 at 10 rad/s")
 
 

@@ -1,0 +1,160 @@
+"""Redesign into a folder: steps, files, what is kept; three other telescopes with short settings."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from los_design import redesign
+from los_design.redesign import design_all, digest
+from los_design.store import load_designs
+from los_design.verification import check_implemented, verification_points
+from los_design.worst_points import Search, load_worst_points
+from titop_plant.simulation import control_loop_plant
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+@pytest.fixture
+def stand_ins(monkeypatch) -> list[str]:
+    """Design functions that return the stored controllers, a search of one point, a check with one line."""
+    made: list[str] = []
+    k_fsm, k_pma = load_designs("implemented")
+
+    def observer(assembled, parameters, options, report):
+        made.append(f"k_fsm, seed {options.seed}, {'short' if options.short else 'full'}")
+        report("round 1: fine")
+        return k_fsm
+
+    def actuators(assembled, parameters, observer, options, report):
+        made.append("k_pma")
+        assert digest(observer) == digest(k_fsm)
+        return k_pma
+
+    def points(parameters, *pair_and_options):
+        *pair, _ = pair_and_options
+        system = control_loop_plant(build_telescope(parameters), parameters)
+        search = Search(system, parameters, *pair, "fsm")
+        return [search.confirmed(search.metrics["slow"], 5.0, np.full(7, 0.5))]
+
+    def check(system, parameters, k_fsm, k_pma, at):
+        made.append(f"check at {len(at)}")
+        return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, fsm=[0.5], pma=[0.6])
+
+    monkeypatch.setattr(redesign, "design_observer", observer)
+    monkeypatch.setattr(redesign, "design_actuators", actuators)
+    monkeypatch.setattr(redesign, "worst_points_of", points)
+    monkeypatch.setattr(redesign, "check_implemented", check)
+    monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["fsm: APE 1.200 of its limit"])
+    return made
+
+
+def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, parameters, tmp_path) -> None:
+    lines: list[str] = []
+    found = design_all(parameters, tmp_path / "new" / "soft", effort="short", report=lines.append)
+    folder = tmp_path / "new" / "soft"
+    assert {p.name for p in folder.iterdir()} == {
+        "k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"
+    }  # fmt: skip
+    assert stand_ins == ["k_fsm, seed 0, short", "k_pma", f"check at {1 + 16 + 20 + 1}"]
+    assert not found.met and found.not_met == ["fsm: APE 1.200 of its limit"]
+    assert found.gammas == {"fsm": [0.5], "pma": [0.6]}
+    assert "K_FSM: round 1: fine" in lines
+    content = json.loads((folder / "verification.json").read_text())
+    assert content == {"implemented": {"samples": 38}, "not_met": found.not_met}
+    assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == parameters_hash(parameters)
+    assert load_worst_points(folder)["fsm"]["slow"].omega == 5.0
+
+
+def test_steps_that_are_there_are_kept_until_something_changes(stand_ins, parameters, tmp_path) -> None:
+    design_all(parameters, tmp_path, effort="short")
+    stand_ins.clear()
+    lines: list[str] = []
+    design_all(parameters, tmp_path, effort="short", report=lines.append)
+    assert [s for s in stand_ins if s.startswith("k_")] == []
+    assert {"k_fsm.json: kept", "k_pma.json: kept"} <= set(lines)
+    for changed in ({"seed": 1}, {"seed": 1, "effort": "full"}, {"effort": "short", "resume": False}):
+        stand_ins.clear()
+        design_all(parameters, tmp_path, **{"effort": "short", **changed})
+        assert len([s for s in stand_ins if s.startswith("k_")]) == 2
+    stand_ins.clear()
+    other = {**parameters, "isolator": {**parameters["isolator"], "damping": [1000.0] * 6}}
+    design_all(other, tmp_path, effort="short")
+    assert len([s for s in stand_ins if s.startswith("k_")]) == 2
+
+
+def test_the_output_is_checked_before_the_work(stand_ins, parameters, tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):
+        design_all(parameters, tmp_path / "file" / "soft")
+    with pytest.raises(ValueError, match="effort must be one of full, short, got 'medium'"):
+        design_all(parameters, tmp_path, effort="medium")
+    assert stand_ins == []
+
+
+def test_a_digest_names_the_matrices() -> None:
+    k_fsm, k_pma = load_designs("implemented")
+    assert digest(k_fsm) == digest(replace(k_fsm, provenance={})) != digest(k_pma)
+    assert digest(replace(k_fsm, D=k_fsm.D + 1e-12)) != digest(k_fsm)
+
+
+def soft_isolator(table: dict[str, Any]) -> None:
+    table["isolator"]["stiffness"] = [0.25 * k for k in table["isolator"]["stiffness"]]
+
+
+def heavy_payload(table: dict[str, Any]) -> None:
+    table["payload"]["equipment"][-1]["mass"] += 40.0
+
+
+def long_arrays(table: dict[str, Any]) -> None:
+    """30 % longer at the same mass: frequencies over 1.3^2, inertia times it, participation of rotations times 1.3."""
+    array, s = table["solar_array"], 1.3
+    array["center_of_mass"][1] *= s
+    for i in (0, 2):
+        array["inertia_at_cg"][i][i] *= s**2
+    array["frequencies"] = [w / s**2 for w in array["frequencies"]]
+    for row in array["participation"]:
+        row[3], row[5] = s * row[3], s * row[5]
+    for mode in array["further_modes"]:
+        mode["frequency"] /= s**2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [soft_isolator, heavy_payload, long_arrays])
+def test_another_telescope_is_redesigned(change, parameters, tmp_path) -> None:
+    """Every requirement is met or listed with its value; the worst excess is below that of the stored pair."""
+    table: dict[str, Any] = copy.deepcopy(dict(parameters))
+    change(table)
+    found = design_all(table, tmp_path, effort="short", report=print)
+    assert found.check.all_stable
+    assert found.met or all(any(digit.isdigit() for digit in line) for line in found.not_met)
+    system = control_loop_plant(build_telescope(table), table)
+    at = verification_points(table, system, 10)[::8]
+    own, stored = (
+        check_implemented(system, table, *pair, at, changes=False)
+        for pair in ((load(tmp_path, "k_fsm"), load(tmp_path, "k_pma")), load_designs("implemented"))
+    )
+    assert excess(own, table) < excess(stored, table) or (excess(own, table) <= 1.0)
+
+
+def load(folder, name: str):
+    return type(load_designs("implemented")[0]).from_file(folder / f"{name}.json")
+
+
+def excess(check, table: Mapping[str, Any]) -> float:
+    """Largest ratio of a requirement of both stages to its limit."""
+    gammas = [check.gamma(stage, name) for stage, names in (("fsm", ("APE", "RPE", "mirror", "sensitivity, mirror")),
+              ("fsm+pma", ("APE", "RPE", "sensitivity, forces"))) for name in names]  # fmt: skip
+    return max(*gammas, check.total("fsm+pma") / 40.0)
