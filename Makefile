@@ -1,6 +1,7 @@
 # Each target does all its own set-up; after the first run nothing needs the network.
 PYTHON ?= python3
 BIN := .venv/bin
+MINUTES ?= 10
 READY := .venv/.ready
 SKIPPED := .venv/skipped-tests.txt
 PACKAGES := lti titop_plant robust_design los_estimator fsm_pma_controller los_design pointing_analysis
@@ -8,12 +9,13 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow lint stages reference-bag report-picture bench docs lock clean
+.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, all tests of ordinary length; at the end what was skipped and how to get it"
 	@echo "make test-slow  the long ones"
+	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
@@ -48,6 +50,9 @@ test: lint
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow tests
+
+fuzz: $(READY)
+	$(BIN)/python tests/fuzz/fuzz_for.py $(MINUTES)
 
 stages: $(READY)
 	$(BIN)/los-testbed stages

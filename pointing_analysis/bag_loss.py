@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.bag_metadata import REPAIR_NAME, merged, value_of
 from pointing_analysis.mcap_records import Block, FileInfo
 
 NANO = 1e9
@@ -85,6 +86,13 @@ class _Numbers:
                 self.pieces.append(row)
 
 
+def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
+    """Messages of each topic that the bag had from which this one was repaired."""
+    expected = value_of(merged(infos, REPAIR_NAME)[0].get("expected", "{}"))
+    rows = expected.items() if isinstance(expected, dict) else ()
+    return {topic: count for topic, count in rows if isinstance(count, int) and 0 <= count < 1 << 48}
+
+
 class LossLedger:
     """Counts what is read of a bag, to say afterwards what is missing."""
 
@@ -150,6 +158,7 @@ class LossLedger:
             total = max([total, *(info.statistics.get(number, 0) for number in channels)])
         elif topic in counts:
             total = max(total, counts[topic])
+        total = max(total, _before_repair(infos).get(topic, 0))
         spans, number, time = [], 0, float("-inf")
         for first, last, log_first, log_last in pieces:
             if first > number + 1:

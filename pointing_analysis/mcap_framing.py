@@ -99,7 +99,9 @@ class Framing:
 
     def __init__(self, stream: BinaryIO, stop: int, anchors: Mapping[int, tuple[int, int]]) -> None:
         self.stream, self.stop, self.anchors = stream, stop, anchors
-        self._places = np.array(sorted(anchors), dtype=np.int64)
+        # Where records were taken out, put in or moved, the places behind them are no longer right.
+        confirmed = [at for at, (op, length) in anchors.items() if self._confirmed(at, op, length)]
+        self._places = np.array(sorted(confirmed), dtype=np.int64)
         self.chunked = any(op == OP_CHUNK for op, _ in anchors.values())
         self._trials = 0
 
@@ -113,14 +115,18 @@ class Framing:
     def frames(self, at: int) -> Iterator[Frame]:
         """The records from `at` on; ends behind the last one that can be found."""
         while at < self.stop:
-            if at in self.anchors:
+            i = int(np.searchsorted(self._places, at))
+            if i < self._places.size and int(self._places[i]) == at:
                 frame = Frame(self.anchors[at][0], at, self.anchors[at][1], defect=self._differs(at))
             else:
-                later = self._places[np.searchsorted(self._places, at, side="right") :]
-                frame = self._frame(at, int(later[0]) if later.size else self.stop)
+                frame = self._frame(at, int(self._places[i]) if i < self._places.size else self.stop)
             self.chunked |= frame.op == OP_CHUNK
             yield frame
             at = frame.end
+
+    def _confirmed(self, at: int, op: int, length: int) -> bool:
+        """Whether the head or the content of a record agrees with what the summary says of it."""
+        return self.peek(at, RECORD.size) == RECORD.pack(op, length) or self._agrees(op, at, length, self.stop)
 
     def _differs(self, at: int) -> str:
         head = self.peek(at, RECORD.size)

@@ -171,7 +171,9 @@ class Run:
         loss = self._losses.get(column.name)
         column.name = name
         topic = column.topic()
-        unfinished = self._window[1] == math.inf and not all(info.finished for info in self._infos)
+        cut = not all(info.finished for info in self._infos)
+        cut |= merged(self._infos, REPAIR_NAME)[0].get("finished") == "false"
+        unfinished = self._window[1] == math.inf and cut
         before, after = (loss.before, loss.after) if loss is not None else (0, 0)
         planned = self._planned(topic)
         if unfinished and planned is not None:

@@ -54,14 +54,23 @@ class Verdict:
 
     @property
     def keeps(self) -> bool:
-        """Whether the samples exceed the limit no more often than the requirement allows, proven or not."""
-        return self.exceeding <= 1 - self.requirement.probability
+        """Whether the samples exceed the limit no more often than the requirement allows, proven or not.
+
+        Missing samples count as such that exceed it.
+        """
+        if math.isinf(self.missing):
+            return False
+        above = self.exceeding * self.samples + self.missing
+        return above <= (1 - self.requirement.probability) * (self.samples + self.missing)
 
     @property
     def statement(self) -> str:
         """The verdict in words: of too short a run whether it keeps its limit, and what length would prove it."""
         if self.status != "not enough data":
             return self.status
+        if self.missing and not self.keeps:
+            what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
+            return f"not enough data: {what} missing"
         if math.isinf(self.seconds_needed):
             return f"{'at' if self.keeps else 'above'} its limit; no length of run decides it"
         seconds = f"{math.ceil(self.seconds_needed)} s"

@@ -2,7 +2,7 @@
 
 >>> import numpy as np
 >>> t = np.arange(6000) / 512
->>> xy = 5e-3 * np.column_stack([np.sin(40 * t), np.cos(40 * t)])
+>>> xy = 0.05 * np.random.default_rng(1).standard_normal((6000, 2))
 >>> found = judge_series(t, xy, unit="arcsec", requirements="prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")
 >>> found.verdicts[0].status
 'compliant'

@@ -20,7 +20,6 @@ from pointing_analysis.errors import (
     knowledge_error,
     performance_error,
 )
-from pointing_analysis.mcap_records import BagError
 from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.tone_budget import ToneBudget, tone_budget
@@ -36,6 +35,58 @@ class Knowledge:
 
     ake_p997_arcsec: float
     rke_rms_mas: float
+
+    @classmethod
+    def of(cls, error: NDArray[np.float64], dt: float) -> Knowledge:
+        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s].
+
+        Raises
+        ------
+        ValueError
+            Shorter than a window.
+        """
+        ake = np.nanquantile(metrics.radial(error), 0.997) / RAD_PER_ARCSEC
+        rke = float(np.hypot(*metrics.rpe_rms(error, dt, WINDOW))) / RAD_PER_MAS
+        return cls(float(ake), rke)
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Metrics of a performance error, as in :class:`Summary`; NaN for what needs a window and has none."""
+
+    ape_max: float
+    ape_p997: float
+    rpe_rms: float
+    rpe_p997: float
+    rpe_axis: tuple[float, float]
+    windows: int
+    windows_skipped: int
+    rpe_windows_p997: float
+
+    @classmethod
+    def of(cls, error: NDArray[np.float64], dt: float) -> Performance:
+        """Of an error (n, 2) [rad], NaN where a sample is missing, with the sampling period `dt` [s]."""
+        ape = metrics.radial(error) / RAD_PER_ARCSEC
+        nan = float("nan")
+        rms: NDArray[np.float64] = np.full(2, nan)
+        p997, of_windows, cut, skipped = nan, nan, 0, 0
+        if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
+            w = metrics.windows(error, dt, WINDOW)
+            rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
+            instant = metrics.radial(metrics.rpe_instant(error, dt, WINDOW)) / RAD_PER_MAS
+            p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+            sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
+            of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
+        return cls(
+            float(np.nanmax(ape)),
+            float(np.nanquantile(ape, 0.997)),
+            float(np.hypot(*rms)),
+            p997,
+            (float(rms[0]), float(rms[1])),
+            cut,
+            skipped,
+            of_windows,
+        )
 
 
 @dataclass(frozen=True)
@@ -177,10 +228,20 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if state.nan and name not in SAMPLES_CAMERA_MAY_MISS:
             problems.append(f"{name}: {state.nan} messages with NaN")
     _add_ends(lost, problems, stamps)
+    failure = _failure(run)
+    if failure:
+        problems.append(f"the run failed: {failure}")
     dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
     if dropped:
         problems.append(f"camera/los: {dropped} {'frame' if dropped == 1 else 'frames'} dropped (NaN)")
     return {k: v for k, v in lost.items() if v}, problems, dropped
+
+
+def _failure(run: Recording) -> str:
+    """What the recorded statistics say of a run that failed; empty for one that did not."""
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant") if isinstance(statistics, dict) else None
+    return str(plant.get("failure", "")) if isinstance(plant, dict) else ""
 
 
 def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:
@@ -202,13 +263,9 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
 def _knowledge(run: Recording, transient: float | None) -> Knowledge | None:
     try:
         series = knowledge_error(run, transient)
-        ake = np.nanquantile(metrics.radial(series.values), 0.997) / RAD_PER_ARCSEC
-        rke = float(np.hypot(*metrics.rpe_rms(series.values, series.dt, WINDOW))) / RAD_PER_MAS
-    except BagError:
+        return Knowledge.of(series.values, series.dt)
+    except ValueError:  # a BagError is one
         return None
-    except ValueError:
-        return None
-    return Knowledge(float(ake), rke)
 
 
 def summarise(
@@ -233,19 +290,10 @@ def summarise(
     """
     chosen = applicable(load() if requirements is None else requirements, run)
     series = performance_error(run, transient)
-    ape = metrics.radial(series.values) / RAD_PER_ARCSEC
-    nan = float("nan")
-    rms: NDArray[np.float64] = np.full(2, nan)
-    p997, of_windows, cut, skipped, budget = nan, nan, 0, 0, None
+    error, budget = Performance.of(series.values, series.dt), None
     whole = metrics.is_whole(WINDOW, series.dt)
     if whole and series.duration >= WINDOW:
-        w = metrics.windows(series.values, series.dt, WINDOW)
-        rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
-        instant = metrics.radial(metrics.rpe_instant(series.values, series.dt, WINDOW)) / RAD_PER_MAS
-        p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
-        sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
-        of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
-        budget = tone_budget(run, series, WINDOW, of_windows)
+        budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
     if not whole:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
@@ -266,13 +314,7 @@ def summarise(
         ticks=round((series.start + series.duration) / series.dt),
         duration=series.start + series.duration,
         transient=series.start,
-        ape_max=float(np.nanmax(ape)),
-        ape_p997=float(np.nanquantile(ape, 0.997)),
-        rpe_rms=float(np.hypot(*rms)),
-        rpe_p997=p997,
-        rpe_axis=(float(rms[0]), float(rms[1])),
-        windows=cut,
-        windows_skipped=skipped,
+        **vars(error),
         samples_lost=sum(lost.values()),
         lost_by_topic=lost,
         camera_dropped=dropped,
@@ -281,5 +323,4 @@ def summarise(
         problems=tuple(problems),
         losses=run.losses,
         budget=budget,
-        rpe_windows_p997=of_windows,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,11 +65,20 @@ class Bundle:
         new = [Plane(p.value, p.gradient, point, p.hard) for p in result.largest(PLANES_PER_POINT)]
         self.planes = [*self.planes, *new][-MAX_PLANES:]
 
-    def sample(self, oracle: Oracle, x: FloatArray, metric: Metric, rng: np.random.Generator) -> int:
-        """Sample gradients around `x` and reduce the radius; answers the number of evaluations."""
+    def sample(
+        self,
+        oracle: Oracle,
+        x: FloatArray,
+        metric: Metric,
+        rng: np.random.Generator,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> int:
+        """Sample gradients around `x` until `stop` and reduce the radius; answers the number of evaluations."""
         self.rounds += 1
         count = min(2 * len(x), MAX_POINTS)
-        for _ in range(count):
+        for k in range(count):
+            if stop():
+                return k
             u = rng.standard_normal(len(x))
             point = x + metric.step(self.radius * u / sl.norm(u))
             near = oracle(point)

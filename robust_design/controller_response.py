@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,34 +16,50 @@ ComplexArray = NDArray[np.complex128]
 ORIGIN = 1e-12  # [rad/s] frequency at which the limit of an integrator at zero frequency is taken
 
 
+@dataclass(frozen=True)
+class Controller:
+    """Controller at N frequencies, with the factors of its derivative ``dK(jw) = left dK right``.
+
+    Parameters
+    ----------
+    response : ndarray, shape (N, u, y), complex
+    output, state : ndarray, shapes (N, u, order) and (N, order, y), complex
+        ``C_K (jw - A_K)^-1`` and ``(jw - A_K)^-1 B_K``: with unit matrices beside them they are the factors.
+    turn : ndarray, shape (N, 1, 1), complex, or None
+        Delay that multiplies the response.
+    """
+
+    response: ComplexArray
+    output: ComplexArray
+    state: ComplexArray
+    turn: ComplexArray | None = None
+
+    def rows(self, row: ComplexArray, index: Any = slice(None)) -> ComplexArray:
+        """``row left`` (m, k, order + u) for `row` (m, k, u) at the frequencies `index`."""
+        row = row if self.turn is None else row * self.turn[index]
+        return np.concatenate([row @ self.output[index], row], axis=2)
+
+    def columns(self, column: ComplexArray, index: Any = slice(None)) -> ComplexArray:
+        """``right column`` (m, order + y, k) for `column` (m, y, k) at the frequencies `index`."""
+        return np.concatenate([self.state[index] @ column, column], axis=1)
+
+
 def controller_response(K: FloatArray, order: int, omega: FloatArray) -> ComplexArray:
     """``D_K + C_K (jw - A_K)^-1 B_K`` at the frequencies `omega` (N,): shape (N, u, y)."""
+    return controller_at(K, order, omega).response
+
+
+def controller_at(K: FloatArray, order: int, omega: FloatArray) -> Controller:
+    """Controller with the gain matrix `K` (order + u, order + y) at the frequencies `omega` (N,), infinity allowed."""
     n = order
-    out = np.broadcast_to(K[n:, n:], (len(omega), *K[n:, n:].shape)).astype(complex)
+    if n == 0:
+        response = np.broadcast_to(K, (len(omega), *K.shape)).astype(complex)
+        return Controller(response, response[:, :, :0], response[:, :0])
     finite = np.isfinite(omega)
-    if n == 0 or not finite.any():
-        return out
-    out[finite] += K[n:, :n] @ _resolvent(K[:n, :n], omega[finite]) @ K[:n, n:]
-    return out
-
-
-def controller_factors(K: FloatArray, order: int, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Response (N, u, y) and the factors of ``dK(jw) = left dK right``: (N, u, order + u), (N, order + y, y)."""
-    n, N = order, len(omega)
-    nu, ny = K.shape[0] - n, K.shape[1] - n
-    left = np.zeros((N, nu, n + nu), dtype=complex)
-    right = np.zeros((N, n + ny, ny), dtype=complex)
-    left[:, :, n:], right[:, n:, :] = np.eye(nu), np.eye(ny)
-    finite = np.isfinite(omega)
-    if n and finite.any():
-        Phi = _resolvent(K[:n, :n], omega[finite])
-        left[finite, :, :n] = K[n:, :n] @ Phi
-        right[finite, :n, :] = Phi @ K[:n, n:]
-    return K[n:, n:] + K[n:, :n] @ right[:, :n, :], left, right
-
-
-def _resolvent(A: FloatArray, omega: FloatArray) -> ComplexArray:
-    n = len(A)
-    w = np.where(omega == 0.0, ORIGIN, omega)
-    shifted = 1j * w[:, None, None] * np.eye(n) - A
-    return solve(shifted, np.broadcast_to(np.eye(n, dtype=complex), shifted.shape))
+    w = np.where(finite, np.where(omega == 0.0, ORIGIN, omega), 1.0)
+    resolvent = solve(
+        1j * w[:, None, None] * np.eye(n) - K[:n, :n], np.broadcast_to(np.eye(n, dtype=complex), (len(w), n, n))
+    )
+    resolvent[~finite] = 0.0
+    output, state = K[n:, :n] @ resolvent, resolvent @ K[:n, n:]
+    return Controller(K[n:, n:] + K[n:, :n] @ state, output, state)

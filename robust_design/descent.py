@@ -275,7 +275,10 @@ class _BundleDescent:
         nearly = self.stationarity <= NEAR_STATIONARY * self._options.tolerance * abs(self.result.objective)
         if self._bundle.rounds >= (MAX_SAMPLINGS_NEAR if nearly else MAX_SAMPLINGS):
             return StopReason.NEARLY_STATIONARY if nearly else StopReason.STALLED
-        self.evaluations += self._bundle.sample(self._oracle, self.x, self._metric, self._rng)
+        deadline = self._options.deadline
+        self.evaluations += self._bundle.sample(
+            self._oracle, self.x, self._metric, self._rng, lambda: time.monotonic() > deadline
+        )
         self._proximity = self._first_proximity()
         self._curvature.reset()
         self._accepted_values = []

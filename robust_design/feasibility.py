@@ -10,7 +10,7 @@ from robust_design.descent import DescentOptions
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Problem
 from robust_design.single_start import StartResult, tune_from
-from robust_design.starts import starts_of
+from robust_design.starts import Start, random_starts
 from robust_design.status import TuningStatus
 
 ENDPOINTS, RANDOM_STARTS = 3, 4  # from which the hard requirements alone are minimised
@@ -39,17 +39,17 @@ def feasibility_runs(
     )
     limits_alone = replace(limits, target=HARD_TARGET)
     ends = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ENDPOINTS]
-    jobs = [(run.x, seed) for run in ends] + starts_of([], RANDOM_STARTS, seed + 1, problem)
+    starts = [Start(seed, run.x) for run in ends] + random_starts(RANDOM_STARTS, seed + 1, 0)
     found: list[StartResult] = []
-    for x, own in jobs:
+    for start in starts:
         if time.monotonic() > limits.deadline:
             break
-        found.append(tune_from(only_hard, x, own, limits_alone, band))
+        found.append(tune_from(only_hard, start.parameters(problem), start.seed, limits_alone, band))
         if found[-1].soft <= 1.0:
-            return [tune_from(problem, found[-1].x, own, limits, band)]
+            return [tune_from(problem, found[-1].x, start.seed, limits, band)]
         if found[-1].status is TuningStatus.INTERRUPTED:
             break
-    return [_least_violation(problem, best, found, len(found) == len(jobs))]
+    return [_least_violation(problem, best, found, len(found) == len(starts))]
 
 
 def _least_violation(problem: Problem, best: StartResult, found: Sequence[StartResult], tried: bool) -> StartResult:

@@ -169,13 +169,12 @@ def singular_slopes(
 
     Shapes (N, r, order + u) and (N, order + y, r).
     """
-    own = plant.controller(K, order, arrays.omega, factors=True)
-    assert own.left is not None and own.right is not None
+    own = plant.controller(K, order, arrays.omega)
     responses, S, M = plant.closed(arrays, own, (i,))
     s, U, V = leading_pairs(responses[i])
     row = solve(S.swapaxes(1, 2), (U.conj().swapaxes(1, 2) @ arrays.P12[i]).swapaxes(1, 2))
     forward = arrays.P21[i] @ V
-    return s, row.swapaxes(1, 2) @ own.left, own.right @ (forward + arrays.P22 @ (M @ forward))
+    return s, own.rows(row.swapaxes(1, 2)), own.columns(forward + arrays.P22 @ (M @ forward))
 
 
 def _local_maxima(gains: FloatArray, level: float) -> NDArray[np.intp]:

@@ -7,16 +7,34 @@ refined and no Lyapunov equation is solved. H2 norms are sums over the grid, sca
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
-from lti.batched_linalg import determinants, largest_gains, solve
-from robust_design.gains import singular_slopes
+from lti.batched_linalg import determinants, largest_gains, leading_pairs, solve
+from robust_design.controller_response import Controller
 from robust_design.plant_responses import Arrays, PlantResponses
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+sl: Any = scipy.linalg
+
+EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
+"""Of the frequencies where every gain is below this fraction of its peak, and every contribution to an H2 norm below
+this fraction of the mean one, only each fourth is kept."""
+MAX_GRAMS = 150  # frequencies in the Gauss-Newton matrix of one requirement and model
+
+
+@dataclass
+class _Closed:
+    """Controller, closed-loop responses, ``S = I - K P22`` and ``M = S^-1 K`` on the grid."""
+
+    own: Controller
+    responses: dict[int, ComplexArray]
+    S: ComplexArray
+    M: ComplexArray
 
 
 @dataclass
@@ -50,65 +68,110 @@ class GridGains:
         widths[:-1] += 0.5 * steps
         widths[1:] += 0.5 * steps
         self.widths = np.where(np.isfinite(self.arrays.omega), widths, 0.0)
+        self._last: tuple[bytes, _Closed] | None = None
 
     def gains(self, K: FloatArray, *, h2: bool = True) -> tuple[dict[int, FloatArray], dict[int, float]]:
         """Largest singular values (N,) of the H-infinity requirements, and the H2 norms."""
-        own = self.plant.controller(K, self.order, self.arrays.omega)
-        which = self.hinf + (self.h2 if h2 else ())
-        T, _, _ = self.plant.closed(self.arrays, own, which)
-        squares = {i: float(self.widths @ np.sum(np.abs(T[i]) ** 2, axis=(1, 2))) for i in which if i in self.h2}
-        norms = {i: self.calibration.get(i, 1.0) * float(np.sqrt(s / np.pi)) for i, s in squares.items()}
+        T = self._closed(K, self.hinf + (self.h2 if h2 else ())).responses
+        norms = {i: self.calibration.get(i, 1.0) * float(np.sqrt(self._square(T[i]) / np.pi)) for i in self.h2 if h2}
         return {i: largest_gains(T[i]) for i in self.hinf}, norms
+
+    def essential(self, K: FloatArray, *, h2: bool) -> NDArray[np.bool_]:
+        """Mask (N,) of the frequencies at which a gain is not small, and of every fourth of the others."""
+        closed = self._closed(K, self.hinf + (self.h2 if h2 else ())).responses
+        kept = np.arange(len(self.arrays.omega)) % EVERY == 0
+        kept[[0, -1]] = True
+        for i, T in closed.items():
+            squares = np.sum(T.real**2 + T.imag**2, axis=(1, 2))
+            if i in self.hinf:
+                kept |= squares > SMALL_GAIN**2 * squares.max(initial=0.0)
+            else:
+                kept |= squares * self.widths > SMALL_SHARE * self._square(T) / len(kept)
+        return np.asarray(kept)
+
+    def _square(self, T: ComplexArray) -> float:
+        return float(self.widths @ np.sum(T.real**2 + T.imag**2, axis=(1, 2)))
+
+    def _closed(self, K: FloatArray, which: tuple[int, ...]) -> _Closed:
+        """The closed loop with the gain matrix `K`; that of the last one is kept."""
+        key = K.tobytes()
+        if self._last is None or self._last[0] != key:
+            own = self.plant.controller(K, self.order, self.arrays.omega)
+            self._last = key, _Closed(own, *self.plant.closed(self.arrays, own, which))
+        known = self._last[1]
+        missing = tuple(i for i in which if i not in known.responses)
+        if missing:
+            known.responses.update(self.plant.responses(self.arrays, known.M, missing))
+        return known
 
     def peak_gradients(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> list[tuple[float, FloatArray]]:
         """Largest singular values at some frequencies with their gradients, shape of K."""
-        s, rows, columns = singular_slopes(self.plant, self.arrays.at(index), K, self.order, i)
-        return [(float(s[j, 0]), np.real(np.outer(rows[j, 0], columns[j, :, 0]))) for j in range(len(index))]
+        s, rows, columns = self._slopes(K, i, index)
+        return [(float(s[j, 0]), np.real(np.outer(rows[j], columns[j]))) for j in range(len(index))]
 
     def weighted_gradient(self, K: FloatArray, i: int, weights: FloatArray, index: NDArray[np.intp]) -> FloatArray:
         """Gradient of the weighted sum of the largest singular values at the frequencies `index`."""
-        _, rows, columns = singular_slopes(self.plant, self.arrays.at(index), K, self.order, i)
-        return np.asarray(np.real(rows[:, 0].T @ (weights[:, None] * columns[:, :, 0])))
+        _, rows, columns = self._slopes(K, i, index)
+        return np.asarray(np.real(rows.T @ (weights[:, None] * columns)))
+
+    def _slopes(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+        """Singular values (m, r) at the frequencies `index` (m,) with the factors of the largest one's slope.
+
+        ``ds = Re(rows dK columns)``, shapes (m, order + u) and (m, order + y).
+        """
+        loop, arrays = self._closed(K, (i,)), self.arrays
+        s, U, V = leading_pairs(loop.responses[i][index])
+        into = U[:, None, :, 0].conj() @ arrays.P12[i][index]
+        row = solve(loop.S[index].swapaxes(1, 2), into.swapaxes(1, 2)).swapaxes(1, 2)
+        forward = arrays.P21[i][index] @ V[:, :, :1]
+        column = forward + arrays.P22[index] @ (loop.M[index] @ forward)
+        return s, loop.own.rows(row, index)[:, 0], loop.own.columns(column, index)[:, :, 0]
 
     def h2_gradient(self, K: FloatArray, i: int) -> FloatArray:
-        """Gradient of the H2 norm of requirement i."""
-        left, right, T = self._factors(K, i)
-        inner = left.conj().swapaxes(1, 2) @ T @ right.conj().swapaxes(1, 2)
-        square = float(self.widths @ np.sum(np.abs(T) ** 2, axis=(1, 2)))
-        slope = np.real(np.tensordot(self.widths, inner, axes=1)) / max(float(np.sqrt(square)), 1e-300)
-        return np.asarray(self.calibration.get(i, 1.0) / np.sqrt(np.pi) * slope)
+        """Gradient of the H2 norm of requirement i.
+
+        Half the slope of ``sum |T|^2`` is the real part of the sum of ``(P12 S^-1 left)' (right F T^H)'`` with
+        ``F = (I + P22 M) P21``.
+        """
+        loop, arrays = self._closed(K, (i,)), self.arrays
+        T = loop.responses[i]
+        back = arrays.P21[i] @ T.conj().swapaxes(1, 2)
+        back = loop.own.columns(back + arrays.P22 @ (loop.M @ back))
+        row = solve(loop.S.swapaxes(1, 2), arrays.P12[i].swapaxes(1, 2)).swapaxes(1, 2)
+        left = loop.own.rows(row * self.widths[:, None, None])
+        slope = np.real(np.tensordot(left, back.swapaxes(1, 2), axes=((0, 1), (0, 1))))
+        return np.asarray(self.calibration.get(i, 1.0) / np.sqrt(np.pi * max(self._square(T), 1e-300)) * slope)
 
     def gauss_newton(self, K: FloatArray, i: int, weights: FloatArray) -> FloatArray:
         """``sum_k w_k (left Gram) (x) (right Gram)`` of ``dT = left dK right``: the squared size of dT in dK.
 
-        Shape (a, b, a, b) for K (a, b).
+        Shape (a, b, a, b) for K (a, b). The sum is over at most :data:`MAX_GRAMS` of the frequencies whose weights are
+        positive, each for its neighbours.
         """
         index = np.flatnonzero(weights > 0.0)
-        left, right, _ = self._factors(K, i, index)
+        step = -(-len(index) // MAX_GRAMS)
+        ends = np.arange(0, len(index), step)
+        sums = np.add.reduceat(weights[index], ends)
+        heaviest = [int(start + np.argmax(weights[index[start : start + step]])) for start in ends]
+        left, right = self._factors(K, i, index[heaviest])
         a, b = K.shape
-        GL = (left.conj().swapaxes(1, 2) @ left).reshape(len(index), a * a)
-        GR = (right @ right.conj().swapaxes(1, 2)).reshape(len(index), b * b)
-        both = np.real((GL * weights[index, None]).T @ GR).reshape(a, a, b, b)
+        GL = (left.conj().swapaxes(1, 2) @ left).reshape(len(ends), a * a)
+        GR = (right @ right.conj().swapaxes(1, 2)).reshape(len(ends), b * b)
+        both = np.real((GL * sums[:, None]).T @ GR).reshape(a, a, b, b)
         return np.asarray(both.transpose(0, 3, 1, 2))
 
-    def _factors(
-        self, K: FloatArray, i: int, index: NDArray[np.intp] | None = None
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Factors of ``dT = left dK right``, (N, z, a) and (N, b, w), and T."""
-        arrays = self.arrays if index is None else self.arrays.at(index)
-        own = self.plant.controller(K, self.order, arrays.omega, factors=True)
-        assert own.left is not None and own.right is not None
-        T, S, M = self.plant.closed(arrays, own, (i,))
-        left = solve(S.swapaxes(1, 2), arrays.P12[i].swapaxes(1, 2)).swapaxes(1, 2) @ own.left
-        right = own.right @ (arrays.P21[i] + arrays.P22 @ (M @ arrays.P21[i]))
-        return left, right, T[i]
+    def _factors(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+        """Factors of ``dT = left dK right`` at the frequencies `index` (m,), (m, z, a) and (m, b, w)."""
+        loop, arrays = self._closed(K, (i,)), self.arrays
+        P12, P21 = arrays.P12[i][index], arrays.P21[i][index]
+        row = solve(loop.S[index].swapaxes(1, 2), P12.swapaxes(1, 2)).swapaxes(1, 2)
+        column = P21 + arrays.P22[index] @ (loop.M[index] @ P21)
+        return loop.own.rows(row, index), loop.own.columns(column, index)
 
     def return_determinant(self, K: FloatArray) -> ComplexArray:
         """``det(jw - A_K) det(I - K P22)`` at the frequencies of the grid, infinity left out."""
         finite = np.isfinite(self.arrays.omega)
-        w = self.arrays.omega[finite]
-        own = self.plant.controller(K, self.order, w)
-        S = np.eye(own.response.shape[1]) - own.response @ self.arrays.P22[finite]
-        n = self.order
-        shifted = 1j * w[:, None, None] * np.eye(n) - K[:n, :n]
-        return np.asarray(determinants(S) * (determinants(shifted) if n else 1.0))
+        determinant = determinants(self._closed(K, ()).S[finite])
+        for pole in sl.eigvals(K[: self.order, : self.order]) if self.order else ():
+            determinant = determinant * (1j * self.arrays.omega[finite] - pole)
+        return np.asarray(determinant)

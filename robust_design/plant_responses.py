@@ -7,7 +7,8 @@ controller's response, ``exp(-j w delay) K``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from lti.batched_linalg import solve
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import FrequencyResponse
 from lti.state_space_model import StateSpace
-from robust_design.controller_response import controller_factors, controller_response
+from robust_design.controller_response import Controller, controller_at
 from robust_design.prefeedback import applied, prefeedback
 from robust_design.requirements import H2Gain, HinfGain
 
@@ -42,25 +43,18 @@ class Arrays:
 
     def at(self, index: NDArray[np.intp]) -> Arrays:
         """The same at some of the frequencies."""
-        first, second, third = ({i: P[index] for i, P in part.items()} for part in (self.P11, self.P12, self.P21))
+        first, second = ({i: P[index] for i, P in part.items()} for part in (self.P11, self.P12))
+        third = _once(self.P21, lambda i: self.P21[i][index])
         return Arrays(self.omega[index], first, second, third, self.P22[index])
 
     def merged(self, other: Arrays) -> Arrays:
         """The frequencies of both, ascending."""
         omega = np.concatenate([self.omega, other.omega])
         index = np.argsort(omega, kind="stable")
-        pairs = ((self.P11, other.P11), (self.P12, other.P12), (self.P21, other.P21))
-        first, second, third = ({i: np.concatenate([a[i], b[i]])[index] for i in a} for a, b in pairs)
+        pairs = ((self.P11, other.P11), (self.P12, other.P12))
+        first, second = ({i: np.concatenate([a[i], b[i]])[index] for i in a} for a, b in pairs)
+        third = _once(self.P21, lambda i: np.concatenate([self.P21[i], other.P21[i]])[index])
         return Arrays(omega[index], first, second, third, np.concatenate([self.P22, other.P22])[index])
-
-
-@dataclass(frozen=True)
-class Controller:
-    """Response (N, u, y) of a controller, and the factors of its derivative ``left dK right`` where asked for."""
-
-    response: ComplexArray
-    left: ComplexArray | None = None
-    right: ComplexArray | None = None
 
 
 class PlantResponses:
@@ -157,16 +151,13 @@ class PlantResponses:
             P21[i] = shared[self.groups[i]]
         return Arrays(omega, P11, P12, P21, P[:, nz:, nw:])
 
-    def controller(self, K: FloatArray, order: int, omega: FloatArray, *, factors: bool = False) -> Controller:
-        """Response of the controller with its delay, as the plant after its pre-feedback sees it."""
-        if factors:
-            Kw, left, right = controller_factors(K, order, omega)
-        else:
-            Kw, left, right = controller_response(K, order, omega), None, None  # type: ignore[assignment]
-        if self._delay:
-            turn = np.exp(-1j * np.where(np.isfinite(omega), omega, 0.0) * self._delay)[:, None, None]
-            Kw, left = Kw * turn, left * turn if factors else None  # type: ignore[assignment]
-        return Controller(Kw - self._F, left, right)
+    def controller(self, K: FloatArray, order: int, omega: FloatArray) -> Controller:
+        """The controller with its delay, as the plant after its pre-feedback sees it."""
+        own = controller_at(K, order, omega)
+        if not self._delay:
+            return replace(own, response=own.response - self._F) if self._F.any() else own
+        turn = np.exp(-1j * np.where(np.isfinite(omega), omega, 0.0) * self._delay)[:, None, None]
+        return replace(own, response=own.response * turn - self._F, turn=turn)
 
     def closed(
         self, arrays: Arrays, K: Controller, which: tuple[int, ...]
@@ -174,6 +165,10 @@ class PlantResponses:
         """Closed-loop responses of the requirements `which`, ``S = I - K P22`` and ``M = S^-1 K``."""
         S = np.eye(K.response.shape[1]) - K.response @ arrays.P22
         M = solve(S, K.response)
+        return self.responses(arrays, M, which), S, M
+
+    def responses(self, arrays: Arrays, M: ComplexArray, which: tuple[int, ...]) -> dict[int, ComplexArray]:
+        """Closed-loop responses of the requirements `which` with ``M = S^-1 K``."""
         forward: dict[int, ComplexArray] = {}
         out = {}
         for i in which:
@@ -181,7 +176,17 @@ class PlantResponses:
             if group not in forward:
                 forward[group] = M @ arrays.P21[i]
             out[i] = arrays.P11[i] + arrays.P12[i] @ forward[group]
-        return out, S, M
+        return out
+
+
+def _once(arrays: dict[int, ComplexArray], change: Callable[[int], ComplexArray]) -> dict[int, ComplexArray]:
+    """The changed arrays, those of requirements that share one array changed once."""
+    changed: dict[int, ComplexArray] = {}
+    by_identity: dict[int, int] = {}
+    for i, array in arrays.items():
+        first = by_identity.setdefault(id(array), i)
+        changed[i] = changed[first] if first in changed else change(i)
+    return changed
 
 
 def _weight(weight: StateSpace | None) -> FrequencyResponse | None:

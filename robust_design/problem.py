@@ -198,11 +198,14 @@ class Problem:
                 pieces.append(Piece(float(s.poles[i].real), g, False, 0, k, float(abs(s.poles[i]))))
         return worst, pieces
 
-    def evaluate(self, x: FloatArray, *, band: float = 0.7, gradients: bool = True) -> Evaluation:
+    def evaluate(
+        self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, h2_once: bool = False
+    ) -> Evaluation:
         """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
         of their kind.
 
-        With an unstable loop (abscissa above ``-min_decay``) every value is infinite.
+        With an unstable loop (abscissa above ``-min_decay``) every value is infinite. With `h2_once` the H2 norms are
+        computed at the first model and taken for those of all: where they do not depend on the model.
         """
         K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
@@ -216,12 +219,15 @@ class Problem:
         values[:] = -np.inf
         for k in range(len(self.models)):
             pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)
-            pieces += self._variance_pieces(x, K, k, gradients)
+            if not (h2_once and k):
+                pieces += self._variance_pieces(x, K, k, gradients)
             pieces += self._pole_pieces(x, K, k, spectra[k], band, gradients)
         for piece in pieces:
             if piece.value > values[piece.requirement, piece.model]:
                 values[piece.requirement, piece.model] = piece.value
                 frequencies[piece.requirement, piece.model] = piece.peak_frequency
+        if h2_once:
+            values[list(self.h2)] = values[list(self.h2), :1]
         kept = _active(pieces, band) if gradients else ()
         pairs = [pair for s in spectra for pair in s.barriers()]
         barriers = tuple((real + self.min_decay, _pulled(self.structure, x, gradient)) for real, gradient in pairs)

@@ -1,4 +1,7 @@
-"""BFGS with a weak Wolfe line search in the coordinates of a metric (Lewis and Overton 2013)."""
+"""BFGS with a weak Wolfe line search in the coordinates of a metric (Lewis and Overton 2013).
+
+Where the metric is renewed at every step no curvature is learned: this is the Gauss-Newton method with a line search.
+"""
 
 from __future__ import annotations
 
@@ -40,12 +43,13 @@ def quasi_newton(
     steps: int,
     tolerance: float,
     floor: float = -np.inf,
+    renewed: Callable[[FloatArray], Metric] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> QuasiNewtonResult:
     """Minimise `function` (infinite outside its domain) from `x` (n,), inside the domain.
 
-    Ends after `steps` steps, below `floor`, when :data:`STAGNATION` steps together bring less than `tolerance`, or at
-    `stop`.
+    `renewed` gives a new metric after every step. Ends after `steps` steps, below `floor`, when :data:`STAGNATION`
+    steps together bring less than `tolerance`, or at `stop`.
     """
     f, gx = function(x)
     g = metric.gradient(gx)
@@ -61,7 +65,7 @@ def quasi_newton(
             H = None
             continue
         first = min(1.0, FIRST_STEP / max(float(sl.norm(d)), 1e-300)) if H is None else 1.0
-        found = _weak_wolfe(function, x, f, slope, metric, d, first)
+        found = _weak_wolfe(function, x, f, slope, metric, d, first, stop)
         if found is None:
             if H is None:
                 break
@@ -70,7 +74,12 @@ def quasi_newton(
         t, new_x, new_f, new_g = found
         s, y = t * d, new_g - g
         x, f, g = new_x, new_f, new_g
-        H = _updated(H, s, y)
+        if renewed is None:
+            H = _updated(H, s, y)
+        else:
+            gradient = metric.inverse.T @ g
+            metric = renewed(x)
+            g = metric.gradient(gradient)
         history.append(f)
         taken += 1
         if len(history) > STAGNATION and history[-1 - STAGNATION] - f < tolerance:
@@ -94,12 +103,21 @@ def _updated(H: FloatArray | None, s: FloatArray, y: FloatArray) -> FloatArray |
 
 
 def _weak_wolfe(
-    function: Function, x: FloatArray, f: float, slope: float, metric: Metric, d: FloatArray, first: float
+    function: Function,
+    x: FloatArray,
+    f: float,
+    slope: float,
+    metric: Metric,
+    d: FloatArray,
+    first: float,
+    stop: Callable[[], bool],
 ) -> tuple[float, FloatArray, float, FloatArray] | None:
     """Bisection and expansion; the last point of sufficient decrease if the budget ends before the Wolfe condition."""
     low, high, t = 0.0, np.inf, first
     best: tuple[float, FloatArray, float, FloatArray] | None = None
     for _ in range(MAX_SEARCH):
+        if stop():
+            break
         trial = x + metric.step(t * d)
         value, gx = function(trial)
         if not value <= f + ARMIJO * t * slope:

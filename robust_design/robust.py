@@ -20,7 +20,7 @@ from robust_design.feasibility import feasibility_runs
 from robust_design.problem import Problem
 from robust_design.requirements import Requirement
 from robust_design.single_start import tune_from
-from robust_design.starts import start_checked, starts_of
+from robust_design.starts import start_checked
 from robust_design.structures import Structure
 from robust_design.tuner import TuningOptions, TuningResult, limits_of, result_of, tune
 from robust_design.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
@@ -180,9 +180,8 @@ class _Rounds:
                 options=options,
             )
         start_time = time.monotonic()
-        jobs = starts_of([before.x], 0, self.options.seed, problem)
         limits = limits_of(self.options, start_time + left)
-        runs = [tune_from(problem, x, seed, limits, self.options.band) for x, seed in jobs]
+        runs = [tune_from(problem, before.x, self.options.seed, limits, self.options.band)]
         runs += feasibility_runs(problem, runs, self.options.seed, limits, self.options.band)
         return result_of(problem, runs, time.monotonic() - start_time)
 

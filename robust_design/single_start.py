@@ -151,21 +151,25 @@ class _Run:
         """Whether neither a smooth phase nor random directions lower the value; the point moves if they do."""
         other = self._smooth(CONFIRMING_EVALUATIONS)
         if not other.better_than(self.point, VISIBLE):
-            found = _random_directions(self._problem, self.point, self._rng)
-            self.evaluations += RANDOM_DIRECTIONS
+            found, tried = _random_directions(self._problem, self.point, self._rng, self._limits.deadline)
+            self.evaluations += tried
             if found is None:
-                return True
+                return tried == RANDOM_DIRECTIONS
             other = found
         self.point = other
         return False
 
 
-def _random_directions(problem: Problem, point: Point, rng: np.random.Generator) -> Point | None:
-    """A point visibly better among random ones around `point`, or None."""
+def _random_directions(
+    problem: Problem, point: Point, rng: np.random.Generator, deadline: float
+) -> tuple[Point | None, int]:
+    """A point visibly better among random ones around `point`, or None, and how many were tried by the deadline."""
     objective = SmoothObjective(problem, point.x, point.found)
     metric = objective.metric(point.x)
     soft, hard = objective.largest(point.x)
-    for _ in range(RANDOM_DIRECTIONS):
+    for tried in range(RANDOM_DIRECTIONS):
+        if time.monotonic() > deadline:
+            return None, tried
         u = rng.standard_normal(len(point.x))
         x = point.x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
         new_soft, new_hard = objective.largest(x)
@@ -173,8 +177,8 @@ def _random_directions(problem: Problem, point: Point, rng: np.random.Generator)
         if promising:
             new = point_at(problem, x)
             if new.better_than(point, VISIBLE):
-                return new
-    return None
+                return new, tried + 1
+    return None, RANDOM_DIRECTIONS
 
 
 def _unstable(stable: Descent, steps: int) -> StartResult:

@@ -19,9 +19,9 @@ ComplexArray = NDArray[np.complex128]
 
 NEGLIGIBLE = 14.0  # entries below exp(-14) of the largest weight are left out
 LEAST_LOG = float(np.log(1e-300))
-PENALTY = 20.0  # of the squared logarithm of a violated hard requirement
+PENALTY = 20.0  # of the squared logarithm of a violated hard requirement, unless a round asks for more
 HARD_MARGIN = 0.1  # logarithm of a hard value above which a point is outside, if the round began below
-APPROACH = 0.1  # fraction of the distance of the poles to the stability boundary that a round must leave
+APPROACH = 0.01  # fraction of the distance of the poles to the stability boundary that a round must leave
 METRIC_POWER = 4.0  # weights of the Gauss-Newton matrix: this power of value over largest value
 EXACT_STABILITY_ORDER = 60  # up to this order the poles are computed at every evaluation
 LEAST_RETURN = 1e-3  # of the return difference's determinant over that of the first point: loops above that order
@@ -44,7 +44,7 @@ class SmoothObjective:
     """Logarithm of the p-norm of the soft values, the hard ones as constraints, with gradient, on a grid fixed at `x`.
 
     With s and h the logarithms of the p-norms of the soft and hard values it is the augmented Lagrangian
-    ``s + c max(h + m / 2c, 0)^2`` with c = :data:`PENALTY` and the multiplier m. It is infinite where a loop is
+    ``s + c max(h + m / 2c, 0)^2`` with the penalty c and the multiplier m. It is infinite where a loop is
     unstable, where a round would use up nearly all of the stability margin that it began with, and where a hard value
     exceeds both 1 and that of the first point by more than :data:`HARD_MARGIN`: however low the soft values are there,
     such a point is never taken.
@@ -56,15 +56,25 @@ class SmoothObjective:
         Stable point at which the grid is refined.
     found : Evaluation
         Exact values there.
+    extra : tuple of ndarray
+        Frequencies [rad/s] to add to the grid of every model.
+    thin : bool
+        Leave out most of the frequencies at which all gains are small.
     """
 
     def __init__(
-        self, problem: Problem, x: FloatArray, found: Evaluation, extra: tuple[FloatArray, ...] | None = None
+        self,
+        problem: Problem,
+        x: FloatArray,
+        found: Evaluation,
+        extra: tuple[FloatArray, ...] | None = None,
+        *,
+        thin: bool = False,
     ) -> None:
         self._problem = problem
         self.power = 40.0
         self.evaluations = 0
-        self._multiplier, self._restoring, self._offset = 0.0, False, 0.0
+        self._multiplier, self._penalty, self._restoring, self._offset = 0.0, PENALTY, False, 0.0
         self._ceiling = float(np.log(max(worst_values(problem, found)[1], 1.0))) + HARD_MARGIN
         K = problem.structure.gain_matrix(x)
         self._has_poles = any(i not in problem.gain_numbers for i in range(len(problem.requirements)))
@@ -72,7 +82,9 @@ class SmoothObjective:
         self._h2 = tuple(range(len(problem.hinf), len(problem.gain_numbers)))
         self.extra: list[FloatArray] = []
         self._grids = [self._grid(k, found, extra[k] if extra else np.zeros(0)) for k in range(len(problem.models))]
-        self._h2_models = [0] if _same(found.values[list(problem.h2)]) else list(range(len(self._grids)))
+        self._h2_models = [0] if same_h2(problem, found) else list(range(len(self._grids)))
+        if thin:
+            self._grids = [self._thinned(k, K) for k in range(len(self._grids))]
         for k in self._h2_models:
             _, norms = self._grids[k].gains(K)
             for i, norm in norms.items():
@@ -90,6 +102,12 @@ class SmoothObjective:
         self.extra.append(extra)
         arrays = loop.grid.merged(loop.plant.arrays(extra)) if len(extra) else loop.grid
         return GridGains(loop.plant, arrays, self._problem.structure.order, self._hinf, self._h2)
+
+    def _thinned(self, k: int, K: FloatArray) -> GridGains:
+        grid = self._grids[k]
+        kept = grid.essential(K, h2=k in self._h2_models) | np.isin(grid.arrays.omega, self.extra[k])
+        arrays = grid.arrays.at(np.flatnonzero(kept))
+        return GridGains(grid.plant, arrays, grid.order, grid.hinf, grid.h2)
 
     def _small(self, k: int) -> bool:
         return self._problem.order(k) <= EXACT_STABILITY_ORDER
@@ -119,12 +137,20 @@ class SmoothObjective:
                 return False
         return True
 
-    def begin(self, x: FloatArray, *, power: float, multiplier: float = 0.0, restoring: bool = False) -> None:
+    def begin(
+        self,
+        x: FloatArray,
+        *,
+        power: float,
+        multiplier: float = 0.0,
+        penalty: float = PENALTY,
+        restoring: bool = False,
+    ) -> None:
         """Begin a round at `x` (size,): with `restoring` the value is h alone, otherwise the augmented Lagrangian.
 
         The p-norm of the hard values is scaled to their largest value at `x`.
         """
-        self.power, self._multiplier, self._restoring = power, multiplier, restoring
+        self.power, self._multiplier, self._penalty, self._restoring = power, multiplier, penalty, restoring
         K = self._problem.structure.gain_matrix(x)
         _, hard = self._split(self._entries(x, K))
         if hard:
@@ -152,9 +178,10 @@ class SmoothObjective:
             excess -= self._offset
             if self._restoring:
                 return excess, slope
-            shifted = excess + 0.5 * self._multiplier / PENALTY
+            shifted = excess + 0.5 * self._multiplier / self._penalty
             if shifted > 0.0:
-                value, gradient = value + PENALTY * shifted**2, gradient + 2.0 * PENALTY * shifted * slope
+                value = value + self._penalty * shifted**2
+                gradient = gradient + 2.0 * self._penalty * shifted * slope
         return value, gradient
 
     def value(self, x: FloatArray) -> float:
@@ -227,7 +254,13 @@ class SmoothObjective:
                 weights = np.where(relative > 1e-3, relative**METRIC_POWER, 0.0)
                 weights = weights / weights.sum() / size**2 * (size / top) ** METRIC_POWER
             matrix += grid.gauss_newton(K, i, weights).reshape(K.size, K.size)
-        return metric_of(J.T @ matrix @ J + poles + self._spread_of_slopes(x, K, entries))
+        total = J.T @ matrix @ J + poles + self._spread_of_slopes(x, K, entries)
+        hard = self._split(entries)[1]
+        if hard and not self._restoring:
+            excess, slope = self._log_norm(x, K, hard)
+            if excess - self._offset + 0.5 * self._multiplier / self._penalty > 0.0:
+                total = total + 2.0 * self._penalty * np.outer(slope, slope)
+        return metric_of(total)
 
     def _spread_of_slopes(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry]) -> FloatArray:
         """Curvature of the p-norm from the relative slopes that it averages: ``p sum_e w_e g_e g_e'``."""
@@ -240,13 +273,17 @@ class SmoothObjective:
             top = float(np.log(max(1e-300, *(float(e.values.max()) for e in own))))
             weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in own]
             sum_of_weights = sum(float(w.sum()) for w in weights)
+            mean, share = np.zeros(len(x)), 0.0
             for e, w in zip(own, weights):
                 index = np.argsort(-w)[:MAX_SLOPES]
                 index = index[w[index] > 1e-4 * sum_of_weights]
                 if len(index) == 0:
                     continue
-                G = self._relative_slopes(x, K, e, index) * np.sqrt(p * w[index] / sum_of_weights)[:, None]
-                total = total + np.asarray(G.T @ G, dtype=float)
+                parts = w[index] / sum_of_weights
+                G = self._relative_slopes(x, K, e, index)
+                mean, share = mean + G.T @ parts, share + float(parts.sum())
+                total = total + p * np.asarray((G.T * parts) @ G, dtype=float)
+            total = total - p * np.outer(mean, mean) / share
         return total
 
     def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: NDArray[np.intp]) -> FloatArray:
@@ -277,7 +314,9 @@ def _jacobian(structure: Structure, x: FloatArray) -> FloatArray:
     return np.array(rows)
 
 
-def _same(values: FloatArray) -> bool:
+def same_h2(problem: Problem, found: Evaluation) -> bool:
+    """Whether every H2 norm is the same at all models."""
+    values = found.values[list(problem.h2)]
     if values.size == 0:
         return True
     return bool(np.all(np.ptp(values, axis=1) <= SAME_H2 * np.abs(values).max(axis=1)))

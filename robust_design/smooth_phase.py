@@ -18,14 +18,16 @@ from robust_design.gains import unresolved
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.quasi_newton import quasi_newton
-from robust_design.smooth_objective import PENALTY, SmoothObjective
+from robust_design.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective, same_h2
 
 FloatArray = NDArray[np.float64]
 
 POWERS = (40.0, 150.0, 600.0)
 STEPS, MIN_STEPS = 12, 3  # of a round
+RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 RESTORING_STEPS = 6  # of a round that lowers hard values alone
 MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
+MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
 TOLERANCE = 1e-3  # decrease of the logarithm that is worth another round
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
 FEASIBLE = 1e-6  # excess over 1 that a hard value may have
@@ -33,12 +35,13 @@ FEASIBLE = 1e-6  # excess over 1 that a hard value may have
 
 @dataclass(frozen=True)
 class Point:
-    """Parameters (size,) with their exact values."""
+    """Parameters (size,) with their exact values; the H2 norms of the first model for all if `quick`."""
 
     x: FloatArray
     found: Evaluation
     soft: float
     hard: float
+    quick: bool = False
 
     @cached_property
     def feasible(self) -> bool:
@@ -54,10 +57,10 @@ class Point:
         return self.hard < other.hard * (1.0 - tolerance)
 
 
-def point_at(problem: Problem, x: FloatArray) -> Point:
-    """Exact values at `x` (size,), without gradients."""
-    found = problem.evaluate(x, gradients=False)
-    return Point(x, found, *worst_values(problem, found))
+def point_at(problem: Problem, x: FloatArray, *, quick: bool = False) -> Point:
+    """Exact values at `x` (size,), without gradients; `quick`: H2 norms of the first model for all."""
+    found = problem.evaluate(x, gradients=False, h2_once=quick)
+    return Point(x, found, *worst_values(problem, found), quick)
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: fl
             break
     if rounds.point.feasible and np.isfinite(rounds.point.soft):
         rounds.descend()
-    return SmoothPhase(rounds.point, rounds.used, rounds.count)
+    return SmoothPhase(rounds.checked(), rounds.used, rounds.count)
 
 
 class _Rounds:
@@ -87,7 +90,13 @@ class _Rounds:
         self._problem, self._evaluations, self._deadline, self._target = problem, evaluations, deadline, target
         self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
         self.point = point_at(problem, x)
+        self._quick = len(problem.models) > 1 and len(problem.h2) > 0 and same_h2(problem, self.point.found)
         self.used, self.count = 1, 0
+        self._thin = True  # until a grid without the frequencies of small gains has missed an unstable pole
+
+    def checked(self) -> Point:
+        """The point so far with the H2 norms of all models."""
+        return point_at(self._problem, self.point.x) if self.point.quick else self.point
 
     @property
     def left(self) -> bool:
@@ -97,21 +106,23 @@ class _Rounds:
     def restore(self) -> bool:
         """One round on the hard values alone from an infeasible point; whether it made progress."""
         new = self._round(self.point, POWERS[0], STEPS, restoring=True)
-        if not new.better_than(self.point, TOLERANCE):
+        if not new.better_than(self.point, RESTORED):
             new = self._round(self.point, POWERS[-1], STEPS, restoring=True)
-        progress = new.better_than(self.point, TOLERANCE)
+        progress = new.better_than(self.point, RESTORED)
         if new.better_than(self.point):
             self.point = new
         return progress
 
     def descend(self) -> None:
         """Rounds on the soft values from a feasible point, which feasible points only replace."""
-        stage, steps, multiplier = 0, STEPS, 0.0
+        stage, steps, multiplier, penalty = 0, STEPS, 0.0, PENALTY
         floor = max(self._target, NEGLIGIBLE * self.point.soft, 1e-12)
         while stage < len(POWERS) and self.left and self.point.soft > floor:
-            new = self._round(self.point, POWERS[stage], steps, multiplier=multiplier)
+            new = self._round(self.point, POWERS[stage], steps, multiplier=multiplier, penalty=penalty)
             if np.isfinite(new.hard) and new.hard > 0.0:
-                multiplier = max(0.0, multiplier + 2.0 * PENALTY * float(np.log(new.hard / HARD_TARGET)))
+                excess = float(np.log(new.hard / HARD_TARGET))
+                multiplier = max(0.0, multiplier + 2.0 * penalty * excess)
+                penalty = penalty * MORE_PENALTY if excess > 0.5 * HARD_MARGIN else penalty
             new = self._restored(new)
             lower = new.better_than(self.point)
             if lower and new.better_than(self.point, TOLERANCE):
@@ -132,10 +143,17 @@ class _Rounds:
         return new
 
     def _round(
-        self, start: Point, power: float, steps: int, *, multiplier: float = 0.0, restoring: bool = False
+        self,
+        start: Point,
+        power: float,
+        steps: int,
+        *,
+        multiplier: float = 0.0,
+        penalty: float = PENALTY,
+        restoring: bool = False,
     ) -> Point:
-        objective = SmoothObjective(self._problem, start.x, start.found, self._extra)
-        objective.begin(start.x, power=power, multiplier=multiplier, restoring=restoring)
+        objective = SmoothObjective(self._problem, start.x, start.found, self._extra, thin=self._thin)
+        objective.begin(start.x, power=power, multiplier=multiplier, penalty=penalty, restoring=restoring)
         result = quasi_newton(
             objective,
             start.x,
@@ -143,10 +161,12 @@ class _Rounds:
             steps=steps,
             tolerance=TOLERANCE / 10.0,
             floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
+            renewed=objective.metric if power == POWERS[0] else None,
             stop=lambda: time.monotonic() > self._deadline,
         )
-        new = point_at(self._problem, result.x)
+        new = point_at(self._problem, result.x, quick=self._quick)
         self.used, self.count = self.used + objective.evaluations + 1, self.count + 1
+        self._thin = bool(new.found.poles)
         self._extra = tuple(_with_peaks(self._problem, k, e, new.found) for k, e in enumerate(objective.extra))
         return new
 

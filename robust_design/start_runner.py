@@ -1,11 +1,16 @@
-"""Runs the starts of a tuning run, in this process or in parallel ones, with the same result."""
+"""Runs the starts of a tuning run, in this process or in parallel ones, with the same result.
+
+Given starts run first, then batches of random ones: all of a batch are screened in short rounds and the best carried
+on. Batches follow until one finds nothing better. What is done depends on the work only, never on the clock: the
+deadline is a cap, and :attr:`Search.complete` says whether it was reached.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -16,32 +21,48 @@ from lti.threads import one_thread
 from robust_design.descent import DescentOptions
 from robust_design.problem import Problem
 from robust_design.single_start import StartResult, screen, tune_from
+from robust_design.starts import Start
 from robust_design.status import TuningStatus
 
 FloatArray = NDArray[np.float64]
-Job = tuple[FloatArray, int]
-Work = Callable[[Problem, FloatArray, int, DescentOptions, float], StartResult]
+Work = Callable[[Problem, Start, DescentOptions, float], StartResult]
 
-CARRIED = 6  # random starts that are carried on after the screening
-SCREENING_SHARE = 0.5  # of the wall limit
+CARRIED = 6  # starts of a batch that are carried on after the screening; no more batches than one with so few starts
+MAX_BATCHES = 20
+BETTER = 1e-4  # relative decrease that counts as something better
+SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
+
+
+@dataclass(frozen=True)
+class Search:
+    """Results of the starts that were begun, and whether those were all."""
+
+    results: tuple[StartResult, ...]
+    complete: bool
+
+    @property
+    def best(self) -> StartResult:
+        """The best; of equal ones the first."""
+        return min(self.results, key=lambda run: run.rank)
 
 
 def run_starts(
     problem: Problem,
-    jobs: Sequence[Job],
-    given: int,
+    given: Sequence[Start],
+    batch: Callable[[int], Sequence[Start]],
     limits: DescentOptions,
     band: float,
     workers: int,
     progress: Progress,
-) -> list[StartResult]:
-    """The first `given` jobs and the best of the screened others, each to its end; results of all jobs, in order.
+) -> Search:
+    """The given starts, then batches of others until one finds nothing better.
 
     Parameters
     ----------
     problem : Problem
-    jobs : sequence of (start, seed)
-    given : int
+    given : sequence of Start
+    batch : callable
+        The starts of a batch by its number; empty where there are none.
     limits : DescentOptions
         Of each start; the deadline is that of the whole.
     band : float
@@ -50,88 +71,118 @@ def run_starts(
     progress : Progress
     """
     runner = _Runner(problem, limits, band, workers, progress)
-    results = runner.run(_full, jobs[:given]) if given else []
-    others = jobs[given:]
-    if not others or runner.ended(results):
-        return results
-    carried = list(others)
-    if len(others) > CARRIED:
-        half = time.monotonic() + SCREENING_SHARE * (limits.deadline - time.monotonic())
-        screened = runner.run(_screen, others, half)
-        if runner.ended(screened):
-            return results + screened
-        order = sorted(range(len(screened)), key=lambda k: (screened[k].rank, k))[:CARRIED]
-        carried = [(screened[k].x, others[k][1]) for k in order]
-        results += screened
-    return results + runner.run(_full, carried)
+    runner.run(_full, given)
+    for number in range(MAX_BATCHES):
+        starts = batch(number)
+        if not starts or not runner.going_on:
+            break
+        before = min((r.rank for r in runner.results), default=(3, np.inf))
+        _run_batch(runner, starts)
+        after = min((r.rank for r in runner.results), default=(3, np.inf))
+        fruitless = after[0] == before[0] and not after[1] < before[1] - BETTER * abs(before[1])
+        if len(starts) <= CARRIED or (number and fruitless):
+            break
+    return Search(tuple(runner.results), runner.complete)
+
+
+def _run_batch(runner: _Runner, starts: Sequence[Start]) -> None:
+    if len(starts) <= CARRIED:
+        runner.run(_full, starts)
+        return
+    screened = runner.run(_screened, starts)
+    if not runner.going_on:
+        return
+    carried: list[Start] = []
+    ranks: list[tuple[int, float]] = []
+    for k in sorted(range(len(screened)), key=lambda k: (screened[k].rank, k)):
+        kind, value = screened[k].rank
+        if len(carried) < CARRIED and not any(
+            kind == other[0] and abs(value - other[1]) <= SAME * abs(value) for other in ranks
+        ):
+            ranks.append((kind, value))
+            carried.append(Start(starts[k].seed, screened[k].x))
+    runner.run(_full, carried)
 
 
 class _Runner:
+    """Results so far, and whether every start was begun."""
+
     def __init__(self, problem: Problem, limits: DescentOptions, band: float, workers: int, progress: Progress) -> None:
         self._problem, self._limits, self._band = problem, limits, band
         self._workers, self._progress = workers, progress
+        self.results: list[StartResult] = []
+        self.complete = True
 
-    @staticmethod
-    def ended(results: Sequence[StartResult]) -> bool:
-        """The user stopped the run or the target was reached."""
-        return any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
+    @property
+    def going_on(self) -> bool:
+        """Neither was a limit reached nor the run stopped by the user or by its target."""
+        return self.complete and not _ended(self.results)
 
-    def run(self, work: Work, jobs: Sequence[Job], deadline: float | None = None) -> list[StartResult]:
-        """Results of the jobs that were begun before the deadline, in order."""
-        limits = self._limits if deadline is None else replace(self._limits, deadline=deadline)
-        return (
-            self._serial(work, jobs, limits)
-            if self._workers == 1 or len(jobs) == 1
-            else self._parallel(work, jobs, limits)
-        )
+    def run(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+        """Results of the starts that are begun before the deadline, in order."""
+        if not starts or not self.going_on:
+            return []
+        serial = self._workers == 1 or len(starts) == 1
+        new = self._serial(work, starts) if serial else self._parallel(work, starts)
+        self.complete = time.monotonic() <= self._limits.deadline
+        self.results += new
+        return new
 
-    def _serial(self, work: Work, jobs: Sequence[Job], limits: DescentOptions) -> list[StartResult]:
+    def _serial(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
         results: list[StartResult] = []
-        for x, seed in jobs:
+        for start in starts:
             try:
-                results.append(work(self._problem, x, seed, limits, self._band))
+                results.append(work(self._problem, start, self._limits, self._band))
             except KeyboardInterrupt:
-                results.append(_interrupted(self._problem, x))
-            self._progress.report(len(results), len(jobs), best=min(r.soft for r in results))
-            if self.ended(results) or time.monotonic() > limits.deadline:
+                results.append(_interrupted(self._problem, start))
+            self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
+            if _ended(results) or time.monotonic() > self._limits.deadline:
                 break
         return results
 
-    def _parallel(self, work: Work, jobs: Sequence[Job], limits: DescentOptions) -> list[StartResult]:
+    def _parallel(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
         results: dict[int, StartResult] = {}
-        left = limits.deadline - time.monotonic()
-        pool = ProcessPoolExecutor(min(self._workers, len(jobs)), mp_context=get_context("spawn"))
+        left = self._limits.deadline - time.monotonic()
+        pool = ProcessPoolExecutor(min(self._workers, len(starts)), mp_context=get_context("spawn"))
         with pool:
             futures = {
-                pool.submit(_remote, work, self._problem, x, seed, limits, left, self._band): k
-                for k, (x, seed) in enumerate(jobs)
+                pool.submit(_remote, work, self._problem, start, self._limits, left, self._band): k
+                for k, start in enumerate(starts)
             }
             try:
                 for future in as_completed(futures):
                     results[futures[future]] = future.result()
                     best = min(r.soft for r in results.values())
-                    self._progress.report(len(results), len(jobs), best=best)
+                    self._progress.report(len(results), len(starts), best=best)
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
-                found = list(results.values()) or [_interrupted(self._problem, jobs[0][0])]
+                found = list(results.values()) or [_interrupted(self._problem, starts[0])]
                 return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
-        return [results[k] for k in sorted(results)]
+        ordered = [results[k] for k in sorted(results)]
+        ends = [k for k, r in enumerate(ordered) if _ended([r])]
+        return ordered[: ends[0] + 1] if ends else ordered  # those that one process would have run
 
 
-def _full(problem: Problem, x: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
-    return tune_from(problem, x, seed, limits, band)
+def _ended(results: Sequence[StartResult]) -> bool:
+    """The user stopped the run or the target was reached."""
+    return any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
 
 
-def _screen(problem: Problem, x: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
-    return screen(problem, x, seed, limits)
+def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    return tune_from(problem, start.parameters(problem), start.seed, limits, band)
+
+
+def _screened(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    return screen(problem, start.parameters(problem), start.seed, limits)
 
 
 def _remote(
-    work: Work, problem: Problem, x: FloatArray, seed: int, limits: DescentOptions, left: float, band: float
+    work: Work, problem: Problem, start: Start, limits: DescentOptions, left: float, band: float
 ) -> StartResult:
     with one_thread():
-        return work(problem, x, seed, replace(limits, deadline=time.monotonic() + left), band)
+        return work(problem, start, replace(limits, deadline=time.monotonic() + left), band)
 
 
-def _interrupted(problem: Problem, x: FloatArray) -> StartResult:
+def _interrupted(problem: Problem, start: Start) -> StartResult:
+    x = start.parameters(problem)
     return StartResult(TuningStatus.INTERRUPTED, x, np.inf, np.inf, problem.abscissa(x), np.inf, 0, 0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,20 +17,39 @@ from robust_design.structures import AffineStructure
 
 FloatArray = NDArray[np.float64]
 
-SIZES = (0.1, 1.0, 0.01, 3.0)  # of random starts in turn, from timid to bold
+SIZES = (0.1, 1.0, 0.01, 3.0, 10.0, 0.3, 100.0, 30.0)  # of random starts in turn
 LOWER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)
 
 
-def starts_of(given: list[FloatArray], count: int, seed: int, problem: Problem) -> list[tuple[FloatArray, int]]:
-    """Starting points with the seed of each: the given ones, then `count` random ones."""
-    sequence = np.random.SeedSequence(seed)
-    seeds = [int(s.generate_state(1)[0]) for s in sequence.spawn(len(given) + count)]
-    jobs = list(zip(given, seeds))
-    for i, own in enumerate(seeds[len(given) :]):
-        rng = np.random.default_rng(own)
-        x = SIZES[i % len(SIZES)] * problem.structure.start(rng)
-        jobs.append((_at_the_speed_of_the_plant(problem, x, rng), own))
-    return jobs
+@dataclass(frozen=True)
+class Start:
+    """A start: its seed, and its parameters (size,) or the number of a random one, made where it is run."""
+
+    seed: int
+    x: FloatArray | None = None
+    number: int = 0
+
+    def parameters(self, problem: Problem) -> FloatArray:
+        """The parameters (size,)."""
+        if self.x is not None:
+            return self.x
+        rng = np.random.default_rng(self.seed)
+        x = SIZES[self.number % len(SIZES)] * problem.structure.start(rng)
+        return _at_the_speed_of_the_plant(problem, x, rng)
+
+
+def given_starts(points: Sequence[FloatArray], seed: int) -> list[Start]:
+    """Starts from given parameters."""
+    return [Start(own, x) for x, own in zip(points, _seeds(seed, 0, len(points)))]
+
+
+def random_starts(count: int, seed: int, batch: int) -> list[Start]:
+    """One batch of `count` random starts."""
+    return [Start(own, None, batch * count + k) for k, own in enumerate(_seeds(seed, 1 + batch, count))]
+
+
+def _seeds(seed: int, stream: int, count: int) -> list[int]:
+    return [int(s.generate_state(1)[0]) for s in np.random.SeedSequence([seed, stream]).spawn(count)]
 
 
 def lowered_gain(problem: Problem, x: FloatArray) -> FloatArray | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,14 +19,15 @@ from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import DescentOptions
 from robust_design.feasibility import feasibility_runs
+from robust_design.nested_orders import embedded, lower_order
 from robust_design.problem import MIN_DECAY, Problem, worst_values
 from robust_design.requirements import Requirement
 from robust_design.single_start import StartResult, tune_from
 from robust_design.smooth_phase import FEASIBLE
-from robust_design.start_runner import run_starts
-from robust_design.starts import start_checked, starts_of
+from robust_design.start_runner import Search, run_starts
+from robust_design.starts import given_starts, random_starts, start_checked
 from robust_design.status import TuningStatus
-from robust_design.structures import Structure, controller
+from robust_design.structures import AffineStructure, Structure, controller
 
 FloatArray = NDArray[np.float64]
 
@@ -41,11 +42,12 @@ class TuningOptions:
     Parameters
     ----------
     starts : int
-        Random starts beside the given ones: all are screened in short rounds, the best are carried on.
+        Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
+        more than six, batches follow until one finds nothing better.
     seed : int
         Same seed, same result bit for bit (as long as the wall limit is not what ends the run).
     wall_limit : float
-        Seconds for the whole run.
+        Seconds for the whole run: a cap, after which the status is ``out_of_time``.
     workers : int
         Processes; with more than one, guard the calling script by ``if __name__ == "__main__":``.
     iterations : int
@@ -191,17 +193,60 @@ def tune(
     deadline = start_time + options.wall_limit
     problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
     given = [start_checked(x, structure.size) for x in initial]
-    jobs = [(x, seed) for x, seed in starts_of(given, options.starts, options.seed, problem)]
-    if not jobs:
+    if not given and not options.starts:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
-        runs = run_starts(
-            problem, jobs, len(given), limits_of(options, deadline), options.band, options.workers, progress
-        )
+        search = _search(problem, given, options, deadline, progress)
+        runs = list(search.results)
         runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
         runs = [*runs, *_refined(problem, runs, options, deadline)]
-        return result_of(problem, runs, time.monotonic() - start_time)
+        result = result_of(problem, runs, time.monotonic() - start_time)
+    cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
+    status = TuningStatus.OUT_OF_TIME if cut else result.status
+    return replace(result, status=status, advice=status.advice)
+
+
+def _search(
+    problem: Problem, given: Sequence[FloatArray], options: TuningOptions, deadline: float, progress: Progress
+) -> Search:
+    """Given starts, the best controller of one order less (found in the same way), batches of random starts."""
+    limits = limits_of(options, deadline)
+    common = limits, options.band, options.workers, progress
+    first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
+    ended = any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in first.results)
+    if not options.starts or ended or not first.complete:
+        return first
+    nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
+    starts = given_starts(nested, options.seed)
+    rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common)
+    return Search(first.results + rest.results, all_of_it and rest.complete)
+
+
+def _from_lower_order(
+    problem: Problem, options: TuningOptions, deadline: float, progress: Progress
+) -> tuple[list[FloatArray], bool]:
+    """Starts from the best of one order less, and whether its search was complete within half of the time left."""
+    lower = lower_order(problem.structure)
+    if lower is None:
+        return [], True
+    try:
+        smaller = Problem(
+            problem.models,
+            problem.requirements,
+            lower,
+            loop_delay=problem.loop_delay,
+            pade_order=problem.pade_order,
+            min_decay=problem.min_decay,
+        )
+    except ValueError:  # an H2 norm that is infinite for every controller of the lower order
+        return [], True
+    now = time.monotonic()
+    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress)
+    if search.best.rank[0] == 2:
+        return [], search.complete
+    assert isinstance(problem.structure, AffineStructure)
+    return embedded(problem.structure, lower, search.best.x, problem), search.complete
 
 
 def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:

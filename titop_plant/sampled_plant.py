@@ -104,6 +104,7 @@ class SampledPlant:
         self.tones = tones
         self.parameters_hash = parameters_hash
         self.limits = limits
+        self._lowest = -limits
         self._segments = tuple(segments)
         self._start = state.copy()
         self._sensors = sensors
@@ -169,7 +170,8 @@ class SampledPlant:
         a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
         """
         n, segment = self._n, self._segments[self._index]
-        np.clip(command, -self.limits, self.limits, out=self._v)
+        np.minimum(command, self.limits, out=self._v)  # two ufuncs: np.clip takes five times as long
+        np.maximum(self._v, self._lowest, out=self._v)
         np.matmul(segment.step, self._z, out=self._out)
         row = self.tick % _NOISE_BLOCK
         if row == 0:

@@ -134,6 +134,68 @@ def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
     return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
 
 
+@dataclass(frozen=True)
+class PlantFamily:
+    """The telescopes of one parameter file and one mounting: what all members share is made once.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the file.
+    control_loop : UncertainSystem
+        Commands (8), disturbances (22) to measurements (22), line of sight (2).
+    path : str or None
+        The file; None for the reference telescope.
+    isolated : bool
+    """
+
+    parameters: Parameters
+    control_loop: UncertainSystem
+    path: str | None
+    isolated: bool
+
+    @classmethod
+    def of(cls, config: PlantConfig) -> PlantFamily:
+        """The family that a configuration belongs to."""
+        parameters = load_parameters(config.parameters or REFERENCE)
+        return cls(parameters, _plant(config, parameters), config.parameters, config.isolated)
+
+    def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+        """The member of a configuration, see :func:`build_plant`.
+
+        Raises
+        ------
+        ValueError
+            A configuration of another family; a value out of its range; a start of another size.
+        """
+        if (config.parameters, config.isolated) != (self.path, self.isolated):
+            raise ValueError(
+                f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
+                f"and {config.isolated}"
+            )
+        times = [0.0]
+        if config.ramps:
+            times = [RAMP_STEP * i for i in range(math.ceil(config.ramp_duration / RAMP_STEP) + 1)]
+        values = [parameter_values(config, self.parameters, t) for t in times]
+        numbers = [self.control_loop.data_at(v) for v in values]
+        tones = _tones(config, self.parameters, values[0])
+        speeds = np.array([[v[f"wheel_{i}.speed"] for i in range(1, 5)] for v in values])
+        state = _steady_state(numbers[0], tones) if start is None else start
+        if state.shape != (numbers[0].A.shape[0],):
+            raise ValueError(f"start must hold {numbers[0].A.shape[0]} states, got {state.shape}")
+        stretch = round(RAMP_STEP / DT)
+        segments = [sample(data, tones.at_speed(speed, speeds[0]), stretch) for data, speed in zip(numbers, speeds)]
+        return SampledPlant(
+            segments,
+            state,
+            _sensors(config, self.parameters),
+            _limits(self.parameters),
+            dt=DT,
+            tones=np.unique(tones.frequency),
+            parameters_hash=_hash(config, self.parameters),
+        )
+
+
 def build_plant(config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
     """The telescope of a configuration, sampled at 1 kHz.
 
@@ -149,29 +211,7 @@ def build_plant(config: PlantConfig, start: FloatArray | None = None) -> Sampled
     ValueError
         A value out of its range; the message names the parameter. A start of another size.
     """
-    parameters = load_parameters(config.parameters or REFERENCE)
-    plant = _plant(config, parameters)
-    times = [0.0]
-    if config.ramps:
-        times = [RAMP_STEP * i for i in range(math.ceil(config.ramp_duration / RAMP_STEP) + 1)]
-    values = [parameter_values(config, parameters, t) for t in times]
-    numbers = [plant.data_at(v) for v in values]
-    tones = _tones(config, parameters, values[0])
-    speeds = np.array([[v[f"wheel_{i}.speed"] for i in range(1, 5)] for v in values])
-    state = _steady_state(numbers[0], tones) if start is None else start
-    if state.shape != (numbers[0].A.shape[0],):
-        raise ValueError(f"start must hold {numbers[0].A.shape[0]} states, got {state.shape}")
-    stretch = round(RAMP_STEP / DT)
-    segments = [sample(data, tones.at_speed(speed, speeds[0]), stretch) for data, speed in zip(numbers, speeds)]
-    return SampledPlant(
-        segments,
-        state,
-        _sensors(config, parameters),
-        _limits(parameters),
-        dt=DT,
-        tones=np.unique(tones.frequency),
-        parameters_hash=_hash(config, parameters),
-    )
+    return PlantFamily.of(config).build(config, start)
 
 
 def plant_order(config: PlantConfig) -> int:
@@ -330,6 +370,7 @@ def _hash(config: PlantConfig, parameters: Parameters) -> str:
 
 __all__ = [
     "PlantConfig",
+    "PlantFamily",
     "build_plant",
     "command_limits",
     "configuration_hash",

@@ -9,6 +9,7 @@ REMEDIES = {
     "no chromium": "install a browser: apt-get install chromium",
     "could not import 'pandas": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",
+    "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'rclpy": "install the extra: pip install 'los-testbed[ros]'",
     "could not import 'rosbags": "install the extra: pip install 'los-testbed[dev]'",

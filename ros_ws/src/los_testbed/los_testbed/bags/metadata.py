@@ -14,7 +14,7 @@ from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
-from titop_plant.interface import FORCE_STAGES, RATE
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -53,7 +53,9 @@ def _budget(config: RunConfig) -> dict[str, float]:
     from titop_plant.telescope.budget import BAND_EDGE, error_budget
 
     budget = error_budget(load_parameters(config.parameters or REFERENCE))
-    shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
+    shares = {}
+    if config.loop in MIRROR_STAGES:
+        shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
     if config.loop in FORCE_STAGES:
         shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
     return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, EDGE: BAND_EDGE}

@@ -81,7 +81,7 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     info = FileInfo(max_chunk=max_chunk)
     ledger = LossLedger()
     with atomic_folder(target) as folder:
-        result = _copy(found.files[0], info, ledger, folder, target.name)
+        result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
         result.losses = ledger.losses([info], found.counts)
         result.damage, result.finished = tuple(info.damage), info.finished
         result.problems = (*found.problems, *info.problems)
@@ -90,7 +90,9 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     return result
 
 
-def _copy(file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: str) -> RepairResult:
+def _copy(
+    file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: str, counts: Mapping[str, int]
+) -> RepairResult:
     """Two passes: what stands beside the messages, which goes first, then the messages."""
     beside = FileInfo(max_chunk=info.max_chunk, unpacks=lambda first, last: False)
     for _ in walk(file, beside):
@@ -109,7 +111,7 @@ def _copy(file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: st
                 result.last_stamp = max(result.last_stamp, int(block.heads["log"][part].max()))
             bag.end_chunk()
         info.problems += problems
-        losses = ledger.losses([info], {})
+        losses = ledger.losses([info], counts)
         bag.close({REPAIR_NAME: _record(file, info, losses, result)})
     return result
 

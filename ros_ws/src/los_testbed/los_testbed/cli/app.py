@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, control, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, plant, design."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
+from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
@@ -40,6 +41,7 @@ app.command(name="report", help=REPORT_EXAMPLES)(report)
 app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
+app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
@@ -63,6 +65,10 @@ def _options(
     """Testbed for fine line-of-sight control of a flexible space telescope."""
 
 
+INTERRUPTED = 130
+"""Exit code after a signal."""
+
+
 def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
@@ -76,16 +82,13 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, _interrupt)
-    command: Callable[..., Any] = typer.main.get_command(app)
     try:
+        command: Callable[..., Any] = typer.main.get_command(app)
         result = command(args=arguments, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
-        code: int = stop.exit_code
-        return _leave(code)
-    except typer.Abort:
-        return _leave(130)
-    except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return _leave(int(stop.exit_code))
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted", INTERRUPTED)
     except ValueError as error:
         return _fail(str(error), 2)
     except (LoopDivergedError, OSError) as error:
@@ -96,6 +99,8 @@ def main(arguments: list[str] | None = None) -> int:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
             return _fail(error.format_message(), 2)
         return _fail(_unexpected(error), 1)
+    if result == INTERRUPTED:  # typer makes this of a KeyboardInterrupt
+        return _fail("interrupted", INTERRUPTED)
     return _leave(result if isinstance(result, int) else 0)
 
 

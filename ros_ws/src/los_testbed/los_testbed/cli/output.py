@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
@@ -36,8 +35,9 @@ def number(name: str, value: float, low: float, high: float, unit: str = "") -> 
     ...
     ValueError: --transient must be between 0 and 1e+06 s, got 1e+308
     """
-    if not (math.isfinite(value) and low <= value <= high):
-        raise ValueError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {value:g}")
+    if not low <= value <= high:  # NaN is neither
+        got = f"{value:g}" if isinstance(value, float) else str(value)[:40]
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {got}")
     return value
 
 

@@ -16,7 +16,7 @@ from los_testbed.cli.output import Json, print_json
 from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
-from los_testbed.run.runner import Results
+from los_testbed.run.runner import Results, RunError
 from los_testbed.run.screen import say
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
@@ -219,10 +219,17 @@ def execute(config: RunConfig) -> tuple[Path, Results]:
             bar.report(ticks, config.ticks)
 
         if config.mode == "inprocess":
-            from los_testbed.loop.simulate import run_in_process
+            from los_testbed.loop.contract import RunFailedError
+            from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+            from los_testbed.run.bag_names import recorded
 
             path = Path(config.output)
-            run_in_process(config, path, progress=progress)
+            try:
+                run_in_process(config, path, progress=progress)
+            except (LoopDivergedError, RunFailedError) as error:
+                raise type(error)(f"{error}{recorded(path)}") from None
+            except KeyboardInterrupt:
+                raise RunError(f"interrupted{recorded(path)}", 130) from None
             return path, Results(bag=path)
         from los_testbed.run.runner import Runner
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,8 +31,32 @@ def port_of(vector: NDArray[np.float64], where: NDArray[np.bool_]) -> str:
     return f"[{index}]"
 
 
+class RunFailedError(RuntimeError):
+    """Plant, observer or controller failed during a run; the message says which, at which tick and how."""
+
+
+def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> tuple[int, str] | None:
+    """Row and port of the first value that is not finite, camera frames aside; None if all are.
+
+    Parameters
+    ----------
+    signals : name of the vector -> (n, size) values of consecutive ticks
+    rows : how many of the ticks are valid
+    """
+    found = []
+    for name, values in signals.items():
+        odd = ~np.isfinite(values[:rows])
+        if name == "measurement":
+            odd[:, PORTS[CAMERA]] = False
+        ticks = np.flatnonzero(odd.any(axis=1))
+        if ticks.size:
+            row = int(ticks[0])
+            found.append((row, f"{name} {port_of(values[row], odd[row])} is {values[row][odd[row]][0]:g}"))
+    return min(found, key=lambda one: one[0]) if found else None
+
+
 def check_plant(plant: Plant) -> None:
-    """Try one step of a plant from its initial state, and put it back there.
+    """Try one step of a copy of a plant; one that cannot be copied is tried itself and reset afterwards.
 
     Raises
     ------
@@ -47,9 +74,13 @@ def check_plant(plant: Plant) -> None:
     measurement, truth = np.full(MEASUREMENTS, _UNTOUCHED), np.full(TRUTH, _UNTOUCHED)
     shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
     try:
-        plant.reset()
-        plant.step(command, measurement, truth)
-        plant.reset()
+        trial = copy.deepcopy(plant)
+    except Exception:
+        trial = plant
+    try:
+        trial.reset()
+        trial.step(command, measurement, truth)
+        trial.reset()
     except Exception as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {what}") from error

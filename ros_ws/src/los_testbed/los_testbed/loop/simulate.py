@@ -6,6 +6,7 @@ controller compute the next command from that measurement.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,7 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes, run_start
+from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
 from lti.threads import one_thread
@@ -91,6 +93,8 @@ def simulate(
     ------
     LoopDivergedError
         A signal is no longer finite.
+    RunFailedError
+        Plant, observer or controller raised an exception; what was computed until then is in the sink.
     """
     block = Block(BLOCK)
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
@@ -99,16 +103,27 @@ def simulate(
     for first in range(0, ticks, BLOCK):
         rows = min(BLOCK, ticks - first)
         block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
-        for y, truth, los, u in zip(
-            block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
-        ):
-            plant_step(command, y, truth)
-            estimate(y, los)
-            control(los, y[PLATFORM], u)
-            command[:] = u
+        done, who = 0, "plant"
+        try:
+            for y, truth, los, u in zip(
+                block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+            ):
+                who = "plant"
+                plant_step(command, y, truth)
+                who = "observer"
+                estimate(y, los)
+                who = "controller"
+                control(los, y[PLATFORM], u)
+                command[:] = u
+                done += 1
+        except Exception as error:
+            sink(block, done)
+            what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise RunFailedError(f"{who} failed at tick {first + done}: {what}") from error
         sink(block, rows)
-        if not (np.isfinite(block.truth[:rows]).all() and np.isfinite(block.command[:rows]).all()):
-            raise LoopDivergedError(f"the loop diverged within the first {first + rows} ms")
+        odd = first_not_finite({"measurement": block.measurement, "truth": block.truth, "command": block.command}, rows)
+        if odd is not None:
+            raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
 
 
 class BagSink:
@@ -157,8 +172,12 @@ def run_in_process(
         A controller that cannot be used, a bag that exists.
     LoopDivergedError
         The controllers do not stabilise the plant; the bag holds the run up to there.
+    RunFailedError
+        Plant, observer or controller raised an exception; the bag holds the run up to there and says so, and there is
+        none if it failed at the first tick.
     """
     if plant is not None:  # what is steady is known of the telescope only
+        check_plant(plant)
         config = at_rest(config)
     estimator, controller = build_estimator(config), build_controller(config)
     start = run_start(config) if plant is None else RunStart()
@@ -179,8 +198,13 @@ def run_in_process(
     try:
         with one_thread():
             simulate(plant, estimator, controller, config.ticks, write, start.command)
+    except BaseException as error:
+        statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
+        raise
     finally:
         statistics["plant"]["ticks"] = str(done)
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
         bag.close({METADATA_NAME: final_metadata(config, statistics, start)})
+        if not done:
+            shutil.rmtree(bag_path, ignore_errors=True)
     return statistics

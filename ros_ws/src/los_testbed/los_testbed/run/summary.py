@@ -144,7 +144,7 @@ def print_summary(console: Console, results: RunSummaries) -> None:
         if summary.budget is not None:
             console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
         for remark in metrics["remarks"]:
-            console.print(f"[yellow]note:[/yellow] {remark}", soft_wrap=True)
+            say(console, remark, "note")
         for problem in summary.problems:
             say(console, problem, "note")
         say(console, f"bag     {summary.path}")

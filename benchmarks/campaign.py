@@ -1,0 +1,97 @@
+"""Cost of the members of a campaign beside a loop over recorded runs, and how it scales with the workers.
+
+    python benchmarks/campaign.py [--members 10] [--workers 1,2] [--json]
+
+``time_depth_ratio`` is the CPU time of a loop over ``run_in_process`` with the metrics read from each bag, over that of
+the same members at depth ``time``, both in this process; every metric must agree to the last bit. ``scaling`` is
+members per second of wall time through a local Dask cluster with so many workers, at depth ``time``. ``cores`` gives
+the hours that 1e6 members take from the measured CPU times, without the overhead of Dask.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.execution import cluster, identity, run_campaign
+from los_testbed.campaign.member import MemberEvaluator
+from los_testbed.campaign.sampling import settings
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+
+from pointing_analysis.read import Run
+from pointing_analysis.summary import summarise
+
+CORES = (2, 32, 512)
+
+
+def cost(base: RunConfig, count: int) -> dict[str, float]:
+    """CPU seconds of a member: recorded run, depth time, depth model."""
+    evaluator = MemberEvaluator.of(base)
+    chosen = [m for _, chunk in Campaign.of(base, "uniform", count, 1, "time", {}).chunks() for m in chunk]
+    evaluator.row(0, chosen[0], "time")
+    seconds = dict.fromkeys(("recorded", "time", "model"), 0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        for member in chosen:
+            start = time.process_time()
+            bag = Path(folder) / str(member["index"])
+            run_in_process(replace(base, **settings(member)), bag)
+            summary = summarise(Run.open(bag))
+            middle = time.process_time()
+            row = evaluator.row(member["index"], member, "time")
+            end = time.process_time()
+            evaluator.row(member["index"], member, "model")
+            seconds["model"] += time.process_time() - end
+            seconds["recorded"] += middle - start
+            seconds["time"] += end - middle
+            if (row["rpe_p997_mas"], row["ape_max_arcsec"]) != (summary.rpe_p997, summary.ape_max):
+                raise SystemExit(f"member {member['index']}: the metrics differ from those of its bag")
+    return {name: value / len(chosen) for name, value in seconds.items()}
+
+
+def rate(base: RunConfig, members: int, workers: int) -> float:
+    """Members per second of wall time with a local cluster, its start left out."""
+    campaign = Campaign.of(base, "uniform", members, 1, "time", identity(base))
+    with tempfile.TemporaryDirectory() as folder, cluster("", workers) as client:
+        results = ResultFolder(Path(folder) / "campaign")
+        start = time.monotonic()
+        run_campaign(campaign, results, client, results.open(campaign, False))
+        return members / (time.monotonic() - start)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--members", type=int, default=10)
+    parser.add_argument("--duration", type=float, default=10.0, help="of the runs [s]")
+    parser.add_argument("--workers", default="1,2", help="of the local cluster, separated by commas; empty for none")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    base = RunConfig(mode="inprocess", duration=arguments.duration)
+    seconds = cost(base, arguments.members)
+    counts = [int(count) for count in arguments.workers.split(",") if count]
+    result: dict[str, Any] = {
+        "time_depth_ratio": seconds["recorded"] / seconds["time"],
+        "time_depth_cpu_s": seconds["time"],
+        "model_depth_per_s": 1.0 / seconds["model"],
+        "scaling": {str(count): rate(base, 10 * arguments.members, count) for count in counts},
+        "hours_for_1e6": {
+            depth: {str(n): float(np.round(seconds[depth] * 1e6 / 3600 / n, 2)) for n in CORES}
+            for depth in ("time", "model")
+        },
+    }
+    print(json.dumps(result) if arguments.json else "\n".join(f"{k:20s} {v}" for k, v in result.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""Results of a campaign on disk: a folder with what was asked for, and rows in Parquet files.
+
+``campaign.json`` says what the campaign is; ``rows/part-*.parquet`` hold the rows of one chunk of members each, written
+whole or not at all. A campaign that was interrupted goes on where chunks are missing; the rows of a chunk do not depend
+on when or where it was computed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from los_testbed.campaign.member import DEPTHS
+from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
+from los_testbed.config import RunConfig
+
+MANIFEST, ROWS = "campaign.json", "rows"
+FORMAT = 1
+CHUNK = {"time": 10, "model": 10}
+"""Members of a chunk, which is what one task computes and one file holds."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What a campaign is: two with equal fields have equal rows.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Settings that all members share.
+    sampling : str
+        See :func:`los_testbed.campaign.sampling.members`.
+    samples : int
+        Number of members.
+    seed : int
+    depth : {"time", "model"}
+    points_hash : str
+        Of the members' parameters and seeds.
+    identity : mapping
+        Version of the package, hashes of the parameter file and of the controllers.
+    """
+
+    base: RunConfig
+    sampling: str
+    samples: int
+    seed: int
+    depth: str
+    points_hash: str
+    identity: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls, base: RunConfig, sampling: str, samples: int, seed: int, depth: str, identity: Mapping[str, str]
+    ) -> Campaign:
+        """Campaign with the members that `sampling` gives.
+
+        Raises
+        ------
+        ValueError
+            An unknown depth; what :func:`los_testbed.campaign.sampling.members` refuses.
+        """
+        if depth not in DEPTHS:
+            raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
+        points = members(sampling, samples, seed, base.parameters)
+        seeds = member_seeds(len(points), seed)
+        digest = hashlib.sha256(points.tobytes() + seeds.tobytes()).hexdigest()[:16]
+        return cls(base, sampling, len(points), seed, depth, digest, dict(identity))
+
+    def chunks(self, skip: frozenset[int] = frozenset()) -> Iterator[tuple[int, list[dict[str, Any]]]]:
+        """Number of each chunk that is not in `skip`, and its members: index, seed and parameters."""
+        points = members(self.sampling, self.samples, self.seed, self.base.parameters)
+        seeds = member_seeds(self.samples, self.seed)
+        size = CHUNK[self.depth]
+        for number in range(self.chunk_count):
+            if number not in skip:
+                yield (
+                    number,
+                    [
+                        {"index": k, "seed": int(seeds[k]), **dict(zip(COLUMNS, map(float, points[k])))}
+                        for k in range(number * size, min((number + 1) * size, self.samples))
+                    ],
+                )
+
+    @property
+    def chunk_count(self) -> int:
+        """Number of chunks."""
+        return -(-self.samples // CHUNK[self.depth])
+
+    def manifest(self) -> dict[str, Any]:
+        """Content of ``campaign.json``."""
+        return {
+            "format": FORMAT,
+            "depth": self.depth,
+            "sampling": self.sampling,
+            "samples": self.samples,
+            "seed": self.seed,
+            "points_hash": self.points_hash,
+            "identity": dict(self.identity),
+            "run": {name: v for name, v in self.base.to_mapping().items() if name not in ("output", "domain")},
+        }
+
+
+class ResultFolder:
+    """Folder of one campaign.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
+        """Make the folder, or go on in it; the chunks that are there already.
+
+        Raises
+        ------
+        ValueError
+            The folder exists and `resume` is not asked for; it holds another campaign, or no campaign.
+        """
+        if not resume:
+            if self.path.exists():
+                raise ValueError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
+            (self.path / ROWS).mkdir(parents=True)
+            _write_whole(self.path / MANIFEST, (json.dumps(campaign.manifest(), indent=1) + "\n").encode())
+            return frozenset()
+        asked, present = campaign.manifest(), read_manifest(self.path)
+        for key, value in asked.items():
+            if present.get(key) != value:
+                raise ValueError(
+                    f"{self.path} holds another campaign: {key} must be {_short(present.get(key))} as there, "
+                    f"got {_short(value)}"
+                )
+        (self.path / ROWS).mkdir(exist_ok=True)
+        for left in (self.path / ROWS).glob("*.partial"):
+            left.unlink()
+        return frozenset(int(file.stem.split("-")[1]) for file in self.parts())
+
+    def parts(self) -> list[Path]:
+        """Files of rows, in the order of the members."""
+        return sorted((self.path / ROWS).glob("part-*.parquet"))
+
+    def write(self, number: int, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Rows of a chunk, whole or not at all."""
+        import pyarrow
+        import pyarrow.parquet
+
+        sink = pyarrow.BufferOutputStream()
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), sink)
+        _write_whole(self.path / ROWS / f"part-{number:07d}.parquet", sink.getvalue().to_pybytes())
+
+    def table(self, columns: Sequence[str] | None = None) -> Any:
+        """All rows as a ``pyarrow.Table``, in the order of the members."""
+        import pyarrow
+        import pyarrow.parquet
+
+        found = [pyarrow.parquet.read_table(part, columns=columns) for part in self.parts()]
+        if not found:
+            raise ValueError(f"{self.path} must hold rows of a campaign, got none")
+        return pyarrow.concat_tables(found)
+
+    def rows_hash(self) -> str:
+        """Hash of the hashes of all rows, in the order of the members."""
+        hashes = self.table(["hash"]).column("hash").to_pylist()
+        return hashlib.sha256("".join(hashes).encode()).hexdigest()[:16]
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Content of ``campaign.json`` in a folder.
+
+    Raises
+    ------
+    ValueError
+        It is not there or cannot be read.
+    """
+    try:
+        content = json.loads((path / MANIFEST).read_text("utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path} must be the folder of a campaign: {MANIFEST}: {error.strerror}") from None
+    except ValueError:
+        raise ValueError(f"{path / MANIFEST} is not JSON") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")
+    return content
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,170 @@
+"""One member of a campaign: its metrics from a simulated run, or from the matrices of its loop.
+
+The run is the one of :func:`los_testbed.loop.simulate.run_in_process`, the same bits without the bag; the metrics are
+those that :func:`pointing_analysis.summary.summarise` reads from that bag. What all members share (the LFT of the
+telescope, its parameter file, the controllers) is made once for a process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError
+
+from los_estimator.runtime import LosEstimator
+from los_testbed.campaign.sampling import COLUMNS, settings
+from los_testbed.config import RunConfig
+from los_testbed.factories import assemble_controller, load_controllers, plant_config, telescope_basis
+from los_testbed.loop.simulate import Block, LoopDivergedError, simulate
+from lti import SampledSystem
+from lti.threads import one_thread
+from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
+from titop_plant.simulation import PlantFamily
+
+FloatArray = NDArray[np.float64]
+
+TIME_METRICS = (
+    "ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas", "ake_p997_arcsec", "rke_rms_mas",
+    "mirror_max_mrad", "force_max_n",
+)  # fmt: skip
+MODEL_METRICS = (
+    "ape_gain", "rpe_gain", "rpe_fine_gain", "mirror_gain", "force_gain", "noise_ape_arcsec_rms", "noise_rpe_mas_rms",
+    "growth_per_tick", "rpe_peak_rad_s",
+)  # fmt: skip
+DEPTHS = {"time": TIME_METRICS, "model": MODEL_METRICS}
+"""Columns of metrics of a depth; gains as :class:`los_design.sampled_loop_norms.SampledLoopMetrics` has them."""
+
+
+@dataclass(frozen=True)
+class MemberEvaluator:
+    """Evaluates the members of one campaign.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Settings that all members share.
+    family : PlantFamily
+    controllers : mapping
+        ``k_fsm`` and ``k_pma``.
+    telescope : DesignBasis
+    """
+
+    base: RunConfig
+    family: PlantFamily
+    controllers: Mapping[str, SampledSystem]
+    telescope: DesignBasis
+
+    @classmethod
+    def of(cls, base: RunConfig) -> MemberEvaluator:
+        """Evaluator of the members that differ from `base` in the uncertain parameters and the seed.
+
+        Raises
+        ------
+        ValueError
+            A file that cannot be read, controllers that cannot be used.
+        """
+        with one_thread():
+            family = PlantFamily.of(plant_config(base))
+        return cls(base, family, load_controllers(base), telescope_basis(base))
+
+    def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
+        """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
+
+        Parameters
+        ----------
+        index : int
+            Number of the member.
+        values : mapping
+            ``seed`` and `COLUMNS`.
+        depth : {"time", "model"}
+        """
+        metrics, status, reason = dict.fromkeys(DEPTHS[depth], math.nan), "ok", ""
+        try:
+            config = replace(self.base, **settings(values))
+            with one_thread(), np.errstate(all="ignore"):
+                metrics |= self._simulated(config) if depth == "time" else self._modelled(config)
+            if depth == "model" and not metrics["growth_per_tick"] < 1.0:
+                status, reason = "unstable", "the sampled loop is unstable"
+        except LoopDivergedError as error:
+            status, reason = "diverged", str(error)
+        except (ValueError, ArithmeticError, LinAlgError, MemoryError) as error:
+            status, reason = "failed", " ".join(str(error).split()) or type(error).__name__
+        return finished_row(index, values, metrics, status, reason)
+
+    def _simulated(self, config: RunConfig) -> dict[str, float]:
+        """Metrics of the simulated run, start-up left out."""
+        from pointing_analysis.errors import default_transient
+        from pointing_analysis.summary import Knowledge, Performance
+
+        plant = self.family.build(plant_config(config))
+        estimator = LosEstimator(self.controllers["k_fsm"])
+        controller = assemble_controller(self.controllers, self.telescope, config.loop)
+        for system in self.controllers.values():
+            system.reset()
+        record, done = np.empty((config.ticks, 4)), 0
+        largest = np.zeros(2)
+        gain = float(self.family.parameters["fsm"]["los_sensitivity"])
+
+        def keep(block: Block, rows: int) -> None:
+            nonlocal done
+            part = record[done : done + rows]
+            part[:, :2] = block.truth[:rows]
+            part[:, 2:4] = block.los_estimate[:rows] + gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]
+            for k, columns in enumerate((MIRROR, FORCES)):
+                largest[k] = max(largest[k], float(np.abs(block.command[:rows, columns]).max()))
+            done += rows
+
+        simulate(plant, estimator, controller, config.ticks, keep)
+        first = round(default_transient(config.duration) / DT)
+        if first >= config.ticks:
+            raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
+        performance = Performance.of(record[first:, :2], DT)
+        knowledge = Knowledge.of(record[first:, 2:4], DT)
+        return dict(zip(TIME_METRICS, (
+            performance.ape_max, performance.ape_p997, performance.rpe_rms, performance.rpe_p997,
+            knowledge.ake_p997_arcsec, knowledge.rke_rms_mas, 1e3 * float(largest[0]), float(largest[1]),
+        )))  # fmt: skip
+
+    def _modelled(self, config: RunConfig) -> dict[str, float]:
+        """Metrics of the sampled loop, from its matrices."""
+        from los_design.sampled_loop_norms import sampled_loop_metrics
+        from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+        from titop_plant.simulation import parameter_values
+
+        plant = self.family.control_loop.data_at(parameter_values(plant_config(config), self.family.parameters))
+        found = sampled_loop_metrics(
+            plant,
+            self.controllers["k_fsm"],
+            self.controllers["k_pma"],
+            self.family.parameters,
+            loop=config.loop,
+            frame_ticks=config.frame_ticks,
+        )
+        return dict(zip(MODEL_METRICS, (
+            found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape / RAD_PER_ARCSEC,
+            found.noise_rpe / RAD_PER_MAS, found.radius, found.omega_rpe,
+        )))  # fmt: skip
+
+
+def finished_row(
+    index: int, values: Mapping[str, Any], metrics: Mapping[str, float], status: str, reason: str
+) -> dict[str, Any]:
+    """A row with the hash of its content."""
+    row: dict[str, Any] = {"index": int(index), "seed": int(values["seed"])}
+    row |= {name: float(values[name]) for name in COLUMNS}
+    row |= {name: float(value) for name, value in metrics.items()}
+    row |= {"status": status, "reason": reason}
+    return {**row, "hash": row_hash(row)}
+
+
+def row_hash(row: Mapping[str, Any]) -> str:
+    """Sixteen hexadecimal digits of everything in a row but the hash itself; every bit of a number counts."""
+    content = [[name, v.hex() if isinstance(v, float) else v] for name, v in row.items() if name != "hash"]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]

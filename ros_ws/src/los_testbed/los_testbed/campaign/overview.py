@@ -1,0 +1,82 @@
+"""What a campaign found: quantiles of each metric, members that failed, the worst members with their commands."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.member import DEPTHS
+from los_testbed.campaign.sampling import command
+
+QUANTILES = (0.5, 0.9, 0.99, 1.0)
+RANKED = {"time": "rpe_p997_mas", "model": "rpe_fine_gain"}
+"""Metric by which the members of a depth are ranked."""
+
+
+def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -> dict[str, Any]:
+    """Summary as a JSON object.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    folder : ResultFolder
+    worst : int
+        Number of the worst members that are listed; a member that is unstable or diverged comes first.
+    """
+    table = folder.table()
+    status = Counter(table.column("status").to_pylist())
+    metrics = {}
+    for name in DEPTHS[campaign.depth]:
+        values = table.column(name).to_numpy()
+        finite = values[np.isfinite(values)]
+        metrics[name] = {
+            "members": int(finite.size),
+            **{f"q{q:g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in QUANTILES},
+        }
+    ranked = table.column(RANKED[campaign.depth]).to_numpy()
+    lost = np.array([s in ("unstable", "diverged") for s in table.column("status").to_pylist()])
+    key = np.where(lost, np.inf, np.where(np.isnan(ranked), -np.inf, ranked))
+    order = np.argsort(-key, kind="stable")[:worst]
+    return {
+        "output": str(folder.path),
+        "depth": campaign.depth,
+        "members": table.num_rows,
+        "samples": campaign.samples,
+        "status": dict(sorted(status.items())),
+        "metrics": metrics,
+        "rows_hash": folder.rows_hash(),
+        "ranked_by": RANKED[campaign.depth],
+        "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
+    }
+
+
+def _member(row: dict[str, Any], campaign: Campaign) -> dict[str, Any]:
+    base = campaign.base
+    options = f" --duration {base.duration:g} --loop {base.loop} --scenario {base.scenario}"
+    for name in ("k_fsm", "k_pma", "parameters"):
+        value = getattr(base, name)
+        options += f" --{name.replace('_', '-')} {value}" if value else ""
+    value = row[RANKED[campaign.depth]]
+    return {
+        "index": row["index"],
+        "status": row["status"],
+        "value": float(f"{value:.6g}") if np.isfinite(value) else None,
+        "command": command(row, options),
+    }
+
+
+def metric_table(summary: dict[str, Any]) -> Table:
+    """Table for the screen."""
+    counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    table = Table(title=f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}")
+    table.add_column("metric")
+    for name in ("median", "90 %", "99 %", "largest"):
+        table.add_column(name, justify="right")
+    for name, found in summary["metrics"].items():
+        values = (found[f"q{q:g}"] for q in QUANTILES)
+        table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
+    return table

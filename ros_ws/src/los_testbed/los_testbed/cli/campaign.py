@@ -1,0 +1,121 @@
+"""Command ``los-testbed campaign``: many members of the telescope's family, on all processors or on a Dask cluster."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from los_testbed.cli.output import Json, print_json
+from lti.progress import Progress
+
+if TYPE_CHECKING:
+    from los_testbed.campaign.dataset import Campaign, ResultFolder
+    from los_testbed.config import RunConfig
+
+CAMPAIGN_EXAMPLES = """Evaluate many members of the telescope's family; one row a member in a Parquet data set.
+
+Needs the extra campaign (Dask, pyarrow). The same seed gives the same rows with any number of workers; an interrupted
+campaign goes on with --resume.
+
+**Examples**
+
+    los-testbed campaign --samples 200                           # simulated runs of 10 s, on all processors
+
+    los-testbed campaign --samples 1000 --depth model            # gains, noise and stability from the matrices
+
+    los-testbed campaign --samples 500 --sampling lhs --output bags/lhs ; los-testbed campaign --samples 500
+    --sampling lhs --output bags/lhs --resume
+
+    los-testbed campaign --samples 0 --sampling corners --loop fsm --keep 3    # bags of the three worst
+
+    los-testbed campaign --samples 10000 --scheduler tcp://host:8786
+"""
+
+
+def campaign(
+    samples: Annotated[int, typer.Option(help="Number of members; 0: all corners, or all lines of a file.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the members and of their noise.")] = 1,
+    sampling: Annotated[str, typer.Option(help="uniform, lhs, corners, or a CSV file of members.")] = "uniform",
+    depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
+    scenario: Annotated[str, typer.Option(help="design or imbalance.")] = "design",
+    loop: Annotated[str, typer.Option(help="none, isolator, fsm or fsm+pma.")] = "fsm+pma",
+    duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
+    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
+    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
+    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+    scheduler: Annotated[str, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask scheduler.")] = "",
+    workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.", min=0)] = 0,
+    keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.", min=0, max=1000)] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
+    output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
+    json_: Json = False,
+) -> None:
+    """See CAMPAIGN_EXAMPLES."""
+    from los_testbed.campaign.dataset import Campaign, ResultFolder
+    from los_testbed.campaign.execution import cluster, identity, run_campaign
+    from los_testbed.campaign.overview import campaign_summary, metric_table
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import check_controllers
+
+    if resume and output is None:
+        raise ValueError("--output must be given with --resume, got none")
+    base = RunConfig(
+        mode="inprocess", scenario=scenario, loop=loop, duration=duration, k_fsm=k_fsm, k_pma=k_pma,
+        parameters=parameters,
+    )  # fmt: skip
+    for warning in check_controllers(base):
+        sys.stderr.write(f"warning: {warning}\n")
+    asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
+    folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
+    console = Console(stderr=json_)
+    with cluster(scheduler, workers) as client:
+        done = folder.open(asked, resume)
+        console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
+        with Progress("members") as bar:
+            finished = _count(asked, done)
+
+            def progress(members: int) -> None:
+                nonlocal finished
+                finished += members
+                bar.report(finished, asked.samples)
+
+            run_campaign(asked, folder, client, done, progress)
+    summary = campaign_summary(asked, folder, max(keep, 5))
+    summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
+    console.print(metric_table(summary))
+    for member in summary["worst"][:5]:
+        console.print(f"{summary['ranked_by']} {member['value']}: {member['command']}", soft_wrap=True, highlight=False)
+    console.print(f"rows       {folder.path}", soft_wrap=True)
+    if json_:
+        print_json(summary)
+
+
+def _count(asked: Campaign, done: frozenset[int]) -> int:
+    """Members in the chunks that are there."""
+    return asked.samples - sum(len(members) for _, members in asked.chunks(done))
+
+
+def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:
+    """Run members again and record them; their bags."""
+    from los_testbed.campaign.sampling import settings
+    from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+
+    rows = folder.table().to_pylist() if worst else []
+    bags = []
+    for member in worst:
+        row = next(row for row in rows if row["index"] == member["index"])
+        bag = folder.path / "bags" / f"member-{row['index']:07d}"
+        if not bag.exists():
+            config: RunConfig = replace(asked.base, **settings(row))
+            try:
+                run_in_process(config, bag)
+            except LoopDivergedError as error:
+                sys.stderr.write(f"warning: member {row['index']}: {error}\n")
+        bags.append(str(bag))
+    return bags

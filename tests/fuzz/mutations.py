@@ -1,0 +1,158 @@
+"""Mutations of MCAP files at the level of bytes and of records, and what other readers get of the result."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+
+from pointing_analysis.mcap_framing import Framing
+from pointing_analysis.mcap_records import MAGIC, RECORD
+
+Key = tuple[str, int]
+Content = tuple[int, int, bytes]
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One change: its kind, a place and another one (shares of the file, or of its records), a length, bytes."""
+
+    kind: str
+    place: float
+    other: float
+    length: int
+    data: bytes
+
+    def __call__(self, good: bytes) -> bytes:
+        """The changed file."""
+        return KINDS[self.kind](good, self)
+
+
+def records(data: bytes) -> list[tuple[int, int]]:
+    """Begin and end of each record of a whole file."""
+    frames = Framing(io.BytesIO(data), len(data), {}).frames(len(MAGIC))
+    return [(frame.at, frame.end) for frame in frames if frame.whole and frame.op]
+
+
+def _at(good: bytes, share: float) -> int:
+    return min(int(share * len(good)), max(len(good) - 1, 0))
+
+
+def _record(good: bytes, share: float) -> tuple[int, int]:
+    found = records(good) or [(0, len(good))]
+    return found[min(int(share * len(found)), len(found) - 1)]
+
+
+def _flip(good: bytes, m: Mutation) -> bytes:
+    data, at = bytearray(good), _at(good, m.place)
+    if data:
+        data[at] ^= 1 << (m.length % 8)
+    return bytes(data)
+
+
+def _flip_head(good: bytes, m: Mutation) -> bytes:
+    begin, _ = _record(good, m.place)
+    data, bit = bytearray(good), m.length % (8 * 60)
+    if begin + bit // 8 < len(data):
+        data[begin + bit // 8] ^= 1 << (bit % 8)
+    return bytes(data)
+
+
+def _overwrite(good: bytes, m: Mutation) -> bytes:
+    at = _at(good, m.place)
+    return (good[:at] + m.data + good[at + len(m.data) :])[: len(good)]
+
+
+def _insert(good: bytes, m: Mutation) -> bytes:
+    at = _at(good, m.place)
+    return good[:at] + m.data + good[at:]
+
+
+def _delete(good: bytes, m: Mutation) -> bytes:
+    at = _at(good, m.place)
+    return good[:at] + good[at + m.length :]
+
+
+def _cut(good: bytes, m: Mutation) -> bytes:
+    return good[: _at(good, m.place)]
+
+
+def _zeros(good: bytes, m: Mutation) -> bytes:
+    at = _at(good, m.place)
+    return (good[:at] + bytes(m.length) + good[at + m.length :])[: len(good)]
+
+
+def _remove_record(good: bytes, m: Mutation) -> bytes:
+    begin, end = _record(good, m.place)
+    return good[:begin] + good[end:]
+
+
+def _repeat_record(good: bytes, m: Mutation) -> bytes:
+    begin, end = _record(good, m.place)
+    return good[:end] + good[begin:end] + good[end:]
+
+
+def _swap_records(good: bytes, m: Mutation) -> bytes:
+    (a, b), (c, d) = sorted((_record(good, m.place), _record(good, m.other)))
+    return good if b > c else good[:a] + good[c:d] + good[b:c] + good[a:b] + good[d:]
+
+
+def _other_length(good: bytes, m: Mutation) -> bytes:
+    begin, _ = _record(good, m.place)
+    head = RECORD.pack(good[begin], int.from_bytes(m.data[:8].ljust(8, b"\0"), "little"))
+    return good[:begin] + head + good[begin + RECORD.size :]
+
+
+def _other_opcode(good: bytes, m: Mutation) -> bytes:
+    begin, _ = _record(good, m.place)
+    # 5 would make a message of the record: nothing tells then that nobody wrote it
+    return good[:begin] + bytes([m.length % 256 if m.length % 256 != 5 else 6]) + good[begin + 1 :]
+
+
+KINDS: dict[str, Callable[[bytes, Mutation], bytes]] = {
+    "flip": _flip, "flip_head": _flip_head, "overwrite": _overwrite, "insert": _insert, "delete": _delete, "cut": _cut,
+    "zeros": _zeros, "remove_record": _remove_record, "repeat_record": _repeat_record, "swap_records": _swap_records,
+    "other_length": _other_length, "other_opcode": _other_opcode,
+}  # fmt: skip
+
+SHARES = st.floats(0, 1, exclude_max=True)
+MUTATIONS = st.builds(
+    Mutation, st.sampled_from(sorted(KINDS)), SHARES, SHARES, st.integers(1, 3000), st.binary(min_size=1, max_size=300)
+)
+
+
+def messages(data: bytes) -> dict[Key, Content]:
+    """All messages of a whole file: topic and sequence number -> log time, publishing time, bytes."""
+    found = make_reader(io.BytesIO(data)).iter_messages()
+    return {(c.topic, m.sequence): (m.log_time, m.publish_time, m.data) for _, c, m in found}
+
+
+def others_get(data: bytes, original: dict[Key, Content]) -> int:
+    """Messages equal to the original's that the mcap package gets, by its seeking or its streaming reader."""
+    seeking, streaming = set(), set()
+    try:
+        for _, channel, message in make_reader(io.BytesIO(data)).iter_messages():
+            _keep(seeking, channel.topic, message, original)
+    except Exception:  # whatever a reader of others raises on a damaged file
+        seeking.add(None)
+    channels: dict[int, str] = {}
+    try:
+        for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
+            if isinstance(record, Channel):
+                channels[record.id] = record.topic
+            elif isinstance(record, Message):
+                _keep(streaming, channels.get(record.channel_id, ""), record, original)
+    except Exception:
+        streaming.add(None)
+    return max(len(seeking - {None}), len(streaming - {None}))
+
+
+def _keep(found: set[Key | None], topic: str, message: Message, original: dict[Key, Content]) -> None:
+    key = (topic, message.sequence)
+    if original.get(key) == (message.log_time, message.publish_time, message.data):
+        found.add(key)

@@ -1,0 +1,93 @@
+"""A member of a campaign has the metrics of its recorded run, to the last bit, whatever was computed before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import los_testbed.campaign.member
+import numpy as np
+import pytest
+from los_testbed.campaign.member import MODEL_METRICS, TIME_METRICS, MemberEvaluator, row_hash
+from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
+from los_testbed.config import RunConfig
+from los_testbed.factories import controller_files
+from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+
+from lti import SampledSystem
+from pointing_analysis.read import Run
+from pointing_analysis.summary import summarise
+
+BASE = RunConfig(mode="inprocess", duration=2.0)
+
+
+def member(index: int) -> dict[str, Any]:
+    values = dict(zip(COLUMNS, map(float, members("uniform", index + 1, 4)[index])))
+    return {**values, "seed": int(member_seeds(index + 1, 4)[index])}
+
+
+@pytest.fixture(scope="module")
+def evaluator() -> MemberEvaluator:
+    return MemberEvaluator.of(BASE)
+
+
+@pytest.mark.parametrize(("loop", "scenario"), [("fsm+pma", "design"), ("isolator", "imbalance"), ("none", "design")])
+def test_metrics_are_those_of_the_bag(loop: str, scenario: str, tmp_path: Path) -> None:
+    base = replace(BASE, loop=loop, scenario=scenario)
+    row = MemberEvaluator.of(base).row(0, member(0), "time")
+    run_in_process(replace(base, **settings(member(0))), tmp_path / "bag")
+    run = Run.open(tmp_path / "bag")
+    summary = summarise(run)
+    assert row["status"] == "ok"
+    assert (row["ape_max_arcsec"], row["ape_p997_arcsec"]) == (summary.ape_max, summary.ape_p997)
+    assert (row["rpe_rms_mas"], row["rpe_p997_mas"]) == (summary.rpe_rms, summary.rpe_p997)
+    assert summary.knowledge is not None
+    found = row["ake_p997_arcsec"], row["rke_rms_mas"]
+    assert found == (summary.knowledge.ake_p997_arcsec, summary.knowledge.rke_rms_mas)
+    assert row["mirror_max_mrad"] == 1e3 * np.abs(run["fsm/command"].values[:, :2]).max()
+
+
+def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluator) -> None:
+    first = evaluator.row(0, member(0), "time")
+    evaluator.row(1, member(1), "time")
+    assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
+
+
+def test_model_depth_gives_finite_metrics_of_a_stable_loop(evaluator: MemberEvaluator) -> None:
+    row = evaluator.row(1, member(1), "model")
+    assert row["status"] == "ok" and row["growth_per_tick"] < 1.0
+    assert all(np.isfinite(row[name]) and row[name] > 0.0 for name in MODEL_METRICS)
+
+
+def test_unstable_loop_is_a_row_that_says_so(tmp_path: Path) -> None:
+    k_fsm = SampledSystem.from_file(controller_files(BASE)["k_fsm"])
+    replace(k_fsm, C=-30.0 * k_fsm.C, D=-30.0 * k_fsm.D).to_file(tmp_path / "bad.json")
+    row = MemberEvaluator.of(replace(BASE, k_fsm=str(tmp_path / "bad.json"))).row(0, member(0), "model")
+    assert row["status"] == "unstable" and not row["growth_per_tick"] < 1.0 and row["ape_gain"] == np.inf
+
+
+def test_member_that_fails_is_a_row_with_its_reason(
+    evaluator: MemberEvaluator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outside = evaluator.row(5, {**member(0), "omega_1": 3.0}, "time")
+    assert outside["status"] == "failed" and outside["reason"].startswith("omega_1 must be between")
+    assert all(np.isnan(outside[name]) for name in TIME_METRICS) and outside["omega_1"] == 3.0
+    short = MemberEvaluator.of(replace(BASE, duration=0.5)).row(5, member(0), "time")
+    assert short["status"] == "failed" and short["reason"] == "duration must exceed the start-up of 1 s, got 0.5 s"
+
+    def diverge(*_: Any) -> None:
+        raise LoopDivergedError("the loop diverged within the first 1000 ms")
+
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate", diverge)
+    diverged = evaluator.row(5, member(0), "time")
+    assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
+
+
+def test_hash_of_a_row_sees_every_bit(evaluator: MemberEvaluator) -> None:
+    row = evaluator.row(0, member(0), "model")
+    assert row_hash(row) == row["hash"]
+    for name in ("index", "tau", "ape_gain", "status"):
+        value = row[name]
+        other = float(np.nextafter(value, 1e9)) if isinstance(value, float) else f"{value}1"
+        assert row_hash({**row, name: other}) != row["hash"]

@@ -1,0 +1,112 @@
+"""A plant of one's own: a broken contract is named before the run, what fails later is in the bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.loop.contract import ContractError, RunFailedError, check_plant
+from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from simple_telescope import SimpleTelescope, write_controllers
+
+from pointing_analysis.read import Run
+from pointing_analysis.summary import summarise
+
+
+class Own(SimpleTelescope):
+    """The small telescope with one thing wrong at one tick."""
+
+    def __init__(self, fault: Any = None, tick: int = 0) -> None:
+        self.fault, self.at = fault, tick
+        super().__init__()
+
+    def step(self, command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
+        k = self._tick
+        super().step(command, measurement, truth)
+        if self.fault is not None and k == self.at:
+            self.fault(command, measurement, truth)
+
+
+def nan(name: str, index: int) -> Any:
+    return lambda command, measurement, truth: {"measurement": measurement, "truth": truth}[name].__setitem__(
+        index, np.nan
+    )
+
+
+def wrong_shape(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
+    truth[:] = np.zeros(3)
+
+
+def changes_command(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
+    command[3] = 1.0
+
+
+def raises(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
+    raise ZeroDivisionError("own mistake")
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (nan("measurement", 8), ["finite", "accel_M1[2]"]),
+        (nan("truth", 1), ["finite", "truth [1]"]),
+        (wrong_shape, ["truth (2,)", "ValueError"]),
+        (changes_command, ["leave its command alone"]),
+        (raises, ["ZeroDivisionError", "own mistake"]),
+    ],
+)
+def test_a_broken_contract_is_named_before_the_run(tmp_path: Path, fault: Any, words: list[str]) -> None:
+    config = RunConfig(duration=0.5, mode="inprocess", **write_controllers(tmp_path))
+    with pytest.raises(ContractError) as told:
+        run_in_process(config, tmp_path / "bag", Own(fault))
+    assert all(word in str(told.value) for word in words)
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("value", [None, 0, 2.5, True, "20", 1001])
+def test_frame_ticks_must_be_a_number_of_ticks(value: object) -> None:
+    plant = SimpleTelescope()
+    plant.frame_ticks = value  # type: ignore[assignment]
+    with pytest.raises(ContractError, match="frame_ticks"):
+        check_plant(plant)
+
+
+def test_missing_attributes_and_unwritten_columns_are_named() -> None:
+    with pytest.raises(ContractError, match=r"plant\.step"):
+        check_plant(SimpleNamespace(reset=print))  # type: ignore[arg-type]
+    with pytest.raises(ContractError, match="frame_ticks"):
+        check_plant(SimpleNamespace(reset=print, step=print))  # type: ignore[arg-type]
+    lazy = SimpleNamespace(frame_ticks=20, reset=lambda: None, step=lambda u, y, truth: y.fill(0.0))
+    with pytest.raises(ContractError, match="write all of truth"):
+        check_plant(lazy)  # type: ignore[arg-type]
+
+
+def test_a_plant_that_fails_leaves_a_bag_that_says_where(tmp_path: Path) -> None:
+    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(tmp_path))
+    with pytest.raises(RunFailedError, match="plant failed at tick 2345: ZeroDivisionError: own mistake"):
+        run_in_process(config, tmp_path / "bag", Own(raises, 2345))
+    run = Run.open(tmp_path / "bag")
+    assert len(run["truth/los"]) == 2345
+    found = summarise(run)
+    assert any("failed at tick 2345" in problem for problem in found.problems)
+
+
+def test_a_value_that_is_not_finite_is_named_with_tick_and_port(tmp_path: Path) -> None:
+    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(tmp_path))
+    with pytest.raises(LoopDivergedError, match=r"tick 1500 the measurement accel_M2\[0\] is nan"):
+        run_in_process(config, tmp_path / "bag", Own(nan("measurement", 12), 1500))
+    assert any("tick 1500" in problem for problem in summarise(Run.open(tmp_path / "bag")).problems)
+
+
+def test_a_run_that_fails_before_its_first_tick_leaves_nothing(tmp_path: Path) -> None:
+    config = RunConfig(duration=1.0, mode="inprocess", **write_controllers(tmp_path))
+    plant = Own(raises, 7)
+    plant._tick = 7  # it starts where it is; the contract is checked from its initial state
+    with pytest.raises(RunFailedError, match="tick 0"):
+        run_in_process(config, tmp_path / "bag", plant)
+    assert not (tmp_path / "bag").exists()
+    run_in_process(config, tmp_path / "bag", SimpleTelescope())  # the name is free
