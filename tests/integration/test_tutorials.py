@@ -166,5 +166,5 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
         check_ranges(caught.value.args[0])
 
 
-class Understood(Exception):
+class Understood(BaseException):
     """Carries the configuration of a command instead of starting a run."""
