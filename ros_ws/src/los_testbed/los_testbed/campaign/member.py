@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError
 from los_estimator.runtime import LosEstimator
 from los_testbed.campaign.sampling import COLUMNS, settings
 from los_testbed.config import RunConfig
-from los_testbed.factories import assemble_controller, load_controllers, plant_config, telescope_basis
+from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
 from los_testbed.loop.simulate import Block, LoopDivergedError, simulate
 from lti import SampledSystem
 from lti.threads import one_thread
@@ -103,11 +103,17 @@ class MemberEvaluator:
         from pointing_analysis.errors import default_transient
         from pointing_analysis.summary import Knowledge, Performance
 
-        plant = self.family.build(plant_config(config))
+        start = run_start(config, self.controllers)
+        states = start.states
+        rest = np.zeros(self.family.control_loop.order)
+        plant = self.family.build(plant_config(config, start), rest if states is None else states.plant)
         estimator = LosEstimator(self.controllers["k_fsm"])
         controller = assemble_controller(self.controllers, self.telescope, config.loop)
-        for system in self.controllers.values():
-            system.reset()
+        if states is not None:
+            estimator.start_at(states.k_fsm, states.camera)
+            controller.start_at(states.k_pma)
+        estimator.reset()
+        controller.reset()
         record, done = np.empty((config.ticks, 4)), 0
         largest = np.zeros(2)
         gain = float(self.family.parameters["fsm"]["los_sensitivity"])
@@ -121,7 +127,7 @@ class MemberEvaluator:
                 largest[k] = max(largest[k], float(np.abs(block.command[:rows, columns]).max()))
             done += rows
 
-        simulate(plant, estimator, controller, config.ticks, keep)
+        simulate(plant, estimator, controller, config.ticks, keep, start.command)
         first = round(default_transient(config.duration) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
