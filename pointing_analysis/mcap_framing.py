@@ -188,7 +188,8 @@ class Framing:
                 return Frame(other, at, measured, defect="its length is damaged")
         found = self._search(at + 1, stop)
         if found is not None:
-            return Frame(op if op in PARTS else 0, at, found - at - RECORD.size, defect="its head is damaged")
+            known = op in PARTS and found - at >= RECORD.size
+            return Frame(op if known else 0, at, found - at - RECORD.size, defect="its head is damaged")
         rest = max(stop - at - RECORD.size, 0)
         if stop < self.stop:
             return Frame(op if op in PARTS else 0, at, rest, defect="its head is damaged")

@@ -83,7 +83,7 @@ class _Walk:
 
     def _body(self, frame: Frame) -> bytes:
         self.stream.seek(frame.at + RECORD.size)
-        return self.stream.read(frame.length)
+        return self.stream.read(max(frame.length, 0))  # fewer bytes than a head, in front of a record: below zero
 
     def _defect(self, frame: Frame) -> None:
         if frame.defect and frame.whole:
@@ -91,7 +91,7 @@ class _Walk:
 
     def _record(self, frame: Frame) -> Iterator[Block]:
         op = frame.op
-        if not op and b"\x28\xb5\x2f\xfd" in self.framing.peek(frame.at, 96):
+        if not op and b"\x28\xb5\x2f\xfd" in self.framing.peek(frame.at, min(96, frame.end - frame.at)):
             op = OP_CHUNK  # compressed data under a head that is not readable
         if op == OP_CHUNK:
             first, last = self._times(frame)

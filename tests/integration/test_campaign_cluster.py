@@ -133,7 +133,7 @@ def test_unreachable_scheduler_is_one_line(
     captured = capsys.readouterr().err
     assert (
         stopped.value.code == 2
-        and "scheduler must be that of a running Dask cluster, got tcp://127.0.0.1:9" in captured
+        and "scheduler must be the address of a running Dask scheduler, got tcp://127.0.0.1:9" in captured
     )
     assert not (tmp_path / "c").exists()
 

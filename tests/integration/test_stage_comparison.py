@@ -61,7 +61,7 @@ def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
     for tone in tones:
         assert tone.measured == pytest.approx(tone.expected, rel=1e-6, abs=1e-9 * strongest)
         if tone.model > 0.1 * strongest:
-            assert tone.model == pytest.approx(tone.expected, rel=1e-3)
+            assert tone.model == pytest.approx(tone.expected, rel=1e-3, abs=3e-4 * strongest)
 
 
 def test_the_tables_hold_all_stages(compared) -> None:
@@ -98,7 +98,7 @@ def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> 
         (["--duration=-1"], ["duration"]),
         (["--mode=fast"], ["mode", "fast"]),
         (["--k-fsm=none.json"], ["none.json"]),
-        (["--output=."], ["exists already"]),
+        (["--output=."], ["name", "got '.'"]),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, capsys, arguments, words) -> None:

@@ -104,5 +104,5 @@ def test_summary_ranks_the_members(tmp_path: Path) -> None:
     assert summary["status"] == {"diverged": 1, "ok": 22} and summary["members"] == 23
     assert [m["index"] for m in summary["worst"]] == [22, 21, 20]
     assert summary["metrics"]["rpe_p997_mas"] == {"members": 23, "q0.5": 12.0, "q0.9": 20.8, "q0.99": 22.78, "q1": 23.0}
-    assert "--duration 10 --loop fsm+pma --scenario design" in summary["worst"][0]["command"]
+    assert "--duration 10 --loop fsm+pma --scenario worst_case" in summary["worst"][0]["command"]
     assert metric_table(summary).row_count == len(summary["metrics"])

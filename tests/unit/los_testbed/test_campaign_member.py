@@ -73,7 +73,7 @@ def test_member_that_fails_is_a_row_with_its_reason(
     outside = evaluator.row(5, {**member(0), "omega_1": 3.0}, "time")
     assert outside["status"] == "failed" and outside["reason"].startswith("omega_1 must be between")
     assert all(np.isnan(outside[name]) for name in TIME_METRICS) and outside["omega_1"] == 3.0
-    short = MemberEvaluator.of(replace(BASE, duration=0.5)).row(5, member(0), "time")
+    short = MemberEvaluator.of(replace(BASE, duration=0.5, start="rest")).row(5, member(0), "time")
     assert short["status"] == "failed" and short["reason"] == "duration must exceed the start-up of 1 s, got 0.5 s"
 
     def diverge(*_: Any) -> None:

@@ -107,7 +107,7 @@ def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
     [
         (["plant", "--parameters=none.toml"], ["parameter file none.toml", "No such file"]),
         (["plant", "figures", "--parameters=none.toml"], ["parameter file none.toml"]),
-        (["plant", "figures", "--output=../file/x"], ["cannot make the folder"]),
+        (["plant", "figures", "--output=../file/x"], ["--output", "is not a folder"]),
         (["plant", "cases", "--file=none.yaml"], ["none.yaml", "No such file"]),
         (["plant", "fgures"], ["fgures"]),
     ],
@@ -130,7 +130,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
         (["--wheel-speed", "1", "2"], ["--wheel-speed", "4 arguments"]),
         (["--omega-1=0.9"], ["omega_1 must be between 0.70585 and 0.78015 rad/s", "0.9"]),
         (["--omega-2=1"], ["omega_2 must be between 2.5175 and 2.7825 rad/s", "got 1 rad/s"]),
-        (["--theta-rate=1", "--ramp-duration=5"], ["theta", "got 5 rad at the end of the ramp"]),
+        (["--theta=0", "--theta-rate=1", "--ramp-duration=5"], ["theta", "got 5 rad at the end of the ramp"]),
         (["--wheel-acceleration", "90", "0", "0", "0", "--ramp-duration=10"], ["wheel 1", "at the end of the ramp"]),
         (["--sample=three"], ["sample", "whole number", "'three'"]),
         (["--sample=-1"], ["sample", "not negative", "-1"]),

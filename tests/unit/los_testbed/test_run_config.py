@@ -53,10 +53,12 @@ def test_a_configuration_survives_its_own_mapping_and_file(tmp_path):
     assert RunConfig.from_file(tmp_path / "run.yaml").loop == "fsm"
 
 
-@pytest.mark.parametrize("text", ["[1, 2", "- a\n- b\n", "just words", ""])
-def test_a_file_that_is_no_configuration(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "words"), [("[1, 2", "must be YAML"), *((t, "must hold names") for t in ("- a\n- b\n", "just words", ""))]
+)
+def test_a_file_that_is_no_configuration(tmp_path, text, words):
     (tmp_path / "bad.yaml").write_text(text)
-    with pytest.raises(ValueError, match="is not a configuration"):
+    with pytest.raises(ValueError, match=f"bad.yaml {words}"):
         read_yaml(tmp_path / "bad.yaml")
 
 

@@ -128,7 +128,7 @@ class MemberEvaluator:
             done += rows
 
         simulate(plant, estimator, controller, config.ticks, keep, start.command)
-        first = round(default_transient(config.duration) / DT)
+        first = round((default_transient(config.duration) if states is None else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
         performance = Performance.of(record[first:, :2], DT)
