@@ -48,15 +48,15 @@ def test_the_runner_refuses_before_it_starts_a_process(tmp_path: Path) -> None:
 
 def test_a_telescope_with_less_authority_is_run_with_its_own(tmp_path: Path) -> None:
     """Gates and laws have the limit of the telescope; the warning is in the results and in the bag, once each."""
-    user = user_file(tmp_path / "user.toml", "authority = 1e-4")
+    user = user_file(tmp_path / "user.toml", "authority = 1e-5")
     config = replace(
         config_for(tmp_path), parameters=user, k_fsm="", k_pma="", mode="lockstep", duration=1.2, loop="fsm"
     )
     results = Runner(config).run()
     (warning,) = [line for line in results.warnings if "was made for" in line]
-    assert "fsm_authority 0.0053" in warning and "fsm_authority 0.0001" in warning
+    assert "fsm_authority 0.0053" in warning and "fsm_authority 1e-05" in warning
     assert results.bag is not None
     run = Run.open(results.bag)
     assert run.parameters["controller_warnings"] == warning
-    assert abs(run["fsm/command"].values).max() == 1e-4
+    assert abs(run["fsm/command"].values).max() == 1e-5
     assert not any(int(n) for key, n in results.statistics["plant"].items() if key.startswith("rejected_fsm"))

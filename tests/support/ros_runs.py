@@ -42,8 +42,8 @@ def config_for(folder: Path, **values: object) -> RunConfig:
 
 
 def span_of(run: Run) -> np.ndarray:
-    """Every tick from the first to the last that any topic of the plant has in the bag."""
-    ends = [run[name].stamp[[0, -1]] for name in PLANT_TOPICS]
+    """Every tick from the first to the last that any topic has in the bag."""
+    ends = [run[name].stamp[[0, -1]] for name in run.topics]
     return np.arange(min(first for first, _ in ends), max(last for _, last in ends) + 1, TICK_NS)
 
 

@@ -57,6 +57,7 @@ class Recorder:
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
+        final_metadata(config, {})  # what it imports takes most of a second: not at real-time priority
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else run_start(config)
         self._reported: dict[str, int] = {}
