@@ -214,12 +214,14 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
 
 def test_a_plant_that_dies_again_and_again_ends_the_run_with_whole_bags(tmp_path):
     def kill_for_ever(runner):
-        killed = set()
+        killed, ticks, end = set(), 300, time.monotonic() + 60
         while len(killed) < 4:
+            assert time.monotonic() < end, f"{len(killed)} plants ran long enough to be killed"
             pid = runner.processes["plant"]
-            if pid not in killed and runner.ticks_done > 300 * (len(killed) + 1):
+            if pid not in killed and runner.ticks_done > ticks:  # not while it starts: that would end the run at once
                 os.kill(pid, signal.SIGKILL)
                 killed.add(pid)
+                ticks = runner.ticks_done + 400
             time.sleep(0.02)
 
     with pytest.raises(RunError, match=r"plant ended unexpectedly \(signal 9\)") as error:
