@@ -280,7 +280,7 @@ class Runner:
         """Raise if the node that is waited for has ended, also one that was asked to."""
         node = self._nodes[name]
         code = node.process.poll()
-        if code is None or (code and not node.asked_to_stop):  # it may have ended just after the last look: `_check` sees it
+        if code is None or (code and not node.asked_to_stop):  # ended after the last look: `_check` sees it next
             return
         self._poll(0.1)
         if (name, kind) not in self._seen:
