@@ -35,6 +35,7 @@ def test_robust_mass_spring_damper() -> None:
     assert found.values.max() <= 1.01
 
 
+@pytest.mark.slow
 def test_fixed_order_missile_autopilot() -> None:
     example = run("fixed_order_missile_autopilot")
     results = example["main"]()
