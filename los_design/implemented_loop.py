@@ -9,9 +9,7 @@ matrix with the 48 Delta channels, and every response at any parameter values is
 Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
 line of sight (2), the 8 commands applied to the plant.
 
-A command in force is held for a tick. Its fundamental, with the factor ``h = (1 - exp(-i w dt)) / (i w dt)``, drives
-the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the **nominal** telescope: they are above
-4700 rad/s for tones below 1500 rad/s, and what the parameters change there is below 1e-4 of the loop. The hold of the
+Commands are held for a tick (:mod:`los_design.open_loop`). The hold of the
 camera value between frames is its fundamental, the mean of the delays of one frame period: sidebands are left out.
 :func:`los_design.sampled_loop_norms.tone_response` has both exactly and confirms what is found here.
 """
@@ -24,11 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from los_design.open_loop import OpenLoop
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains, solve
-from lti.eigenvectors import eigenpairs
-from lti.frequency_response import FrequencyResponse
-from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -132,18 +128,8 @@ class ImplementedLoop:
         self, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> None:
         self.system, self.parameters, self.stage = system, parameters, stage
-        self.names = tuple(p.name for p in system.parameters)
-        self._q = q = len(system.channels)
-        self._channel = np.array([self.names.index(c) for c in system.channels])
-        self._nominal = np.array([p.nominal for p in system.parameters])
-        self._low = np.array([p.lower for p in system.parameters])
-        self._width = np.array([p.upper for p in system.parameters]) - self._low
-        self._response = FrequencyResponse.of(system.A, system.B, system.C, system.D)
-        self._u = slice(q, q + COMMANDS)
-        values, vectors = eigenpairs(system.A)
-        self._poles = values
-        self._left = system.C[q:] @ vectors
-        self._right = linalg.solve(vectors, system.B[:, self._u])
+        self.open = OpenLoop(system, parameters)
+        self.names = self.open.names
         self._controllers = (k_fsm, k_pma)
         self._gains = self._stage_gains(k_fsm)
 
@@ -156,17 +142,15 @@ class ImplementedLoop:
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
-        table = dict(zip(self.names, self._nominal))
-        full = np.array([float(values.get(name, table[name])) for name in self.names])
-        return np.asarray((full - self._low) / self._width)
+        return self.open.point(values)
 
     def values(self, point: FloatArray) -> dict[str, float]:
         """Parameter values of a point of the unit cube."""
-        return dict(zip(self.names, (self._low + np.clip(point, 0.0, 1.0) * self._width).tolist()))
+        return self.open.values(point)
 
     def delta(self, point: FloatArray) -> FloatArray:
         """Entries of Delta, shape (..., 48), from points of the unit cube, shape (..., 7)."""
-        return np.asarray((self._low + point * self._width - self._nominal)[..., self._channel])
+        return self.open.delta(point)
 
     def control(self, omega: float) -> ComplexArray:
         """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
@@ -183,33 +167,23 @@ class ImplementedLoop:
 
     def at(self, omega: float) -> ClosedAt:
         """Close the loop at a frequency [rad/s]."""
-        return self._closed(omega, self._response.at([omega])[0])
+        return self._closed(omega, self.open.at(np.array([omega]))[0])
 
     def with_neighbour(self, omega: float, step: float) -> tuple[ClosedAt, ClosedAt]:
         """The loop at a frequency [rad/s] and at ``omega exp(step)``."""
         both = np.array([omega, omega * np.exp(step)])
-        first, second = (self._closed(float(w), G) for w, G in zip(both, self._response.at(both)))
+        first, second = (self._closed(float(w), lft) for w, lft in zip(both, self.open.at(both)))
         return first, second
 
-    def _closed(self, omega: float, G: ComplexArray) -> ClosedAt:
-        q, y = self._q, self._q + MEASUREMENTS
-        s, z = 1j * omega, np.exp(1j * omega * DT)
-        hold = (1.0 - 1.0 / z) / (s * DT)
-        held = G[:, self._u] * hold
-        D = self.system.D[q:, self._u]
-        sampled = (self._left * _held_modes(self._poles, z)) @ self._right
-        continuous = (self._left / (s - self._poles)) @ self._right
-        # images of the held command through the nominal telescope; the direct path is sampled as it is
-        held[q:] += sampled - hold * continuous + (1.0 - hold) * D
-        K = self.control(omega)
+    def _closed(self, omega: float, lft: ComplexArray) -> ClosedAt:
+        q = self.open.channels
+        y, u = q + MEASUREMENTS, lft.shape[1] - COMMANDS
+        K, held, into = self.control(omega), lft[:, u:], lft[:, :u]
         returned = np.asarray(np.eye(COMMANDS) - K @ held[q:y], dtype=complex)
         given = np.asarray(np.hstack([K, np.eye(COMMANDS)]), dtype=complex)
         command = solve(returned[None], given[None])[0]
-        into = np.hstack([G[:, :q], G[:, self._u.stop :]])
         applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
-        size = weight_amplitudes(self.parameters, np.array([omega]))[0]
         whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
-        whole[:, q : q + size.size] *= size
         rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
         return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:])
 
@@ -223,7 +197,7 @@ class ImplementedLoop:
         row = left.conj() @ closed.T12[metric.rows]
         row = row + linalg.lu_solve(loop, row * delta, trans=1) @ M
         slope = self.scale(metric, closed.omega) * np.real(row * z)
-        gradient = np.bincount(self._channel, slope, minlength=len(self.names)) * self._width
+        gradient = np.bincount(self.open.channel, slope, minlength=len(self.names)) * self.open.width
         return value, np.asarray(gradient)
 
     def singular_vectors(
@@ -270,10 +244,3 @@ def _sampled_response(system: SampledSystem, z: complex) -> ComplexArray:
         return np.asarray(system.D, dtype=complex)
     shifted = np.asarray(z * np.eye(system.order) - system.A, dtype=complex)
     return np.asarray(system.D + system.C @ solve(shifted[None], system.B.astype(complex)[None])[0])
-
-
-def _held_modes(poles: ComplexArray, z: complex) -> ComplexArray:
-    """Discrete response of modal coordinates to a held input: ``(e^(p dt) - 1) / p / (z - e^(p dt))``."""
-    x = poles * DT
-    growth = np.where(np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(poles == 0.0, 1.0, poles))
-    return np.asarray(growth / (z - np.exp(x)))

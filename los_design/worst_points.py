@@ -2,7 +2,8 @@
 
 A search of one metric has three steps, in each of the frequency bands :data:`BANDS`, so that no peak hides another:
 
-1. **Screening.** At every frequency of a grid the metric is computed at random corners and random points of the box.
+1. **Screening.** At every frequency of a grid the metric is computed at random corners and random points of the box;
+   at some of them also next to the telescope's slow modes there.
 2. **Ascent.** From the best screened pairs the logarithm of the gain is maximised over log frequency and parameters
    (L-BFGS-B in the unit cube), with the gradient of the singular value (:mod:`los_design.implemented_loop`).
 3. **Confirmation.** The best point of each band is computed again on the sampled plant by the periodic solution
@@ -40,6 +41,10 @@ BANDS = (1e-2, 0.2, 1.0, 4.0, 12.0, 35.0, BAND_EDGE, 130.0, 200.0, 300.0, 380.0,
 """Edges of the frequency bands of a search [rad/s]."""
 
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
+
+MODES, MODE_OFFSETS = (0.1, 130.0), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e-3)
+"""Band [rad/s] of the telescope's modes that a search starts at, whatever its grid, and the relative distances of the
+starts: the arrays' modes have a damping ratio of 0.1 %."""
 
 STEP = 1e-6
 """Step of log frequency for the slope."""
@@ -202,7 +207,23 @@ class Search:
                     values = largest_gains(part) * self.loop.scale(metric, float(omega))
                     for k in np.argsort(-values)[:3]:
                         table.append((float(values[k]), float(omega), points[k]))
+        for omega, point in self._at_modes(rng):
+            closed = self.loop.at(omega)
+            for metric, table in zip(metrics, tables):
+                if metric.band[0] <= omega < metric.band[1]:
+                    table.append((float(self.loop.gains(closed, metric, point[None])[0]), omega, point))
         return tables
+
+    def _at_modes(self, rng: np.random.Generator) -> Iterable[tuple[float, FloatArray]]:
+        """Pairs close to the telescope's slow modes, which are narrower than the steps of the grid."""
+        count = max(2, self.options.points // 3)
+        points = rng.uniform(size=(count, len(self.loop.names)))
+        points[: count // 2] = np.round(points[: count // 2])
+        points[0] = self.loop.point({})
+        for point in points:
+            for mode in self.loop.open.modes(point, MODES[0], MODES[1]):
+                for offset in MODE_OFFSETS:
+                    yield float(mode * (1.0 + offset)), point
 
     def _metric(self, metric: LoopMetric, starts: Sequence[tuple[float, FloatArray]]) -> list[WorstPoint]:
         best: dict[int, tuple[float, float, FloatArray]] = {}

@@ -1,0 +1,243 @@
+"""K_FSM and K_PMA together on the implemented loop: samples of the telescope, gains, noise.
+
+The controllers' continuous state spaces are tuned as they will be sampled (bilinear), behind the washout of the
+accelerometers, with one tick of delay; a camera value that is held between frames is the mean of the delays of one
+frame period. So the tuned loop is that of :class:`los_design.implemented_loop.ImplementedLoop`, and what is tuned is
+what :class:`los_design.worst_points.Search` measures.
+
+The gains are those of :func:`los_design.implemented_loop.loop_metrics` for the two stages, with the shares of the
+budget as limits. Those of the mirror alone have the suffix ``, alone``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.problem import FORCE_SHARE
+from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from los_design.implemented_loop import HIGHEST
+from los_design.open_loop import OpenLoop
+from los_estimator.problem import ORDER as OBSERVER_ORDER
+from robust_design.frequency_domain import (
+    ControllerBlock,
+    PlantSamples,
+    ResponseGain,
+    ResponseNoise,
+    ResponseProblem,
+)
+from titop_plant.interface import (
+    ACCELERATIONS,
+    CAMERA,
+    COMMANDS,
+    DT,
+    FORCES,
+    FRAME_TICKS,
+    MEASUREMENTS,
+    MIRROR,
+    PLATFORM,
+)
+from titop_plant.telescope.budget import (
+    BAND_EDGE,
+    TUNED_FORCE_SENSITIVITY,
+    TUNED_SENSITIVITY,
+    error_budget,
+)
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+OBSERVER, ACTUATORS = 0, 1
+ALONE, BOTH = (OBSERVER,), (OBSERVER, ACTUATORS)
+LOWEST = 1e-4
+"""Lowest frequency of the samples [rad/s]: poles that cross the origin show there."""
+FINE, FINE_STEP = (120.0, 800.0), 0.003
+"""Band of the structure's modes and the relative step of its grid."""
+AROUND = np.arange(-4, 5) * 8e-4
+"""Relative distances of the frequencies around a worst point."""
+MODE_OFFSETS = (-5e-3, -2.5e-3, -1e-3, -3e-4, 3e-4, 1e-3, 2.5e-3, 5e-3)
+"""The same around the telescope's own modes: below the band of the fine grid they are narrower than its steps."""
+NOISE_FREQUENCIES = ((1e-2, 0.5, 60), (0.5, 20.0, 500), (20.0, 1000.0, 700), (1000.0, np.pi / DT, 120))
+
+
+TUNED = 0.985
+"""Part of the limits of APE, mirror and force that is tuned for."""
+
+
+def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
+    """The two controllers; those in `tuned` have free entries (no direct path from the camera to the estimate)."""
+    washout = float(parameters["sensors"]["washout"])
+    mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
+
+    def bilinear(omega: FloatArray) -> ComplexArray:
+        z = np.exp(1j * omega * DT)
+        return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
+
+    def high_pass(omega: FloatArray) -> ComplexArray:
+        return np.asarray(bilinear(omega) / (bilinear(omega) + washout))
+
+    def sensors(omega: FloatArray) -> ComplexArray:
+        factors = np.ones((len(omega), MEASUREMENTS), complex)
+        factors[:, ACCELERATIONS] = high_pass(omega)[:, None]
+        factors[:, CAMERA] = np.mean(np.exp(-1j * omega[:, None] * DT * np.arange(FRAME_TICKS)), axis=1)[:, None]
+        return factors
+
+    def platform(omega: FloatArray) -> ComplexArray:
+        return np.asarray(np.repeat(high_pass(omega)[:, None], PLATFORM.stop - PLATFORM.start, axis=1))
+
+    def delay(omega: FloatArray) -> ComplexArray:
+        return np.asarray(np.exp(-1j * omega * DT))
+
+    estimates, forces = MIRROR.stop - MIRROR.start, FORCES.stop - FORCES.start
+    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + MEASUREMENTS), OBSERVER in tuned)
+    free[OBSERVER_ORDER:, OBSERVER_ORDER + CAMERA.start : OBSERVER_ORDER + CAMERA.stop] = False
+    laws = np.full((ACTUATOR_ORDER + forces, ACTUATOR_ORDER + PLATFORM.stop - PLATFORM.start), ACTUATORS in tuned)
+    return (
+        ControllerBlock("K_FSM", OBSERVER_ORDER, slice(0, MEASUREMENTS), MIRROR, bilinear, sensors,
+                        lambda omega: mirror * delay(omega), free),
+        ControllerBlock("K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, platform, delay, laws),
+    )  # fmt: skip
+
+
+def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
+    """What a gain of 1 stands for in a stage: shares of the budget [rad], and limits with what tuning leaves."""
+    budget = error_budget(parameters)
+    both = stage == BOTH
+    found = {
+        "fast": budget.fast if both else budget.fast_mirror,
+        "slow": budget.tone if both else budget.slow,
+        "APE": TUNED * parameters["weights"]["ape_limit"],
+        "mirror": TUNED * parameters["fsm"]["authority"],
+        "sensitivity, mirror": TUNED_SENSITIVITY,
+    }
+    if both:
+        found["force"] = TUNED * FORCE_SHARE * parameters["pma"]["authority"]
+        found["sensitivity, forces"] = TUNED_FORCE_SENSITIVITY
+    return found
+
+
+def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
+    """What is asked of the stages; 1 is the entry of :func:`limits`."""
+    window = parameters["weights"]["rpe_window"]
+    bands = {"slow": (LOWEST, BAND_EDGE), "fast": (BAND_EDGE, HIGHEST)}
+    places = {
+        "mirror": (MIRROR, None),
+        "force": (FORCES, None),
+        "sensitivity, mirror": (MIRROR, MIRROR),
+        "sensitivity, forces": (FORCES, FORCES),
+    }
+
+    def gain(stage: tuple[int, ...], name: str, limit: float) -> ResponseGain:
+        low, high = bands.get(name, (LOWEST, HIGHEST))
+
+        def scale(omega: FloatArray) -> FloatArray:
+            weight = rpe_weight(omega, window) if name in bands else np.ones(len(omega))
+            return np.asarray(np.where((omega >= low) & (omega < high), weight / limit, 0.0))
+
+        outputs, inputs = places.get(name, (None, None))
+        return ResponseGain(named(name, stage), stage, outputs, inputs, scale, hard=name in places)
+
+    return tuple(gain(stage, name, limit) for stage in stages for name, limit in limits(parameters, stage).items())
+
+
+def named(name: str, stage: tuple[int, ...]) -> str:
+    """Name of a requirement of a stage."""
+    return name if stage == BOTH else f"{name}, alone"
+
+
+def noises(open_loop: OpenLoop, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
+    """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
+    parameters = open_loop.parameters
+    budget, table = error_budget(parameters), parameters["sensors"]
+    omega = np.unique(np.concatenate([np.geomspace(*entry) for entry in NOISE_FREQUENCIES]))[:-1]
+    amplitude = np.r_[
+        np.tile(table["accelerometer_noise"], 3),
+        np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
+        np.full(2, table["strain_gauge_noise"]),
+    ]
+    samples = sample(open_loop, omega, open_loop.point({})[None])
+    step = np.gradient(omega) * (DT / np.pi) * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
+    density = np.broadcast_to(amplitude, (len(omega), MEASUREMENTS))
+    shares = {ALONE: budget.noise, BOTH: budget.total_noise}
+    return tuple(ResponseNoise(named("noise", s), s, samples, density, step, shares[s]) for s in stages)
+
+
+def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
+    """Samples of all parameter points (N, 7) of the unit cube at all frequencies."""
+    found = []
+    for begin in range(0, len(omega), 50):
+        found += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
+    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), MEASUREMENTS, COMMANDS)
+
+
+def grid() -> FloatArray:
+    """Frequencies [rad/s] at which every parameter point is sampled."""
+    low, high = FINE
+    return np.unique(
+        np.concatenate(
+            [
+                np.geomspace(0.02, BAND_EDGE, 160),
+                np.geomspace(BAND_EDGE, low, 60),
+                np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
+                np.geomspace(high, HIGHEST, 25),
+            ]
+        )
+    )
+
+
+class Samples:
+    """Samples that grow with the parameter points; what is there is not computed again.
+
+    Parameters
+    ----------
+    open_loop : OpenLoop
+    """
+
+    def __init__(self, open_loop: OpenLoop) -> None:
+        self.open_loop = open_loop
+        nominal = open_loop.point({})
+        self._parts = [sample(open_loop, np.geomspace(LOWEST, 0.02, 20), nominal[None])]
+        self._parts.append(sample(open_loop, _near_modes(open_loop, nominal, FINE[0], HIGHEST), nominal[None]))
+
+    def add(self, points: FloatArray) -> None:
+        """Parameter points (N, 7), each on the whole grid and at its slow modes."""
+        self._parts.append(sample(self.open_loop, grid(), points))
+        for point in points:
+            self._parts.append(sample(self.open_loop, _near_modes(self.open_loop, point, 0.1, FINE[0]), point[None]))
+
+    def add_around(self, omega: float, point: FloatArray) -> None:
+        """A worst point with the frequencies close to it."""
+        self._parts.append(sample(self.open_loop, omega * (1.0 + AROUND), point[None]))
+
+    def all(self) -> PlantSamples:
+        """All samples."""
+        self._parts = [PlantSamples.joined(self._parts)]
+        return self._parts[0]
+
+
+def _near_modes(open_loop: OpenLoop, point: FloatArray, low: float, high: float) -> FloatArray:
+    """Frequencies around the modes of a parameter point."""
+    modes = open_loop.modes(point, low, high)
+    return np.sort(np.concatenate([modes * (1.0 + offset) for offset in MODE_OFFSETS]))
+
+
+def pair_problem(samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Sequence[int]) -> ResponseProblem:
+    """The design problem of one or both controllers.
+
+    Parameters
+    ----------
+    samples : Samples
+    stages : sequence of {ALONE, BOTH}
+        Whose requirements count.
+    tuned : sequence of {OBSERVER, ACTUATORS}
+    """
+    parameters = samples.open_loop.parameters
+    return ResponseProblem(
+        blocks(parameters, tuned),
+        samples.all(),
+        gains(parameters, stages),
+        noises(samples.open_loop, stages),
+    )

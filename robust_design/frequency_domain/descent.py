@@ -1,0 +1,252 @@
+"""Minimax descent: the largest of all scaled gains is lowered.
+
+Every step minimises the largest linearised logarithm of the values plus a quadratic term in the Gauss-Newton metric
+(a prox-linear method; Lewis and Wright 2016). Most pairs are far from the largest value: a step looks at those near
+it, and all of them are looked at again after :data:`REFRESH` steps. Where that shows a larger value than before, the
+steps since are taken back and the pairs that were missed stay in the set.
+
+Hard gains that are met stay met: in a step they count as much above the largest soft value as they are above 1.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from robust_design.frequency_domain.problem import ResponseProblem
+from robust_design.simplex_qp import simplex_minimum
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+REFRESH, METRIC = 6, 3
+"""Steps between two looks at all pairs, and between two metrics."""
+KEEP, FEWEST, MOST = 0.4, 2000, 8000
+"""Pairs above this part of the largest value are looked at, but not fewer and not more than these numbers."""
+ENTRIES, NEAR = 4000, 0.5
+"""Gains that are linearised: those above this part of the largest value, and their largest number."""
+PLANES = 300
+"""Of the first quadratic program of a step; others are added while they are violated."""
+SHARPNESS = 6.0
+RIDGE = 1e-4
+
+
+@dataclass(frozen=True)
+class DescentOptions:
+    """Limits of a descent.
+
+    Parameters
+    ----------
+    iterations : int
+    tolerance : float
+        It is ``stalled`` when four looks at all pairs together lowered the value by less than this part.
+    target : float
+        It ends when the largest value is below.
+    wall_limit : float
+        [s].
+    """
+
+    iterations: int = 300
+    tolerance: float = 2e-3
+    target: float = 0.0
+    wall_limit: float = np.inf
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Result of a descent.
+
+    Parameters
+    ----------
+    x : ndarray
+        Entries of all gain matrices.
+    value : float
+        Largest scaled value: of all gains and noises, hard ones as they are.
+    values : ndarray, shape (gains,)
+        Largest value of each gain.
+    noise : ndarray, shape (noises,)
+    place : ndarray of int, shape (gains,)
+        Pair of each largest value.
+    status : {"target", "stalled", "iterations", "out_of_time"}
+    iterations : int
+    """
+
+    x: FloatArray
+    value: float
+    values: FloatArray
+    noise: FloatArray
+    place: IntArray
+    status: str
+    iterations: int
+
+
+@dataclass
+class _State:
+    """Point, its linearisation, and the weight of the quadratic term."""
+
+    x: FloatArray
+    weight: float = 1.0
+    pairs: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    factor: tuple[FloatArray, bool] | None = None
+
+
+def descend(
+    problem: ResponseProblem,
+    x: FloatArray,
+    stable: Callable[[FloatArray], bool],
+    options: DescentOptions | None = None,
+    report: Callable[[int, float], None] = lambda iteration, value: None,
+) -> Descent:
+    """Lower the largest value from a stabilising start.
+
+    Parameters
+    ----------
+    problem : ResponseProblem
+    x : ndarray
+        Start, :func:`robust_design.frequency_domain.parameters_of`.
+    stable : callable
+        Whether the loop is stable with these parameters; steps to others are not taken.
+    options : DescentOptions, optional
+    report : callable
+        Receives the iteration and the largest value at each look at all pairs.
+
+    Raises
+    ------
+    ValueError
+        A start that is not stable or has values that are not finite.
+    """
+    options = options or DescentOptions()
+    if not stable(x):
+        raise ValueError("start must be a stabilising controller, got one that is not")
+    state, best, begin = _State(np.array(x, dtype=float)), np.array(x, dtype=float), time.monotonic()
+    history: list[float] = []
+    iteration, failures, status = 0, 0, "iterations"
+    while True:
+        raw, noise = problem.values(state.x), problem.noise(state.x)
+        value = _merit(problem, raw, noise)
+        if not np.isfinite(value):
+            raise ValueError("start must have finite gains, got a value that is not")
+        _collect(state, raw, min(value, history[-1] if history else np.inf))
+        if history and value > history[-1]:
+            state.x, state.weight, state.factor = best.copy(), 4.0 * state.weight, None
+        else:
+            history.append(value)
+            best = state.x.copy()
+            report(iteration, value)
+        if history[-1] < options.target:
+            status = "target"
+        elif (len(history) > 4 and history[-5] < history[-1] * (1.0 + options.tolerance)) or failures > 3:
+            status = "stalled"
+        elif time.monotonic() - begin > options.wall_limit:
+            status = "out_of_time"
+        elif iteration < options.iterations:
+            moved = _several(problem, state, stable)
+            iteration += REFRESH
+            failures = 0 if moved else failures + 1
+            continue
+        return _result(problem, best, status, iteration)
+
+
+def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
+    """Largest value, hard gains lifted."""
+    level = _level(problem, raw, noise)
+    return max(float(_lifted(problem, raw, level).max()), float(noise.max(initial=0.0)))
+
+
+def _level(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
+    """Largest soft value."""
+    soft = raw[~problem.hard]
+    return max(float(soft.max(initial=0.0)), float(noise.max(initial=0.0)))
+
+
+def _lifted(problem: ResponseProblem, raw: FloatArray, level: float) -> FloatArray:
+    """Hard gains as much above the largest soft value as they are above 1."""
+    return np.asarray(np.where(problem.hard[:, None], raw * max(level, 1.0), raw))
+
+
+def _collect(state: _State, raw: FloatArray, value: float) -> None:
+    """The pairs that the next steps look at."""
+    largest = raw.max(axis=0)
+    fewest = np.sort(largest)[-min(FEWEST, len(largest))]
+    near = np.flatnonzero(largest >= min(KEEP * value, fewest))
+    near = near[np.argsort(-largest[near], kind="stable")[:MOST]]
+    state.pairs = np.union1d(state.pairs, near) if len(state.pairs) < MOST else np.sort(near)
+
+
+def _several(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray], bool]) -> bool:
+    """Steps until the next look at all pairs; whether the last one found a descent."""
+    for k in range(REFRESH):
+        if k % METRIC == 0:
+            state.factor = None
+        if not _step(problem, state, stable):
+            state.weight = 1.0
+            return k > 0
+    return True
+
+
+def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray], bool]) -> bool:
+    """One step of the prox-linear method; False if no weight of the quadratic term gives a descent."""
+    free = problem.free
+    raw = problem.values(state.x, state.pairs)
+    noise, noise_gradients = problem.noise_slopes(state.x)
+    level = _level(problem, raw, noise)
+    lifted = _lifted(problem, raw, level)
+    entries = np.argwhere(lifted > NEAR * lifted.max())
+    order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
+    entries = entries[order]
+    values, gradients, owners = problem.slopes(state.x, np.column_stack([entries[:, 0], state.pairs[entries[:, 1]]]))
+    lift = np.where(problem.hard[owners], max(level, 1.0), 1.0)
+    f = np.concatenate([values * lift, noise])
+    G = np.vstack([gradients * (lift / np.maximum(values * lift, 1e-12))[:, None], noise_gradients / noise[:, None]])
+    G, f = G[:, free], np.log(np.maximum(f, 1e-12))
+    if state.factor is None:
+        H = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[np.ix_(free, free)]
+        H += RIDGE * np.diag(np.diag(H)) + 1e-10 * np.trace(H) * np.eye(len(H))
+        state.factor = linalg.cho_factor(H)
+    current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
+    for _ in range(10):
+        direction, predicted, planes = _direction(f, G, state.factor, state.weight, planes)
+        x = state.x.copy()
+        x[free] += direction
+        reached = np.inf
+        if predicted > 0.0:
+            found = np.concatenate([_lifted(problem, problem.values(x, state.pairs), level).ravel(), problem.noise(x)])
+            reached = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
+        if reached < current - 0.1 * predicted and stable(x):
+            ratio = (current - reached) / predicted
+            state.x = x
+            state.weight *= 1.0 / 3.0 if ratio > 0.7 else 1.5 if ratio < 0.3 else 1.0
+            state.weight = max(state.weight, 1e-5)
+            return True
+        state.weight *= 4.0
+    return False
+
+
+def _direction(
+    f: FloatArray, G: FloatArray, factor: tuple[FloatArray, bool], weight: float, planes: IntArray
+) -> tuple[FloatArray, float, IntArray]:
+    """Minimise ``max(f + G d) + weight d' H d / 2``, planes added while they are violated: d, decrease, planes."""
+    current, d, linear = float(f.max()), np.zeros(G.shape[1]), f
+    for _ in range(12):
+        chosen = linalg.cho_solve(factor, G[planes].T)
+        lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
+        d = -(chosen @ lam) / weight
+        linear = f + G @ d
+        top = float(linear[planes].max())
+        violated = np.setdiff1d(np.flatnonzero(linear > top + 0.05 * max(current - top, 0.0) + 1e-12), planes)
+        if len(violated) == 0:
+            break
+        worst = violated[np.argsort(-linear[violated], kind="stable")[:60]]
+        planes = np.concatenate([planes[lam > 1e-9], worst, planes[lam <= 1e-9][:120]])
+    return d, current - float(linear.max()), planes
+
+
+def _result(problem: ResponseProblem, x: FloatArray, status: str, iterations: int) -> Descent:
+    raw, noise = problem.values(x), problem.noise(x)
+    values, place = raw.max(axis=1), raw.argmax(axis=1)
+    value = max(float(values.max()), float(noise.max(initial=0.0)))
+    return Descent(x, value, values, noise, place, status, iterations)

@@ -1,0 +1,73 @@
+"""From changes of the controllers' responses to their parameters: gradients and Gauss-Newton sums."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robust_design.frequency_domain.blocks import ControllerResponse
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.intp]
+
+
+def chained(
+    response: ControllerResponse, active: tuple[int, ...], place: IntArray, a: ComplexArray, b: ComplexArray
+) -> FloatArray:
+    """Gradients of ``Re(a' K b)``, shape (n, parameters).
+
+    Parameters
+    ----------
+    response : ControllerResponse
+    active : tuple of int
+        Blocks of the loop.
+    place : ndarray of int, shape (n,)
+        Frequencies of the response.
+    a, b : ndarray, complex, shapes (n, commands) and (n, measurements)
+    """
+    out = []
+    for k, (block, part) in enumerate(zip(response.blocks, response.parts)):
+        rows, columns = block.shape
+        if k not in active:
+            out.append(np.zeros((len(place), rows * columns)))
+            continue
+        p = np.einsum("nij,ni->nj", part.left[place].conj(), a[:, block.commands])
+        q = np.einsum("nij,nj->ni", part.right[place], b[:, block.measurements])
+        out.append(np.real(p.conj()[:, :, None] * q[:, None, :]).reshape(len(place), rows * columns))
+    return np.concatenate(out, axis=1)
+
+
+def gram_sum(
+    response: ControllerResponse,
+    active: tuple[int, ...],
+    place: IntArray,
+    weight: FloatArray,
+    L: ComplexArray,
+    R: ComplexArray,
+) -> FloatArray:
+    """Sum of ``weight ||L dK R||_F^2`` as a quadratic form of the parameters, shape (parameters, parameters).
+
+    It is a sum of Kronecker products of left and right Gram matrices.
+    """
+    sizes = [block.shape[0] * block.shape[1] for block in response.blocks]
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    H = np.zeros((int(offsets[-1]), int(offsets[-1])))
+    left, right = {}, {}
+    for k in active:
+        block, part = response.blocks[k], response.parts[k]
+        left[k] = L[:, :, block.commands] @ part.left[place]
+        right[k] = part.right[place] @ R[:, block.measurements]
+    for i in active:
+        for j in active:
+            if j < i:
+                continue
+            GL = (left[i].conj().swapaxes(1, 2) @ left[j]) * weight[:, None, None]
+            GR = right[j] @ right[i].conj().swapaxes(1, 2)
+            (n, a, b), (_, d, c) = GL.shape, GR.shape
+            product = np.real(GL.reshape(n, -1).T @ GR.reshape(n, -1)).reshape(a, b, d, c)
+            own = product.transpose(0, 3, 1, 2).reshape(a * c, b * d)
+            H[offsets[i] : offsets[i + 1], offsets[j] : offsets[j + 1]] = own
+            if j > i:
+                H[offsets[j] : offsets[j + 1], offsets[i] : offsets[i + 1]] = own.T
+    return H
