@@ -65,9 +65,9 @@ class OpenLoop:
 
     def modes(self, point: FloatArray, low: float, high: float) -> FloatArray:
         """Frequencies [rad/s] of the telescope's own modes between two frequencies, at a point of the unit cube."""
-        poles = linalg.eigvals(self.system.data_at(self.values(point)).A)
-        found = np.abs(poles[poles.imag > 0.0])
-        return np.unique(np.round(found[(found > low) & (found < high)], 9))
+        poles: ComplexArray = np.asarray(linalg.eigvals(self.system.data_at(self.values(point)).A), dtype=complex)
+        found: FloatArray = np.abs(poles[poles.imag > 0.0])
+        return np.asarray(np.unique(np.round(found[(found > low) & (found < high)], 9)))
 
     def at(self, omega: FloatArray) -> ComplexArray:
         """The LFT at N frequencies [rad/s].

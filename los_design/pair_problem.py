@@ -152,7 +152,8 @@ def noises(open_loop: OpenLoop, stages: Sequence[tuple[int, ...]]) -> tuple[Resp
     """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
     parameters = open_loop.parameters
     budget, table = error_budget(parameters), parameters["sensors"]
-    omega = np.unique(np.concatenate([np.geomspace(*entry) for entry in NOISE_FREQUENCIES]))[:-1]
+    parts = [np.geomspace(low, high, count) for low, high, count in NOISE_FREQUENCIES]
+    omega: FloatArray = np.asarray(np.unique(np.concatenate(parts))[:-1], dtype=float)
     amplitude = np.r_[
         np.tile(table["accelerometer_noise"], 3),
         np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
@@ -176,16 +177,13 @@ def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantS
 def grid() -> FloatArray:
     """Frequencies [rad/s] at which every parameter point is sampled."""
     low, high = FINE
-    return np.unique(
-        np.concatenate(
-            [
-                np.geomspace(0.02, BAND_EDGE, 160),
-                np.geomspace(BAND_EDGE, low, 60),
-                np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
-                np.geomspace(high, HIGHEST, 25),
-            ]
-        )
-    )
+    parts = [
+        np.geomspace(0.02, BAND_EDGE, 160),
+        np.geomspace(BAND_EDGE, low, 60),
+        np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
+        np.geomspace(high, HIGHEST, 25),
+    ]
+    return np.asarray(np.unique(np.concatenate(parts)), dtype=float)
 
 
 class Samples:
@@ -199,7 +197,8 @@ class Samples:
     def __init__(self, open_loop: OpenLoop) -> None:
         self.open_loop = open_loop
         nominal = open_loop.point({})
-        self._parts = [sample(open_loop, np.geomspace(LOWEST, 0.02, 20), nominal[None])]
+        low: FloatArray = np.asarray(np.geomspace(LOWEST, 0.02, 20), dtype=float)
+        self._parts = [sample(open_loop, low, nominal[None])]
         self._parts.append(sample(open_loop, _near_modes(open_loop, nominal, FINE[0], HIGHEST), nominal[None]))
 
     def add(self, points: FloatArray) -> None:
@@ -210,7 +209,7 @@ class Samples:
 
     def add_around(self, omega: float, point: FloatArray) -> None:
         """A worst point with the frequencies close to it."""
-        self._parts.append(sample(self.open_loop, omega * (1.0 + AROUND), point[None]))
+        self._parts.append(sample(self.open_loop, np.asarray(omega * (1.0 + AROUND), dtype=float), point[None]))
 
     def all(self) -> PlantSamples:
         """All samples."""

@@ -1,7 +1,8 @@
 """Control design for a telescope, from its parameters to a folder of verified designs.
 
 The folder holds ``k_fsm.json``, ``k_pma.json``, ``worst_points.json`` and ``verification.json``. A step whose file is
-there and was made for the same parameters, seed and effort is not repeated, so that an interrupted design goes on.
+there and was made for the same parameters, seed and effort is not repeated, and a design of the controllers goes on
+after its last whole round (``rounds.json``).
 """
 
 from __future__ import annotations
@@ -16,18 +17,20 @@ from typing import Any
 import numpy as np
 
 from los_design.options import DesignOptions
-from los_design.synthesis import design_actuators, design_observer
+from los_design.synthesis import design_pair
 from los_design.verification import ImplementedCheck, broken_requirements, check_implemented, verification_points
 from los_design.worst_points import Search, SearchOptions, WorstPoint, store_worst_points, worst_of
 from lti import SampledSystem, UncertainSystem
 from lti.threads import one_thread
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.simulation import control_loop_plant
-from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.parameters import Parameters, parameters_hash
 
 Report = Callable[[str], None]
 EFFORTS = ("full", "short")
+ROUNDS_FILE = "rounds.json"
+"""State of a design between its rounds."""
 SAMPLES = {"full": 200, "short": 20}
 """Random parameter points of the verification, beside the nominal one and all corners (short: every eighth corner)."""
 SEARCHES = {
@@ -103,16 +106,8 @@ def design_all(
     with one_thread():
         assembled = build_telescope(parameters)
 
-        def observer() -> SampledSystem:
-            return design_observer(assembled, parameters, options, lambda text: report(f"K_FSM: {text}"))
-
-        k_fsm = _step(folder / "k_fsm.json", observer, _key(parameters, seed, effort), resume, report)
-
-        def actuators() -> SampledSystem:
-            return design_actuators(assembled, parameters, k_fsm, options, lambda text: report(f"K_PMA: {text}"))
-
-        key = _key(parameters, seed, effort, k_fsm)
-        k_pma = _step(folder / "k_pma.json", actuators, key, resume, report)
+        key = _key(parameters, seed, effort)
+        k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
         report("worst points of the stages")
         points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort])
         save_worst_points(folder / "worst_points.json", parameters, k_fsm, k_pma, points)
@@ -157,25 +152,35 @@ def digest(system: SampledSystem) -> str:
     return hashlib.sha256(content).hexdigest()[:12]
 
 
-def _key(parameters: Parameters, seed: int, effort: str, k_fsm: SampledSystem | None = None) -> dict[str, Any]:
-    key: dict[str, Any] = {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
-    return key if k_fsm is None else {**key, "k_fsm": digest(k_fsm)}
+def _key(parameters: Parameters, seed: int, effort: str) -> dict[str, Any]:
+    return {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
 
 
-def _step(
-    path: Path, make: Callable[[], SampledSystem], key: dict[str, Any], resume: bool, report: Report
-) -> SampledSystem:
-    """The design in a file if it was made with the same key; otherwise made and written."""
-    if resume and path.exists():
-        found = SampledSystem.from_file(path)
-        if found.provenance.get("design_all") == key:
-            report(f"{path.name}: kept")
-            return found
-    made = make()
-    made = replace(made, provenance={**made.provenance, "design_all": key})
-    made.to_file(path)
-    report(f"{path.name}: {made.provenance['status']}")
-    return made
+def _pair(
+    folder: Path,
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    key: dict[str, Any],
+    resume: bool,
+    report: Report,
+) -> tuple[SampledSystem, SampledSystem]:
+    """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
+    files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
+    if resume and all(path.exists() for path in files):
+        k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)
+        if all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma)):
+            report("k_fsm.json, k_pma.json: kept")
+            return k_fsm, k_pma
+    if not resume:
+        rounds.unlink(missing_ok=True)
+    made = design_pair(telescope, parameters, options, report, (rounds, key))
+    k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
+    k_fsm.to_file(files[0])
+    k_pma.to_file(files[1])
+    rounds.unlink(missing_ok=True)
+    report(f"k_fsm.json, k_pma.json: {k_fsm.provenance['status']}")
+    return k_fsm, k_pma
 
 
 def _check_writable(folder: Path) -> None:

@@ -1,34 +1,42 @@
-"""Design in rounds: tune on a few models, search the implemented loop for worse parameters, add them, repeat.
+"""Design in rounds: tune on samples, search the implemented loop for worse parameters, add them, repeat.
 
-The scheme of :func:`robust_design.tune_robust` with another search: that of :mod:`los_design.worst_points`, on the
-sampled loop itself. What is added are the worst points of the bands of every metric that exceed its bound.
+The descent (:mod:`robust_design.frequency_domain`) sees the implemented loop at the frequencies and parameter points
+of :mod:`los_design.pair_problem`; the search (:mod:`los_design.worst_points`) sees it everywhere, by ascents. What is
+added are the worst points of the bands in which a requirement exceeds what the descent reached. A design is
+``converged`` when a thorough search finds none.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
+from los_design.sampled_loop import sampled_loop
 from los_design.worst_points import Search, SearchOptions, WorstPoint
-from lti import SampledSystem, StateSpace
-from robust_design import Requirement, TuningOptions, TuningResult, tune
-from robust_design.structures import Structure
+from lti import SampledSystem
+from pointing_analysis.atomic_output import write_text
+from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
+from titop_plant.interface import FRAME_TICKS
 
 FloatArray = NDArray[np.float64]
-
-MAX_NEW = 4
+Report = Callable[[str], None]
+MAX_NEW = 12
 """Points that a round adds at most."""
-
 SLACK = 3e-3
-"""A worst point counts only if it exceeds 1, or what the tuner reached above 1, by more than this part."""
-
-APART = 0.03
-"""Least relative distance of the frequencies of two new points."""
+"""A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
+NEAR = 0.9
+"""The searches of the rounds look at requirements above this part of the largest value; the thorough one at all."""
+APART = 0.01
+"""Least relative distance of the frequencies of two new points of a requirement."""
+STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
 
 
 @dataclass(frozen=True)
@@ -38,57 +46,20 @@ class Effort:
     Parameters
     ----------
     rounds : int
-    iterations : int
-        Of the tuner in each round.
+    points : int
+        Random parameter points of the first round: half of them corners.
+    first, iterations : int
+        Of the descent in the first and in the other rounds.
     quick, thorough : SearchOptions
-        Search of the rounds, and of the end: a design is ``converged`` if that finds nothing worse, either.
+        Search of the rounds, and of the end.
     """
 
     rounds: int
+    points: int
+    first: int
     iterations: int
     quick: SearchOptions
     thorough: SearchOptions
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a design in rounds.
-
-    Parameters
-    ----------
-    status : str
-        ``converged``, ``rounds`` (worse points were still found in the last round), or the tuner's where it failed.
-    tuning : TuningResult
-    worst : dict of str to WorstPoint
-        Worst point of every metric by the last search.
-    active : list of dict
-        Parameter points of the models.
-    bounds : mapping of str to (requirement, factor)
-        See :class:`Task`.
-    """
-
-    status: str
-    tuning: TuningResult
-    worst: dict[str, WorstPoint]
-    active: list[dict[str, float]]
-    bounds: Mapping[str, tuple[str, float]]
-
-    def worst_cases(self) -> list[dict[str, Any]]:
-        """Worst value of each requirement, in its own normalisation, with frequency and parameters."""
-        return [
-            {
-                "requirement": self.bounds[name][0],
-                "value": float(f"{p.gamma * self.bounds[name][1]:.6g}"),
-                "omega": p.omega,
-                "parameters": dict(p.parameters),
-            }
-            for name, p in self.worst.items()
-        ]
-
-    @property
-    def controller(self) -> StateSpace:
-        """The tuned controller."""
-        return self.tuning.controller
 
 
 @dataclass(frozen=True)
@@ -97,36 +68,118 @@ class Task:
 
     Parameters
     ----------
-    plant : callable
-        From parameter values to the plant of the design problem.
-    requirements : sequence of Requirement
-    structure : Structure
-    loop_delay : float
-        Of the tuner [s].
+    samples : Samples
+    stages : tuple of stages
+        Whose requirements count.
+    tuned : tuple of int
+        Which controllers are tuned.
     sampled : callable
-        From the tuned controller to the sampled one.
-    search : callable
-        From the sampled controller and the effort to a search of the implemented loop.
-    bounds : mapping of str to (requirement, factor)
-        Figures that a requirement stands for: its name, and the factor from gamma to the requirement's value.
+        From the parameter vector to the sampled K_FSM and K_PMA.
+    seed : int
+    wall_limit : float
+        Of the whole design [s].
     """
 
-    plant: Callable[[Mapping[str, float]], StateSpace]
-    requirements: Sequence[Requirement]
-    structure: Structure
-    loop_delay: float
-    sampled: Callable[[StateSpace], SampledSystem]
-    search: Callable[[SampledSystem, SearchOptions], Search]
-    bounds: Mapping[str, tuple[str, float]]
+    samples: Samples
+    stages: tuple[tuple[int, ...], ...]
+    tuned: tuple[int, ...]
+    sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]]
+    seed: int = 0
+    wall_limit: float = np.inf
+
+    def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
+        """Search of a stage with the controllers of `x`."""
+        loop = self.samples.open_loop
+        return Search(loop.system, loop.parameters, *self.sampled(x), STAGE_NAMES[stage], options)
+
+    def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
+        """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
+        loop = self.samples.open_loop
+        plant, pair = loop.system.data_at(dict(values or {})), self.sampled(x)
+        sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
+        return all(
+            sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
+            .spectral_radius() < 1.0
+            for stage in self.stages
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a design in rounds.
+
+    Parameters
+    ----------
+    x : ndarray
+        Entries of both gain matrices.
+    status : {"converged", "rounds", "out_of_time"}
+        ``rounds``: worse points were still found in the last round.
+    tuned : dict of str to float
+        Largest value of each requirement at the samples, noise among them.
+    worst : dict of str to WorstPoint
+        Worst point of every requirement by the last search.
+    values : dict of str to float
+        Their values, 1 being the share or limit.
+    active : list of dict
+        Parameter points of the samples.
+    """
+
+    x: FloatArray
+    status: str
+    tuned: dict[str, float]
+    worst: dict[str, WorstPoint]
+    values: dict[str, float]
+    active: list[dict[str, float]]
+
+    def worst_cases(self) -> list[dict[str, Any]]:
+        """Worst value of each requirement, with frequency and parameters."""
+        return [
+            {
+                "requirement": name,
+                "value": float(f"{self.values[name]:.6g}"),
+                "omega": p.omega,
+                "parameters": dict(p.parameters),
+            }
+            for name, p in self.worst.items()
+        ]
+
+
+@dataclass
+class _Progress:
+    """State between rounds; kept in a file, so that an interrupted design goes on."""
+
+    x: FloatArray
+    number: int = 0
+    points: list[FloatArray] = field(default_factory=list)
+    around: list[tuple[float, FloatArray]] = field(default_factory=list)
+
+    def save(self, path: Path, key: Mapping[str, Any]) -> None:
+        content = {
+            "key": dict(key), "x": self.x.tolist(), "number": self.number,
+            "points": [p.tolist() for p in self.points],
+            "around": [[omega, p.tolist()] for omega, p in self.around],
+        }  # fmt: skip
+        write_text(path, json.dumps(content))
+
+    @classmethod
+    def load(cls, path: Path, key: Mapping[str, Any]) -> _Progress | None:
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["key"] != dict(key):
+                return None
+            points = [np.array(p, dtype=float) for p in content["points"]]
+            around = [(float(omega), np.array(p, dtype=float)) for omega, p in content["around"]]
+            return cls(np.array(content["x"], dtype=float), int(content["number"]), points, around)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
 
 
 def design_in_rounds(
     task: Task,
     start: FloatArray,
-    active: Sequence[Mapping[str, float]],
     effort: Effort,
-    tuning: TuningOptions,
-    report: Callable[[str], None] = lambda text: None,
+    report: Report = lambda text: None,
+    kept: tuple[Path, Mapping[str, Any]] | None = None,
 ) -> Outcome:
     """Tune, search, add, until the thorough search finds nothing worse or the rounds are over.
 
@@ -134,70 +187,149 @@ def design_in_rounds(
     ----------
     task : Task
     start : ndarray
-        Parameters of the structure.
-    active : sequence of mapping
-        First parameter points.
+        Entries of both gain matrices; they must stabilise the nominal telescope.
     effort : Effort
-    tuning : TuningOptions
-        Its wall limit is that of the whole design.
     report : callable
-        Receives one line for each round.
+        Receives one line for each step.
+    kept : (Path, mapping), optional
+        File of the state between rounds, and what it must have been made for.
     """
-    x, points = start, [dict(values) for values in active]
-    hard = {r.name: r.hard for r in task.requirements}
-    start_time, known = time.monotonic(), list[WorstPoint]()
-    for number in range(effort.rounds):
-        # a start that meets the requirements is kept as it is
-        options = replace(tuning, target=max(tuning.target, 1.0 + SLACK)) if number == 0 else tuning
-        models = [task.plant(values) for values in points]
-        result = tune(
-            models, task.requirements, task.structure, initial=[x], loop_delay=task.loop_delay, options=options
-        )
-        x, values = result.x, {n: float(v.max()) for n, v in zip(result.requirement_names, result.values)}
-        if not np.isfinite(result.abscissa) or result.abscissa >= 0.0:
-            return Outcome(str(result.status), result, {}, points, task.bounds)
-        controller = task.sampled(result.controller)
-        for search in (effort.quick, effort.thorough):
-            found = task.search(controller, search).run(list(task.bounds), known)
-            worst = {name: peaks[0] for name, peaks in found.items() if peaks}
-            new = _new(task, found, {n: max(1.0, v if hard[n] else result.soft) for n, v in values.items()})
-            if new or number + 1 == effort.rounds:
-                break
-        report(_line(number, result, worst, task, len(points), time.monotonic() - start_time))
-        known = [p for peaks in found.values() for p in peaks[:3]]
-        if not new:
-            return Outcome(_status(result), result, worst, points, task.bounds)
-        if number + 1 < effort.rounds:
-            points += [dict(p.parameters) for p in new]
-    return Outcome("rounds", result, worst, points, task.bounds)
+    begin, known = time.monotonic(), dict[str, list[WorstPoint]]()
+    state = _Progress.load(*kept) if kept else None
+    if state is None:
+        state = _Progress(np.array(start, dtype=float), points=_first_points(task, effort))
+    else:
+        report(f"goes on after {state.number} rounds")
+    task.samples.add(np.array(state.points))
+    for omega, point in state.around:
+        task.samples.add_around(omega, point)
+    while True:
+        problem = pair_problem(task.samples, task.stages, task.tuned)
+        left = task.wall_limit - (time.monotonic() - begin)
+        iterations = effort.first if state.number == 0 else effort.iterations
+        options = DescentOptions(iterations=iterations, wall_limit=left)
+
+        def step(iteration: int, value: float, number: int = state.number + 1) -> None:
+            report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
+
+        descent = _stabilising(task, problem, state, options, step)
+        state.x, state.number = descent.x, state.number + 1
+        last = state.number >= effort.rounds or descent.status == "out_of_time"
+        near = {g.name: bool(v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+        found = _search(task, state.x, effort.quick, known, state.number, near)
+        new = _new(task, found, descent)
+        if last or not new:
+            found = _search(task, state.x, effort.thorough, known, state.number, dict.fromkeys(near, True))
+            new = _new(task, found, descent)
+        worst, values = _worst(task, found)
+        report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
+        if last or not new:
+            status = "converged" if not new else "rounds" if descent.status != "out_of_time" else "out_of_time"
+            active = [task.samples.open_loop.values(p) for p in state.points]
+            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
+        known = {name: points[:3] for name, points in found.items()}
+        _add(task, state, new)
+        if kept:
+            state.save(*kept)
 
 
-def _status(result: TuningResult) -> str:
-    """Status of a design for which no worse parameters were found."""
-    bad = ("infeasible", "out_of_time", "interrupted", "not_stabilised")
-    return str(result.status) if str(result.status) in bad else "converged"
+def _stabilising(
+    task: Task, problem: ResponseProblem, state: _Progress, options: DescentOptions, step: Callable[[int, float], None]
+) -> Descent:
+    """A descent with a result that is stable at all parameter points; it is repeated with those at which it is not."""
+    loop = task.samples.open_loop
+    watched: list[dict[str, float]] = [{}]
+
+    def stable(x: FloatArray) -> bool:
+        return all(task.stable(x, values) for values in watched)
+
+    while True:
+        descent = descend(problem, state.x, stable, options, step)
+        lost = [v for v in map(loop.values, state.points) if v not in watched and not task.stable(descent.x, v)]
+        if not lost:
+            return descent
+        watched += lost[:3]
 
 
-def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], levels: Mapping[str, float]) -> list[WorstPoint]:
-    """Worst points above the level of their requirement, at different frequencies, the largest excess first."""
-    excess = []
-    for name, peaks in found.items():
-        requirement, factor = task.bounds[name]
-        for peak in peaks:
-            ratio = peak.gamma * factor / levels[requirement]
-            if ratio > 1.0 + SLACK:
-                excess.append((ratio, peak))
+def _first_points(task: Task, effort: Effort) -> list[FloatArray]:
+    """The nominal point, random corners and random points of the box."""
+    rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
+    points = rng.uniform(size=(effort.points, len(loop.names)))
+    points[: effort.points // 2] = np.round(points[: effort.points // 2])
+    return [loop.point({}), *points]
+
+
+def _search(
+    task: Task,
+    x: FloatArray,
+    options: SearchOptions,
+    known: Mapping[str, Sequence[WorstPoint]],
+    number: int,
+    near: Mapping[str, bool],
+) -> dict[str, list[WorstPoint]]:
+    """Worst points by name of the requirements that are near their limits; each round has a seed of its own."""
+    found = {}
+    for stage in task.stages:
+        seed = options.seed + 1000 * number + task.seed
+        search = task.search(x, stage, replace(options, seed=seed))
+        starts = [p for points in known.values() for p in points if p.stage == STAGE_NAMES[stage]]
+        names = [n for n in limits(search.loop.parameters, stage) if n in search.metrics and near[named(n, stage)]]
+        found.update({named(name, stage): points for name, points in search.run(names, starts).items()})
+    return found
+
+
+def _value(task: Task, name: str, point: WorstPoint) -> float:
+    """Value of a worst point, 1 being the share or limit that is tuned for."""
+    stage = BOTH if point.stage == STAGE_NAMES[BOTH] else (0,)
+    share = limits(task.samples.open_loop.parameters, stage)[point.requirement]
+    return point.gamma * point.limit / share
+
+
+def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[str, WorstPoint], dict[str, float]]:
+    worst = {name: points[0] for name, points in found.items() if points}
+    return worst, {name: _value(task, name, point) for name, point in worst.items()}
+
+
+def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent) -> list[WorstPoint]:
+    """Worst points above what the descent reached, the largest excess first."""
+    level = max(1.0, descent.value)
+    excess = [
+        (_value(task, name, point), point)
+        for name, points in found.items()
+        for point in points
+        if _value(task, name, point) > level * (1.0 + SLACK)
+    ]
     new: list[WorstPoint] = []
-    for _, peak in sorted(excess, key=lambda entry: -entry[0]):
-        if len(new) < MAX_NEW and all(abs(peak.omega - p.omega) > APART * p.omega for p in new):
-            new.append(peak)
+    for _, point in sorted(excess, key=lambda entry: -entry[0]):
+        same = [p for p in new if p.requirement == point.requirement and p.stage == point.stage]
+        if len(new) < MAX_NEW and all(abs(point.omega - p.omega) > APART * p.omega for p in same):
+            new.append(point)
     return new
 
 
+def _add(task: Task, state: _Progress, new: Sequence[WorstPoint]) -> None:
+    """Sample new points on the whole grid, and closely around their frequency."""
+    loop = task.samples.open_loop
+    points = [loop.point(dict(p.parameters)) for p in new]
+    task.samples.add(np.array(points))
+    for point, at in zip(new, points):
+        task.samples.add_around(point.omega, at)
+    state.points += points
+    state.around += [(float(p.omega), at) for p, at in zip(new, points)]
+
+
+def _tuned(problem: ResponseProblem, descent: Descent) -> dict[str, float]:
+    names = [gain.name for gain in problem.gains] + [noise.name for noise in problem.noises]
+    return dict(zip(names, np.concatenate([descent.values, descent.noise]).tolist()))
+
+
 def _line(
-    number: int, result: TuningResult, worst: Mapping[str, WorstPoint], task: Task, models: int, seconds: float
-) -> str:
-    peaks = ", ".join(
-        f"{name} {p.gamma * task.bounds[name][1]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items()
+    number: int, problem: ResponseProblem, descent: Descent, worst: Mapping[str, WorstPoint],
+    values: Mapping[str, float], seconds: float,
+) -> str:  # fmt: skip
+    peaks = ", ".join(f"{name} {values[name]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items())
+    noise = ", ".join(f"{n.name} {v:.3f}" for n, v in zip(problem.noises, descent.noise))
+    return (
+        f"round {number}: {len(problem.samples)} samples, {descent.status} at {descent.value:.4f}, {noise}; "
+        f"worst found: {peaks} ({seconds:.0f} s)"
     )
-    return f"round {number + 1}: {models} models, tuned {result.soft:.3f}, worst found: {peaks} ({seconds:.0f} s)"

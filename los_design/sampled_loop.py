@@ -16,10 +16,11 @@ from scipy import linalg
 
 from lti import SampledSystem, StateSpace
 from titop_plant.disturbances import no_tones
-from titop_plant.interface import CAMERA, COMMANDS, FORCE_STAGES, MEASUREMENTS, MIRROR_STAGES, PLATFORM, DesignBasis
+from titop_plant.interface import CAMERA, COMMANDS, DT, FORCE_STAGES, MEASUREMENTS, MIRROR_STAGES, PLATFORM, DesignBasis
 from titop_plant.simulation import sample
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,31 @@ class SampledLoop:
     frame_ticks: int
     plant_order: int
 
+    def multipliers(self) -> ComplexArray:
+        """Eigenvalues of the matrix over a frame period."""
+        period = np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame
+        return np.asarray(linalg.eigvals(period), dtype=complex)
+
     def spectral_radius(self) -> float:
         """Largest growth factor per tick, the N-th root of the spectral radius over a frame period; stable below 1."""
-        period = np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame
-        return float(np.max(np.abs(linalg.eigvals(period))) ** (1.0 / self.frame_ticks))
+        return radius_of(self.multipliers(), self.frame_ticks)
+
+
+def radius_of(multipliers: ComplexArray, frame_ticks: int) -> float:
+    """Largest growth factor per tick from the eigenvalues over a frame period."""
+    return float(np.max(np.abs(multipliers)) ** (1.0 / frame_ticks))
+
+
+def slow_modes(multipliers: ComplexArray, frame_ticks: int, highest: float, damping: float) -> FloatArray:
+    """Frequencies [rad/s] of oscillating modes below `highest` with a damping ratio below `damping`.
+
+    Faster modes than half of the frame rate appear at a wrong frequency, so `highest` must be below
+    ``pi / (frame_ticks dt)``.
+    """
+    seen = multipliers[np.abs(multipliers) > 1e-6]
+    poles = np.log(seen) / (frame_ticks * DT)
+    found = poles[(poles.imag > 0.0) & (poles.imag < highest) & (-poles.real < damping * np.abs(poles))]
+    return np.asarray(np.sort(found.imag), dtype=float)
 
 
 def sampled_loop(

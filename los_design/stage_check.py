@@ -1,7 +1,8 @@
 """One stage of the implemented loop at many parameter points: gammas with refined peaks, stability, kept margins.
 
 All points share the frequencies of one grid: at each of them the loop is closed once and every point costs a solution
-of order 48 (:mod:`los_design.implemented_loop`). Peaks near the largest of a metric are refined between the grid's
+of order 48 (:mod:`los_design.implemented_loop`). Each point has, besides, the frequencies of its loop's slow modes:
+they are narrower than the steps of the grid. Peaks near the largest of a metric are refined between the grid's
 frequencies. Stability, also with one more tick of delay and with other gains, is that of the eigenvalues of the exact
 periodic loop at every point.
 """
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
 from los_design.margins import changed_loops
-from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop import radius_of, sampled_loop, slow_modes
 from los_design.worst_points import Search, WorstPoint
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
@@ -34,6 +35,8 @@ NEAR = 0.8
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK = 100
+NARROW, AROUND = 0.01, 3e-3
+"""Damping ratio of the modes that are looked at one by one, and the relative half-width of their brackets."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,16 @@ class StageCheck:
     stable: NDArray[np.bool_]
     unstable_changes: list[list[str]]
     envelope: dict[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point."""
+
+    value: float
+    omega: float
+    ends: tuple[float, float]
+    point: int
 
 
 def grid() -> FloatArray:
@@ -96,13 +109,15 @@ def check_stage(
     """
     if not points:
         raise ValueError("points must hold at least one parameter point, got none")
-    stable, unstable = [], []
+    stable, unstable, modes = [], [], list[FloatArray]()
     sensitivity = float(parameters["fsm"]["los_sensitivity"])
     for values in points:
         loop = sampled_loop(
             system.data_at(values), *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
         )
-        stable.append(loop.spectral_radius() < 1.0)
+        multipliers = loop.multipliers()
+        stable.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
+        modes.append(slow_modes(multipliers, FRAME_TICKS, FINE_FROM, NARROW))
         found = changed_loops(loop, stage) if changes else ()
         unstable.append([name for name, changed in found if not changed.spectral_radius() < 1.0])
         tick()
@@ -110,9 +125,11 @@ def check_stage(
     cube = np.array([search.loop.point(dict(values)) for values in points])
     metrics, omega = loop_metrics(parameters, stage), grid()
     peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable))
+    narrow = _at_modes(search.loop, metrics, modes, cube, np.array(stable))
     worst = {}
     if any(stable):
-        worst = {name: _worst(search, metrics[name], *peaks[name], omega, cube) for name in metrics}
+        worst = {name: _worst(search, metrics[name], _brackets(metrics[name], omega, *peaks[name]) + narrow[name], cube)
+                 for name in metrics}  # fmt: skip
     return StageCheck(stage, worst, np.array(stable), unstable, envelope)
 
 
@@ -140,19 +157,47 @@ def _largest(
     return {name: (value[name], place[name]) for name in metrics}, envelope
 
 
-def _worst(
-    search: Search, metric: LoopMetric, value: FloatArray, place: NDArray[np.intp], omega: FloatArray, cube: FloatArray
-) -> WorstPoint:
-    """Worst point of a metric, its peak and those near it refined."""
-    best = (0.0, 0.0, 0)
-    for i in np.flatnonzero(value >= NEAR * value.max()):
-        k = int(place[i])
-        ends = np.log(np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band))
+def _at_modes(
+    loop: ImplementedLoop,
+    metrics: Mapping[str, LoopMetric],
+    modes: Sequence[FloatArray],
+    cube: FloatArray,
+    stable: NDArray[np.bool_],
+) -> dict[str, list[Bracket]]:
+    """For each metric its values at the slow modes of every stable point."""
+    found: dict[str, list[Bracket]] = {name: [] for name in metrics}
+    for i in np.flatnonzero(stable):
+        for w in modes[i]:
+            closed = loop.at(float(w))
+            for name, metric in metrics.items():
+                if metric.band[0] <= w <= metric.band[1]:
+                    value = float(loop.gains(closed, metric, cube[i][None])[0])
+                    found[name].append(Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), int(i)))
+    return found
 
-        def lower(x: float, point: FloatArray = cube[i]) -> float:
+
+def _brackets(metric: LoopMetric, omega: FloatArray, value: FloatArray, place: NDArray[np.intp]) -> list[Bracket]:
+    """The largest value of each point on the grid, with the neighbouring frequencies."""
+    found = []
+    for i, (v, k) in enumerate(zip(value, place)):
+        low, high = np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band)
+        found.append(Bracket(float(v), float(omega[k]), (float(low), float(high)), i))
+    return found
+
+
+def _worst(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], cube: FloatArray) -> WorstPoint:
+    """Worst point of a metric, its peak and those near it refined."""
+    best, top = (0.0, 0.0, 0), max(b.value for b in brackets)
+    for bracket in brackets:
+        if bracket.value < NEAR * top:
+            continue
+        point = cube[bracket.point]
+
+        def lower(x: float, point: FloatArray = point) -> float:
             return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point[None])[0])
 
+        ends = np.log(np.clip(bracket.ends, *metric.band))
         found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
-        refined = max((-float(found.fun), float(np.exp(found.x))), (float(value[i]), float(omega[k])))
-        best = max(best, (*refined, int(i)))
+        refined = max((-float(found.fun), float(np.exp(found.x))), (bracket.value, bracket.omega))
+        best = max(best, (*refined, bracket.point))
     return search.confirmed(metric, best[1], cube[best[2]])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,6 @@ from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
 from los_design.store import design_ports
 from lti import SampledSystem, StateSpace, UncertainSystem
-from robust_design import ClosedLoopPoles
-from robust_design.problem import Problem
-from robust_design.structures import Structure
 from titop_plant.interface import DT, FRAME_TICKS
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
@@ -73,27 +69,12 @@ def screened(
     return unique
 
 
-def stored_start(kind: str, plant: UncertainSystem) -> StateSpace:
-    """The stored continuous controller of a kind that a design of the implemented loop starts from.
-
-    Parameters
-    ----------
-    kind : {"k-fsm", "k-pma"}
-    plant : UncertainSystem
-        Of the design problem: the controller has its ports.
-    """
+def stored_start(kind: str) -> StateSpace:
+    """The stored continuous controller ("k-fsm", "k-pma") that a design of the implemented loop starts from."""
     path = Path(__file__).with_name(f"start_{kind.replace('-', '_')}.json")
     content = json.loads(path.read_text(encoding="utf-8"))
-    inputs, outputs = design_ports(kind)
-    ports = tuple(plant.output_port(p.name) for p in inputs), tuple(plant.input_port(p.name) for p in outputs)
     A, B, C, D = (np.array(content[key], dtype=float) for key in "ABCD")
-    return StateSpace(A, B, C, D, *ports, f"start of {kind}")
-
-
-def stabilises(x: FloatArray, models: Sequence[StateSpace], structure: Structure, loop_delay: float) -> bool:
-    """Whether the controller with the parameters `x` stabilises all models."""
-    problem = Problem(models, [ClosedLoopPoles(min_decay=1e-9)], structure, loop_delay=loop_delay)
-    return problem.abscissa(x) < 0.0
+    return StateSpace(A, B, C, D, *design_ports(kind), f"start of {kind}")
 
 
 def zero_controller(kind: str) -> SampledSystem:
@@ -104,11 +85,17 @@ def zero_controller(kind: str) -> SampledSystem:
     return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
 
 
-def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
+def random_law(seed: int, gain: float = START_GAIN) -> StateSpace:
     """A stable random K_PMA of order 4 with small gain: poles spread over the isolator's band."""
     rng = np.random.default_rng(seed)
     poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
-    ports = [plant.output_port("accel_Ip")], [plant.input_port("pma_force")]
     B = rng.standard_normal((ACTUATOR_ORDER, 6))
-    C = START_GAIN * rng.standard_normal((6, ACTUATOR_ORDER))
-    return StateSpace(np.diag(poles), B, C, np.zeros((6, 6)), *ports, f"start {seed}")  # type: ignore[arg-type]
+    C = gain * rng.standard_normal((6, ACTUATOR_ORDER))
+    return StateSpace(np.diag(poles), B, C, np.zeros((6, 6)), *design_ports("k-pma"), f"start {seed}")
+
+
+def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
+    """:func:`random_law` with the ports of a design plant."""
+    law = random_law(seed)
+    ports = (plant.output_port("accel_Ip"),), (plant.input_port("pma_force"),)
+    return StateSpace(*law.matrices, *ports, law.name)

@@ -1,33 +1,38 @@
 """Synthesis of the two controllers: design problem, tuner, sampled controller with its provenance.
 
-A robust design of the implemented loop is made in rounds (:mod:`los_design.rounds`): tune, search the sampled loop for
-worse parameters, add them. Nominal designs and those of the paper's continuous problem use the tuner's own scheme.
+Designs of the implemented loop are tuned on its frequency responses, in rounds (:mod:`los_design.rounds`): tune, search
+the sampled loop for worse parameters, add them. Those of the paper's continuous problem use the tuner of
+:mod:`robust_design` and its scheme.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_requirements, actuator_structure
 from fsm_pma_controller.skyhook import sampled_controller
+from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
+from los_design.pair_problem import ACTUATORS, ALONE, BOTH, OBSERVER, Samples, blocks
 from los_design.provenance import commit
-from los_design.rounds import Effort, Outcome, Task, design_in_rounds
-from los_design.starts import random_start, screened, stabilises, stored_start, zero_controller
-from los_design.store import continuous, design_ports
-from los_design.worst_points import Search, SearchOptions
+from los_design.rounds import Effort, Task, design_in_rounds
+from los_design.starts import random_law, random_start, screened, stored_start
+from los_design.store import DESIGN_PACKAGES, continuous, design_ports
+from los_design.worst_points import SearchOptions
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space
 from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
-from robust_design.structures import controller
+from robust_design.frequency_domain import gain_matrices, parameters_of
 from titop_plant.simulation import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_FORCE_SENSITIVITY, TUNED_SENSITIVITY, error_budget
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
@@ -37,20 +42,13 @@ design, not the wall limit: otherwise the result would depend on the speed of th
 WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 """Effort of the worst-case search of the paper's problem, see :class:`robust_design.WorstCaseOptions`."""
 
-RELAXATIONS = ((1.0, 15), (0.5, 15))
-"""Steps from the Kalman observer to the budget: relaxation of the requirements and iterations."""
-
-FIRST_POINTS, FIRST_SEARCH = 5, SearchOptions(frequencies=200, points=40, ascents=40, iterations=15)
-"""Worst points of the start, each in another frequency band, that a design begins with, and their search."""
-
-QUICK = SearchOptions(frequencies=300, points=40, ascents=60, iterations=25)
-THOROUGH = SearchOptions(frequencies=500, points=60, ascents=200, iterations=30, seed=1000)
-EFFORT = Effort(rounds=8, iterations=25, quick=QUICK, thorough=THOROUGH)
-SHORT_EFFORT = Effort(rounds=3, iterations=15, quick=FIRST_SEARCH, thorough=QUICK)
-"""Effort of a design in rounds; the short one is for trials and tests."""
-
-GOAL = 0.96
-"""A round's tuning ends when every requirement is met with this to spare: what is left is for points not yet known."""
+QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=20)
+THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500)
+EFFORT = Effort(rounds=15, points=30, first=60, iterations=24, quick=QUICK, thorough=THOROUGH)
+SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12)
+SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, quick=SHORT_SEARCH, thorough=SHORT_SEARCH)
+NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, quick=SHORT_SEARCH, thorough=SHORT_SEARCH)
+"""Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
 
 Report = Callable[[str], None]
 
@@ -78,78 +76,15 @@ def design_observer(
         K_FSM with the washout, ports of :mod:`los_estimator.runtime`; its provenance holds command, commit, parameters
         hash, seed, status, tuned values and the continuous controller.
     """
-    plant = observer_plant(telescope, parameters, **options.hold_delays)
-    structure = observer_structure(plant, camera_hold=options.implemented)
     if options.implemented:
-        result: Outcome | RobustResult | TuningResult = _implemented_observer(
-            telescope, parameters, plant, structure, options, report
-        )
-    else:
-        starts = [kalman_start(structure, telescope, parameters)]
-        active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
-        requirements = observer_requirements(parameters, implemented=False)
-        result = _run(plant, requirements, structure, starts, active, parameters, options)
-    tuned = result.controller
-    system = state_space(tuned.A, tuned.B, tuned.C, tuned.D, design_ports("k-fsm")[0], design_ports("k-fsm")[1])
-    return sampled_observer(
-        system,
-        parameters["sensors"]["washout"],
-        name=f"K_FSM, {options.variant}",
-        basis=design_basis(parameters),
-        provenance=_provenance("k-fsm", result, options),
-    )
-
-
-def _implemented_observer(
-    telescope: Telescope, parameters: Parameters, plant: Any, structure: Any, options: DesignOptions, report: Report
-) -> Outcome | TuningResult:
-    """From the stored start, or the Kalman observer in steps, to the budget; a robust design in rounds."""
-    system, none = control_loop_plant(telescope, parameters), zero_controller("k-pma")
-    active: list[dict[str, float]] = [{}]
-    if not options.nominal:
-        isolator = Search(system, parameters, zero_controller("k-fsm"), none, "isolator", FIRST_SEARCH)
-        active += [dict(p.parameters) for p in isolator.run(["fast"])["fast"][: FIRST_POINTS // 2]]
-    models = [plant(values) for values in active]
-    x = structure.parameters_of(stored_start("k-fsm", plant.system))
-    if not stabilises(x, models, structure, options.delay):
-        report("the stored start does not stabilise this telescope: start from the Kalman observer")
-        x = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
-        for relaxation, iterations in RELAXATIONS:
-            relaxed = observer_requirements(parameters, implemented=True, relaxation=relaxation)
-            limits = _tuning(options, iterations)
-            found = tune(models, relaxed, structure, initial=[x], loop_delay=options.delay, options=limits)
-            x = found.x
-            report(f"requirements relaxed by {relaxation:g}: tuned {found.soft:.3f}")
-    requirements = observer_requirements(parameters, implemented=True)
-    if options.nominal:
-        limits = _tuning(options, MAX_NOMINAL_ITERATIONS)
-        return tune(models, requirements, structure, initial=[x], loop_delay=options.delay, options=limits)
-    washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
-
-    def sampled(K: StateSpace) -> SampledSystem:
-        ported = state_space(K.A, K.B, K.C, K.D, *design_ports("k-fsm"))
-        return sampled_observer(ported, washout, name="K_FSM", basis=basis)
-
-    def search(k_fsm: SampledSystem, effort: SearchOptions) -> Search:
-        return Search(system, parameters, k_fsm, none, "fsm", effort)
-
-    budget, limit = error_budget(parameters), parameters["weights"]["rpe_limit"]
-    bounds = {
-        "APE": ("APE", 1.0),
-        "slow": ("slow", limit / budget.slow),
-        "fast": ("fast", limit / budget.fast_mirror),
-        "mirror": ("mirror", 1.0),
-        "sensitivity, mirror": ("sensitivity", MAX_SENSITIVITY / TUNED_SENSITIVITY),
-    }
-    task = Task(plant, requirements, structure, options.delay, sampled, search, bounds)
-    effort = SHORT_EFFORT if options.short else EFFORT
-    active = [{}, *_first_points(search(sampled(controller(structure, x)), FIRST_SEARCH))]
-    return design_in_rounds(task, x, active, effort, _tuning(options, effort.iterations, GOAL), report)
-
-
-def _first_points(search: Search) -> list[dict[str, float]]:
-    """Parameters of the worst fast tones of different bands."""
-    return [dict(p.parameters) for p in search.run(["fast"])["fast"][:FIRST_POINTS]]
+        return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"])[0]
+    plant = observer_plant(telescope, parameters)
+    structure = observer_structure(plant)
+    starts = [kalman_start(structure, telescope, parameters)]
+    active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
+    requirements = observer_requirements(parameters, implemented=False)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    return _sampled("k-fsm", result.controller.matrices, parameters, options, _provenance("k-fsm", result, options))
 
 
 def design_actuators(
@@ -176,75 +111,152 @@ def design_actuators(
     SampledSystem
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
-    plant = actuator_plant(
-        telescope,
-        parameters,
-        continuous(observer),
-        loop_delay=options.delay,
-        **options.hold_delays,
-    )
+    if options.implemented:
+        return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer)[1]
+    plant = actuator_plant(telescope, parameters, continuous(observer))
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
-    if options.implemented:
-        stored = structure.parameters_of(stored_start("k-pma", plant.system))
-        if stabilises(stored, [plant({})], structure, options.delay):
-            starts = [stored]
-    if options.implemented and not options.nominal:
-        result: Any = _implemented_actuators(
-            telescope, parameters, observer, plant, structure, starts[0], options, report
-        )
-    else:
-        requirements = actuator_requirements(parameters, implemented=options.implemented)
-        active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
-        result = _run(plant, requirements, structure, starts, active, parameters, options)
-    tuned = result.controller
-    system = state_space(tuned.A, tuned.B, tuned.C, tuned.D, design_ports("k-pma")[0], design_ports("k-pma")[1])
-    return sampled_controller(
-        system,
-        parameters["sensors"]["washout"],
-        name=f"K_PMA, {options.variant}",
-        basis=design_basis(parameters),
-        provenance=_provenance("k-pma", result, options),
-    )
+    requirements = actuator_requirements(parameters, implemented=False)
+    active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    return _sampled("k-pma", result.controller.matrices, parameters, options, _provenance("k-pma", result, options))
 
 
-def _implemented_actuators(
+def design_pair(
     telescope: Telescope,
     parameters: Parameters,
-    observer: SampledSystem,
-    plant: Any,
-    structure: Any,
-    start: FloatArray,
+    options: DesignOptions,
+    report: Report = _silent,
+    kept: tuple[Path, Mapping[str, Any]] | None = None,
+) -> tuple[SampledSystem, SampledSystem]:
+    """Tune both controllers of the implemented loop together.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    options : DesignOptions
+    report : callable
+        Receives one line for each step.
+    kept : (Path, mapping), optional
+        As in :func:`los_design.rounds.design_in_rounds`.
+
+    Returns
+    -------
+    (K_FSM, K_PMA)
+        With the same provenance.
+    """
+    if not options.implemented:
+        raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
+    return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), ["k-fsm", "k-pma"], kept=kept)
+
+
+def _implemented(
+    telescope: Telescope,
+    parameters: Parameters,
     options: DesignOptions,
     report: Report,
-) -> Outcome:
-    """In rounds, beginning with the worst points of the mirror alone and of the start."""
-    washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
-    system = control_loop_plant(telescope, parameters)
+    tuned: tuple[int, ...],
+    kinds: Sequence[str],
+    observer: SampledSystem | None = None,
+    kept: tuple[Path, Mapping[str, Any]] | None = None,
+) -> tuple[SampledSystem, SampledSystem]:
+    """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""
+    begin = time.monotonic()
+    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
 
-    def sampled(K: StateSpace) -> SampledSystem:
-        ported = state_space(K.A, K.B, K.C, K.D, *design_ports("k-pma"))
-        return sampled_controller(ported, washout, name="K_PMA", basis=basis)
+    def pair(x: FloatArray, provenance: Mapping[str, Any] | None = None) -> tuple[SampledSystem, SampledSystem]:
+        matrices = gain_matrices(blocks(parameters, tuned), x)
+        k_fsm, k_pma = (
+            _sampled(kind, _state_space(M), parameters, options, provenance)
+            for kind, M in zip(DESIGN_PACKAGES, matrices)
+        )
+        return k_fsm, k_pma
 
-    def search(k_pma: SampledSystem, effort: SearchOptions) -> Search:
-        return Search(system, parameters, observer, k_pma, "fsm+pma", effort)
-
-    effort = SHORT_EFFORT if options.short else EFFORT
-    alone = Search(system, parameters, observer, zero_controller("k-pma"), "fsm", FIRST_SEARCH)
-    active = [{}, *_first_points(alone)]
-    budget, fine = error_budget(parameters), parameters["weights"]["rpe_limit_fine"]
-    bounds = {
-        "fast": ("fast", fine / budget.fast),
-        "slow": ("slow", fine / budget.tone),
-        "force": ("force", 1.0 / FORCE_SHARE),
-        "APE": ("APE", 1.0),
-        "mirror": ("mirror", 1.0),
-        "sensitivity, mirror": ("sensitivity, mirror", 1.0),
-        "sensitivity, forces": ("sensitivity, forces", MAX_SENSITIVITY / TUNED_FORCE_SENSITIVITY),
+    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
+    effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
+    task = Task(samples, stages, tuned, pair, options.seed, options.wall_limit)
+    start = _start(task, telescope, parameters, options, observer, report)
+    outcome = design_in_rounds(task, start, effort, report, kept)
+    common = {
+        "command": _command("all" if len(kinds) > 1 else kinds[0], options),
+        "commit": commit(),
+        "seed": options.seed,
+        "loop_delay": options.loop_delay,
+        "status": outcome.status,
+        "seconds": round(time.monotonic() - begin, 1),
+        "tuned_values": {name: float(f"{value:.6g}") for name, value in outcome.tuned.items()},
+        "active_models": outcome.active,
+        "worst_cases": outcome.worst_cases(),
     }
-    requirements = actuator_requirements(parameters, implemented=True)
-    task = Task(plant, requirements, structure, options.delay, sampled, search, bounds)
-    return design_in_rounds(task, start, active, effort, _tuning(options, effort.iterations, GOAL), report)
+    found = []
+    for system, M in zip(pair(outcome.x), gain_matrices(blocks(parameters, tuned), outcome.x)):
+        A, B, C, D = _state_space(M)
+        matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
+        found.append(replace(system, provenance={**common, "continuous": matrices}))
+    return found[0], found[1]
+
+
+def _start(
+    task: Task,
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    observer: SampledSystem | None,
+    report: Report,
+) -> FloatArray:
+    """Entries of both gain matrices that a design begins with: the stored start, or Kalman observer and random law."""
+    own = blocks(parameters, task.tuned)
+    given = None if observer is None else continuous(observer).data_at({})
+    k_fsm = _gain_matrix(stored_start("k-fsm") if given is None else given)
+    law = _gain_matrix(stored_start("k-pma"))
+    corners = task.samples.open_loop.values
+    rng = np.random.default_rng(options.seed)
+    at = [{}, *(corners(p) for p in np.round(rng.uniform(size=(START_CORNERS, len(task.samples.open_loop.names)))))]
+
+    def stable(*matrices: FloatArray) -> bool:
+        x = parameters_of(own, matrices)
+        return all(task.stable(x, values) for values in at)
+
+    if stable(k_fsm, law):
+        return parameters_of(own, [k_fsm, law])
+    report("the stored start does not stabilise this telescope: start from the Kalman observer and a random law")
+    if given is None:
+        plant = observer_plant(telescope, parameters, **options.hold_delays)
+        structure = observer_structure(plant, camera_hold=True)
+        k_fsm = structure.gain_matrix(kalman_start(structure, telescope, parameters, lead=options.loop_delay))
+    for gain in START_GAINS:
+        law = _gain_matrix(random_law(START_SEEDS[0], gain))
+        if stable(k_fsm, law):
+            return parameters_of(own, [k_fsm, law])
+    raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
+
+
+START_CORNERS, START_GAINS = 8, (100.0, 10.0, 1.0, 0.0)
+
+
+def _gain_matrix(system: StateSpace) -> FloatArray:
+    return np.block([[system.A, system.B], [system.C, system.D]])
+
+
+def _state_space(M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    return M[:ORDER, :ORDER], M[:ORDER, ORDER:], M[ORDER:, :ORDER], M[ORDER:, ORDER:]
+
+
+def _sampled(
+    kind: str,
+    matrices: Sequence[FloatArray],
+    parameters: Parameters,
+    options: DesignOptions,
+    provenance: Mapping[str, Any] | None,
+) -> SampledSystem:
+    """Sampled controller with the washout."""
+    A, B, C, D = matrices
+    system = state_space(A, B, C, D, *design_ports(kind))
+    sample = sampled_observer if kind == "k-fsm" else sampled_controller
+    name = f"K_{kind[2:].upper()}, {options.variant}"
+    washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
+    return sample(system, washout, name=name, basis=basis, provenance=provenance)
 
 
 def _tuning(options: DesignOptions, iterations: int, target: float = -np.inf) -> TuningOptions:
@@ -290,13 +302,18 @@ def _run(
     )
 
 
-def _provenance(kind: str, result: RobustResult | TuningResult | Outcome, options: DesignOptions) -> dict[str, Any]:
-    """How a design was made, for its file."""
-    tuning = result if isinstance(result, TuningResult) else result.tuning
+def _command(kind: str, options: DesignOptions) -> str:
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
-    flags += f" --starts {options.starts}" if options.starts else ""
+    if kind == "all":
+        flags = f" --seed {options.seed}" + (" --effort short" if options.short else "")
+    return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
+
+
+def _provenance(kind: str, result: RobustResult | TuningResult, options: DesignOptions) -> dict[str, Any]:
+    """How a design of the paper's problem was made, for its file."""
+    tuning = result if isinstance(result, TuningResult) else result.tuning
     content: dict[str, Any] = {
-        "command": f"los-testbed design {kind}{flags}",
+        "command": _command(kind, options),
         "commit": commit(),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
@@ -307,13 +324,10 @@ def _provenance(kind: str, result: RobustResult | TuningResult | Outcome, option
         },
         "continuous": {key: getattr(tuning.controller, key).tolist() for key in "ABCD"},
     }
-    if not isinstance(result, TuningResult):
-        content["active_models"] = [dict(values) for values in result.active]
     if isinstance(result, RobustResult):
+        content["active_models"] = [dict(values) for values in result.active]
         content["worst_cases"] = [
             {"requirement": w.requirement, "value": w.value, "omega": w.omega, "parameters": dict(w.parameters)}
             for w in result.worst
         ]
-    elif isinstance(result, Outcome):
-        content["worst_cases"] = result.worst_cases()
     return content

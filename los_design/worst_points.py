@@ -42,7 +42,7 @@ BANDS = (1e-2, 0.2, 1.0, 4.0, 12.0, 35.0, BAND_EDGE, 130.0, 200.0, 300.0, 380.0,
 
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 
-MODES, MODE_OFFSETS = (0.1, 130.0), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e-3)
+MODES, MODE_OFFSETS = (0.1, BAND_EDGE), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e-3)
 """Band [rad/s] of the telescope's modes that a search starts at, whatever its grid, and the relative distances of the
 starts: the arrays' modes have a damping ratio of 0.1 %."""
 

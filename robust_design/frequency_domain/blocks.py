@@ -58,7 +58,8 @@ class ControllerBlock:
 
 def gain_matrices(blocks: Sequence[ControllerBlock], x: FloatArray) -> list[FloatArray]:
     """Gain matrices of all blocks from the vector of all their entries."""
-    out, at = [], 0
+    out: list[FloatArray] = []
+    at = 0
     for block in blocks:
         size = block.shape[0] * block.shape[1]
         out.append(x[at : at + size].reshape(block.shape))
@@ -78,6 +79,20 @@ def parameters_of(blocks: Sequence[ControllerBlock], matrices: Sequence[FloatArr
         if matrix.shape != block.shape:
             raise ValueError(f"gain matrix of {block.name} must have the shape {block.shape}, got {matrix.shape}")
     return np.concatenate([np.asarray(m, dtype=float).ravel() for m in matrices])
+
+
+def entry_sizes(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:
+    """Size of each entry, for steps in proportion: that of A, of a column of B, of a row of C, and their product."""
+    out = []
+    for block, M in zip(blocks, gain_matrices(blocks, x)):
+        n = block.order
+        inner = max(float(np.sqrt(np.mean(M[:n, :n] ** 2))), 1e-12) if n else 1.0
+        columns, rows = (np.sqrt(np.mean(part**2, axis=k)) for k, part in enumerate((M[:n, n:], M[n:, :n])))
+        columns, rows = (np.maximum(v, 1e-3 * max(float(v.max(initial=0.0)), 1e-12)) for v in (columns, rows))
+        direct = np.maximum(np.outer(rows, columns) / inner, np.abs(M[n:, n:]))
+        sizes = np.block([[np.full((n, n), inner), np.tile(columns, (n, 1))], [np.tile(rows[:, None], (1, n)), direct]])
+        out.append(sizes.ravel())
+    return np.concatenate(out)
 
 
 @dataclass(frozen=True)

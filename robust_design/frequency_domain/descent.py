@@ -13,11 +13,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from robust_design.frequency_domain.blocks import entry_sizes
 from robust_design.frequency_domain.problem import ResponseProblem
 from robust_design.simplex_qp import simplex_minimum
 
@@ -32,7 +34,7 @@ ENTRIES, NEAR = 4000, 0.5
 PLANES = 300
 """Of the first quadratic program of a step; others are added while they are violated."""
 SHARPNESS = 6.0
-RIDGE = 1e-4
+RIDGE, PROPORTION = 1e-4, 1e-2
 
 
 @dataclass(frozen=True)
@@ -204,9 +206,8 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
     G = np.vstack([gradients * (lift / np.maximum(values * lift, 1e-12))[:, None], noise_gradients / noise[:, None]])
     G, f = G[:, free], np.log(np.maximum(f, 1e-12))
     if state.factor is None:
-        H = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[np.ix_(free, free)]
-        H += RIDGE * np.diag(np.diag(H)) + 1e-10 * np.trace(H) * np.eye(len(H))
-        state.factor = linalg.cho_factor(H)
+        H = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[free][:, free]
+        state.factor = _factor(H, entry_sizes(problem.blocks, state.x)[free])
     current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
     for _ in range(10):
         direction, predicted, planes = _direction(f, G, state.factor, state.weight, planes)
@@ -226,11 +227,18 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
     return False
 
 
+def _factor(H: FloatArray, sizes: FloatArray) -> tuple[FloatArray, bool]:
+    """Factor of a metric in which changes of the size of an entry count, even if the gains do not feel them."""
+    factor: Any = linalg.cho_factor(H + RIDGE * np.diag(np.diag(H)) + PROPORTION * np.diag(1.0 / sizes**2))
+    return factor[0], bool(factor[1])
+
+
 def _direction(
     f: FloatArray, G: FloatArray, factor: tuple[FloatArray, bool], weight: float, planes: IntArray
 ) -> tuple[FloatArray, float, IntArray]:
     """Minimise ``max(f + G d) + weight d' H d / 2``, planes added while they are violated: d, decrease, planes."""
-    current, d, linear = float(f.max()), np.zeros(G.shape[1]), f
+    current, linear = float(f.max()), f
+    d: FloatArray = np.zeros(G.shape[1])
     for _ in range(12):
         chosen = linalg.cho_solve(factor, G[planes].T)
         lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])

@@ -164,29 +164,30 @@ class ResponseProblem:
 
     def noise(self, x: FloatArray) -> FloatArray:
         """Scaled noise, shape (noises,)."""
-        return np.array([value for value, _, _ in self._noise(x, False)])
+        return np.array([value for value, _ in self._noise(x, False)])
 
     def noise_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Scaled noise and its gradients, shapes (noises,) and (noises, parameters)."""
         found = self._noise(x, True)
         size = len(self.free)
-        return np.array([v for v, _, _ in found]), np.array([g for _, g, _ in found]).reshape(len(found), size)
+        return np.array([v for v, _ in found]), np.array([g for _, g in found]).reshape(len(found), size)
 
-    def _noise(self, x: FloatArray, slope: bool) -> list[tuple[float, FloatArray, FloatArray]]:
+    def _noise(self, x: FloatArray, slope: bool) -> list[tuple[float, FloatArray]]:
         found = []
         for noise in self.noises:
-            response, index, closed, K = self._noise_loop(x, noise)
+            response, _, closed, K = self._noise_loop(x, noise)
             L, Kn = closed.Peu @ closed.S, K * noise.density[:, None, :]
             T = L @ Kn
             power = float(np.sum(noise.step * np.sum(np.abs(T) ** 2, axis=(1, 2))))
-            value, gradient = float(np.sqrt(power)), np.zeros(0)
+            value = float(np.sqrt(power))
+            gradient: FloatArray = np.zeros(0)
             if slope and value > 0.0:
                 R = np.eye(K.shape[2]) * noise.density[:, None, :] + closed.Pyu @ (closed.S @ Kn)
                 inner = (L.conj().swapaxes(1, 2) @ T) @ R.conj().swapaxes(1, 2) * noise.step[:, None, None]
                 gradient = _matrix_chain(response, noise.active, inner) / (value * noise.limit)
             elif slope:
                 gradient = np.zeros(len(x))
-            found.append((value / noise.limit, gradient, index))
+            found.append((value / noise.limit, gradient))
         return found
 
     def _noise_loop(
