@@ -1,97 +1,181 @@
-"""Design in rounds with a stand-in for tuner and search: what is added, when it ends, what is reported."""
+"""Design in rounds with a stand-in for descent and search: what is added, when it ends, what is kept and reported."""
 
 from __future__ import annotations
 
 import itertools
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from los_design import rounds
+from los_design.pair_problem import BOTH
 from los_design.rounds import MAX_NEW, Effort, Task, design_in_rounds
 from los_design.worst_points import SearchOptions, WorstPoint
-from robust_design import HinfGain, TuningOptions
+from robust_design.frequency_domain import Descent
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
-REQUIREMENTS = (HinfGain("w", "z", name="soft"), HinfGain("w", "u", hard=True, name="hard"))
+SHARES = {"soft tones": 0.5, "hard tones": 1.0}
+NAMES = ("p", "q")
 
 
 def peak(name: str, gamma: float, omega: float) -> WorstPoint:
-    return WorstPoint("fsm", name, gamma, 1.0, omega, {"p": omega}, np.ones(1, complex), np.ones(1, complex))
+    parameters = {"p": omega / 1e3, "q": 0.5}
+    return WorstPoint("fsm+pma", name, gamma, 1.0, omega, parameters, np.ones(1, complex), np.ones(1, complex))
+
+
+class FewSamples:
+    """Parameter points without responses."""
+
+    def __init__(self) -> None:
+        self.points: list[list[float]] = []
+        self.around: list[float] = []
+        self.open_loop = SimpleNamespace(
+            names=NAMES,
+            parameters=None,
+            point=lambda values: np.array([values.get("p", 0.5), values.get("q", 0.5)]),
+            values=lambda point: dict(zip(NAMES, np.asarray(point).tolist())),
+        )
+
+    def add(self, points: np.ndarray) -> None:
+        self.points += points.tolist()
+
+    def add_around(self, omega: float, point: np.ndarray) -> None:
+        self.around.append(omega)
 
 
 class Bench:
-    """A tuner that reaches 0.9, and searches that give prepared answers; both keep a record."""
+    """A descent that reaches 0.9, and searches that give prepared answers; both keep a record."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, answers: list[list[WorstPoint]], status: str = "target"
-    ) -> None:
-        self.tuned: list[list[float]] = []
-        self.searched: list[int] = []
-        self.known: list[int] = []
-        self.answers, self.status = iter(answers), status
-        monkeypatch.setattr(rounds, "tune", self.tune)
-        bounds = {"soft tones": ("soft", 2.0), "hard tones": ("hard", 1.0)}
-        self.task = Task(lambda v: v, REQUIREMENTS, None, 0.0, lambda K: K, self.search, bounds)
+    def __init__(self, monkeypatch, answers, status: str = "stalled", lost: list[float] | None = None) -> None:
+        self.tuned: list[int] = []
+        self.searched: list[tuple[int, tuple[str, ...], int]] = []
+        self.answers, self.status, self.lost = iter(answers), status, list(lost or [])
+        self.samples = FewSamples()
+        monkeypatch.setattr(rounds, "pair_problem", self.problem)
+        monkeypatch.setattr(rounds, "descend", self.descend)
+        monkeypatch.setattr(rounds, "limits", lambda parameters, stage: SHARES)
 
-    def tune(self, models, requirements, structure, *, initial, loop_delay, options):
-        self.tuned.append([float(m.get("p", 0.0)) for m in models])
-        return SimpleNamespace(
-            x=initial[0] + 1.0, soft=0.9, abscissa=-1.0, status=self.status, controller="K",
-            requirement_names=("soft", "hard"), values=np.array([[0.9], [0.8]]),
-        )  # fmt: skip
+    def problem(self, samples, stages, tuned):
+        gains = tuple(SimpleNamespace(name=name) for name in SHARES)
+        noises = (SimpleNamespace(name="noise"),)
+        return SimpleNamespace(samples=samples.points, gains=gains, noises=noises)
 
-    def search(self, controller, options):
-        self.searched.append(options.seed)
+    def descend(self, problem, x, stable, options, report):
+        assert stable(x)
+        self.tuned.append(len(problem.samples))
+        report(0, 0.9)
+        values, noise = np.array([0.9, 0.5]), np.array([0.8])
+        return Descent(x + 1.0, 0.9, values, noise, np.zeros(2, dtype=int), self.status, options.iterations)
 
+    def search(self, task, x, stage, options):
         def run(names, known):
-            self.known.append(len(known))
+            self.searched.append((options.seed % 1000, tuple(names), len(known)))
             found = next(self.answers)
             return {name: [p for p in found if p.requirement == name] for name in names}
 
-        return SimpleNamespace(run=run)
+        return SimpleNamespace(run=run, loop=SimpleNamespace(parameters=None), metrics=SHARES)
 
-    def design(self, count: int = 5):
-        effort = Effort(count, 3, QUICK, THOROUGH)
+    def stable(self, task, x, values=None):
+        return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
+
+    def design(self, count: int = 5, kept=None, points: int = 0):
+        effort = Effort(count, points, 6, 3, QUICK, THOROUGH)
         self.lines: list[str] = []
-        return design_in_rounds(self.task, np.zeros(2), [{}], effort, TuningOptions(), self.lines.append)
+        task = Task(self.samples, (BOTH,), (0, 1), lambda x: None)
+        return design_in_rounds(task, np.zeros(2), effort, self.lines.append, kept)
 
 
-def test_it_ends_when_the_thorough_search_finds_nothing_worse_either(monkeypatch) -> None:
-    """Values up to 1 and a slack do not count: 2 * 0.501 and 1.002."""
-    fine = [peak("soft tones", 0.501, 10.0), peak("hard tones", 1.002, 20.0)]
-    bench = Bench(monkeypatch, [fine, fine])
-    found = bench.design()
-    assert found.status == "converged" and found.active == [{}]
-    assert (bench.tuned, bench.searched) == ([[0.0]], [1, 2])
-    assert found.worst["hard tones"].gamma == 1.002 and found.controller == "K"
-    assert [(c["requirement"], c["value"]) for c in found.worst_cases()] == [("soft", 1.002), ("hard", 1.002)]
-    assert bench.lines[0].startswith("round 1: 1 models, tuned 0.900, worst found: soft tones 1.002 at 10 rad/s")
+@pytest.fixture
+def bench(monkeypatch):
+    """A bench whose `search` and `stable` are methods of the task."""
+
+    def make(answers, **options):
+        made = Bench(monkeypatch, answers, **options)
+        monkeypatch.setattr(Task, "search", lambda task, *rest: made.search(task, *rest))
+        monkeypatch.setattr(Task, "stable", lambda task, *rest: made.stable(task, *rest))
+        return made
+
+    return make
 
 
-def test_worse_points_are_added_and_climbed_from_again(monkeypatch) -> None:
-    worse = [peak("soft tones", 0.6, 10.0), peak("hard tones", 1.5, 20.0)]
-    fine = [peak("soft tones", 0.4, 10.0)]
-    bench = Bench(monkeypatch, [worse, fine, [peak("soft tones", 0.51, 33.0)], fine, fine])
-    found = bench.design()
-    assert bench.tuned == [[0.0], [0.0, 20.0, 10.0], [0.0, 20.0, 10.0, 33.0]]  # the largest excess first
-    assert bench.searched == [1, 1, 2, 1, 2]
-    assert bench.known == [0, 2, 2, 1, 1]
-    assert found.status == "converged" and [v.get("p") for v in found.active] == [None, 20.0, 10.0, 33.0]
+def test_it_ends_when_the_thorough_search_finds_nothing_worse_either(bench) -> None:
+    """Values up to 1 and a slack do not count: 0.5005 over the share 0.5, and 1.002."""
+    fine = [peak("soft tones", 0.5005, 10.0), peak("hard tones", 1.002, 20.0)]
+    made = bench([fine, fine])
+    found = made.design()
+    assert found.status == "converged" and found.active == [{"p": 0.5, "q": 0.5}]
+    # the round's search looks at what is near the largest value, the thorough one at all
+    assert made.searched == [(1, ("soft tones",), 0), (2, ("soft tones", "hard tones"), 0)]
+    assert found.worst["hard tones"].gamma == 1.002
+    assert found.tuned == {"soft tones": 0.9, "hard tones": 0.5, "noise": 0.8}
+    assert [(c["requirement"], c["value"]) for c in found.worst_cases()] == [
+        ("soft tones", 1.001),
+        ("hard tones", 1.002),
+    ]
+    assert made.lines[0] == "round 1, step 0: 0.9000 (0 s)"
+    assert made.lines[-1].startswith(
+        "round 1: 1 samples, stalled at 0.9000, noise 0.800; worst found: soft tones 1.001"
+    )
 
 
-def test_new_points_are_few_and_apart(monkeypatch) -> None:
-    many = [peak("soft tones", 1.0 - 0.01 * k, 100.0 * 1.02**k) for k in range(12)]
-    bench = Bench(monkeypatch, [many, many])
-    found = bench.design(2)
-    assert found.status == "rounds" and len(found.active) == 1 + MAX_NEW
-    added = [v["p"] for v in found.active[1:]]
-    assert added[0] == 100.0 and all(b / a > 1.03 for a, b in itertools.pairwise(added))
-    assert bench.searched == [1, 1]  # the last round adds nothing: it was never tuned on
+def test_worse_points_are_added_and_climbed_from_again(bench) -> None:
+    worse, fine = [peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.4, 10.0)]
+    made = bench([worse, fine, [peak("hard tones", 1.5, 33.0)], fine, fine])
+    found = made.design()
+    assert found.status == "converged"
+    assert made.tuned == [1, 2, 3] and made.samples.around == [10.0, 33.0]
+    assert [seed for seed, _, _ in made.searched] == [1, 1, 2, 1, 2]
+    assert [known for _, _, known in made.searched] == [0, 1, 1, 1, 1]
+    assert [v["p"] for v in found.active] == [0.5, 0.01, 0.033]
 
 
-@pytest.mark.parametrize(("status", "expected"), [("infeasible", "infeasible"), ("iterations", "converged")])
-def test_a_tuner_that_failed_is_not_called_converged(status: str, expected: str, monkeypatch) -> None:
-    bench = Bench(monkeypatch, [[], []], status)
-    assert bench.design().status == expected
+def test_new_points_are_few_and_apart(bench) -> None:
+    many = [peak("soft tones", 1.0 - 0.001 * k, 100.0 * 1.007**k) for k in range(60)]
+    made = bench([many, many, many])
+    found = made.design(2)
+    assert found.status == "rounds" and len(made.samples.around) == MAX_NEW
+    assert made.samples.around[0] == 100.0
+    assert all(b / a > 1.01 for a, b in itertools.pairwise(made.samples.around))
+    assert [seed for seed, _, _ in made.searched] == [1, 1, 2]  # the last round adds nothing: it is measured whole
+
+
+def test_an_unstable_point_is_watched_and_the_descent_repeated(bench) -> None:
+    made = bench([[], []], lost=[0.5])
+    made.lost = [made.samples.open_loop.point({})[0]]
+    found = made.design()
+    assert made.tuned == [1, 1] and found.status == "converged"
+
+
+def test_random_points_and_corners_come_first(bench) -> None:
+    made = bench([[], []])
+    made.design(points=6)
+    points = np.array(made.samples.points)
+    assert len(points) == 7 and points[0].tolist() == [0.5, 0.5]
+    assert set(points[1:4].ravel()) <= {0.0, 1.0} and not set(points[4:].ravel()) & {0.0, 1.0}
+
+
+def test_an_interrupted_design_goes_on_after_its_last_round(bench, tmp_path) -> None:
+    """The third round is interrupted; a second call begins with it, at the point and samples of two whole rounds."""
+    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    made = bench([[peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]])
+    with pytest.raises(StopIteration):
+        made.design(kept=(kept, key))
+    assert json.loads(kept.read_text())["number"] == 2
+    again = bench([[], []])
+    found = again.design(kept=(kept, key))
+    assert again.lines[0] == "goes on after 2 rounds" and again.tuned == [3]
+    assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]] and again.samples.around == [10.0, 20.0]
+    np.testing.assert_array_equal(found.x, [3.0, 3.0])
+    other = bench([[], []])
+    other.design(kept=(kept, {"seed": 1}))  # made for something else: not used
+    assert other.tuned == [1]
+    kept.write_text("{")
+    assert bench([[], []]).design(kept=(kept, key)).status == "converged"
+
+
+def test_a_design_out_of_time_says_so(bench) -> None:
+    worse = [peak("soft tones", 0.6, 10.0)]
+    found = bench([worse, worse], status="out_of_time").design()
+    assert found.status == "out_of_time"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import control
 import numpy as np
 import pytest
@@ -208,7 +210,7 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
         assert stable(x)
         found = descend(one, x, stable, DescentOptions(60, 1e-4), lambda i, v, seen=seen: seen.append(v))
         assert stable(found.x) and found.status in ("stalled", "iterations")
-        assert all(b <= a for a, b in zip(seen, seen[1:])) and found.value < seen[0]
+        assert all(b <= a for a, b in itertools.pairwise(seen)) and found.value < seen[0]
         assert found.values[1] <= 1.0 + 1e-9
         ends.append(found.values[0])
     assert max(ends) < 0.3 * 3.7  # of the least start
@@ -232,7 +234,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="start must be a stabilising controller"):
         descend(one, controller(1), lambda x: False)
     response = samples(OMEGA).response
-    with pytest.raises(ValueError, match="response must be finite, got a value that is not at 0.05 rad/s"):
+    with pytest.raises(ValueError, match=r"response must be finite, got a value that is not at 0\.05 rad/s"):
         PlantSamples(OMEGA, np.where(np.arange(len(OMEGA))[:, None, None] == 0, np.nan, response), MEASURED, COMMANDS)
     with pytest.raises(ValueError, match="response must have one matrix for each of 3 frequencies"):
         PlantSamples(OMEGA[:3], response, MEASURED, COMMANDS)

@@ -1,0 +1,125 @@
+"""The samples that the controllers are tuned on are the implemented loop that is searched and verified."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from los_design.implemented_loop import ImplementedLoop, loop_metrics
+from los_design.open_loop import OpenLoop
+from los_design.pair_problem import (
+    ACTUATORS,
+    ALONE,
+    BOTH,
+    OBSERVER,
+    Samples,
+    blocks,
+    gains,
+    limits,
+    named,
+    noises,
+    pair_problem,
+    sample,
+)
+from los_design.sampled_loop_norms import noise_metrics
+from los_design.store import continuous, load_designs
+from robust_design.frequency_domain import ResponseProblem, parameters_of
+from titop_plant.interface import FRAME_TICKS
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.budget import combined_level, error_budget
+from titop_plant.telescope.parameters import load_parameters
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+@pytest.fixture(scope="module")
+def open_loop(parameters):
+    return OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return load_designs("implemented")
+
+
+@pytest.fixture(scope="module")
+def x(parameters, pair):
+    matrices = []
+    for system in pair:
+        A, B, C, D = continuous(system).data_at({}).matrices
+        matrices.append(np.block([[A, B], [C, D]]))
+    return parameters_of(blocks(parameters, (OBSERVER, ACTUATORS)), matrices)
+
+
+def test_every_gain_is_that_of_the_implemented_loop(parameters, open_loop, pair, x) -> None:
+    """Both stages, all requirements, at random points and frequencies on both sides of the bands' edge."""
+    rng = np.random.default_rng(3)
+    points, omega = rng.uniform(size=(3, 7)), np.array([0.03, 4.3, 64.0, 145.0, 402.0, 690.0, 2000.0])
+    samples = sample(open_loop, omega, points)
+    problem = ResponseProblem(blocks(parameters, (OBSERVER, ACTUATORS)), samples, gains(parameters, (ALONE, BOTH)))
+    found = {gain.name: row for gain, row in zip(problem.gains, problem.values(x))}
+    for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
+        loop = ImplementedLoop(open_loop.system, parameters, *pair, name)
+        for metric in loop_metrics(parameters, name).values():
+            share = limits(parameters, stage)[metric.name]
+            expected = [
+                float(loop.gains(loop.at(w), metric, point[None])[0]) * metric.limit / share
+                if metric.band[0] <= w < metric.band[1] else 0.0
+                for w in omega for point in points
+            ]  # fmt: skip
+            np.testing.assert_allclose(found[named(metric.name, stage)], expected, rtol=1e-7, atol=1e-12)
+
+
+def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> None:
+    """The integral over frequency against the periodic Lyapunov equation: within 0.1 %."""
+    problem = ResponseProblem(
+        blocks(parameters, (OBSERVER, ACTUATORS)),
+        sample(open_loop, np.array([1.0]), np.full((1, 7), 0.5)),
+        gains(parameters, (BOTH,)),
+        noises(open_loop, (ALONE, BOTH)),
+    )
+    plant, budget = open_loop.system.data_at({}), error_budget(parameters)
+    shares = {"fsm": budget.noise, "fsm+pma": budget.total_noise}
+    for value, (stage, share) in zip(problem.noise(x), shares.items()):
+        _, relative = noise_metrics(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+        assert value * share == pytest.approx(relative, rel=1e-3)
+
+
+def test_samples_are_dense_where_modes_are_narrow(open_loop) -> None:
+    """Every slow mode of an added point has samples within half of its width; the nominal point's fast ones, too."""
+    samples = Samples(open_loop)
+    point = np.random.default_rng(1).uniform(size=7)
+    samples.add(point[None])
+    samples.add_around(402.0, point)
+    omega = samples.all().omega
+    for mode in [*open_loop.modes(point, 0.1, 85.0), *open_loop.modes(open_loop.point({}), 130.0, 3000.0)]:
+        assert np.abs(omega / mode - 1.0).min() <= 5e-4
+    assert np.sum(np.abs(omega / 402.0 - 1.0) < 4e-3) >= 9
+    assert len(samples.all()) == len(omega)  # joined once more, nothing is lost or doubled
+
+
+def test_only_the_tuned_controller_is_free(parameters) -> None:
+    for tuned in ((OBSERVER,), (ACTUATORS,), (OBSERVER, ACTUATORS)):
+        for k, block in enumerate(blocks(parameters, tuned)):
+            assert block.free.any() == (k in tuned)
+    observer = blocks(parameters, (OBSERVER,))[OBSERVER]
+    assert np.sum(~observer.free) == 4  # no direct path from the camera
+
+
+def test_the_shares_together_keep_the_limit(parameters) -> None:
+    """Tones and noise of both stages, together 40 mas for 99.7 % of the windows; alone 100 mas."""
+    budget, both, alone = error_budget(parameters), limits(parameters, BOTH), limits(parameters, ALONE)
+    weights = parameters["weights"]
+    assert combined_level(max(both["slow"], both["fast"]), budget.total_noise) <= weights["rpe_limit_fine"] * (1 + 1e-9)
+    assert combined_level(max(alone["slow"], alone["fast"]), budget.noise) <= weights["rpe_limit"]
+
+
+def test_a_problem_of_one_controller_has_its_stage_only(open_loop) -> None:
+    samples = Samples(open_loop)
+    problem = pair_problem(samples, (BOTH,), (ACTUATORS,))
+    assert all("alone" not in gain.name for gain in problem.gains)
+    assert [noise.name for noise in problem.noises] == ["noise"]
+    assert problem.free.sum() == 100
