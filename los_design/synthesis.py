@@ -146,8 +146,9 @@ def design_pair(
     (K_FSM, K_PMA)
         With the same provenance.
     """
-    if not options.implemented:
-        raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
+    if not options.implemented or options.nominal:
+        got = "the nominal model alone" if options.implemented else "no loop delay"
+        raise ValueError(f"both controllers are designed together for the implemented loop and the box, got {got}")
     return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), ["k-fsm", "k-pma"], kept=kept)
 
 

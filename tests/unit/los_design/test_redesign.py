@@ -33,15 +33,12 @@ def stand_ins(monkeypatch) -> list[str]:
     made: list[str] = []
     k_fsm, k_pma = load_designs("implemented")
 
-    def observer(assembled, parameters, options, report):
-        made.append(f"k_fsm, seed {options.seed}, {'short' if options.short else 'full'}")
+    def pair(assembled, parameters, options, report, kept):
+        made.append(f"pair, seed {options.seed}, {'short' if options.short else 'full'}")
+        made.append("goes on" if kept[0].exists() else "begins")
         report("round 1: fine")
-        return k_fsm
-
-    def actuators(assembled, parameters, observer, options, report):
-        made.append("k_pma")
-        assert digest(observer) == digest(k_fsm)
-        return k_pma
+        kept[0].write_text("{}")
+        return k_fsm, k_pma
 
     def points(parameters, *pair_and_options):
         *pair, _ = pair_and_options
@@ -53,8 +50,7 @@ def stand_ins(monkeypatch) -> list[str]:
         made.append(f"check at {len(at)}")
         return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, fsm=[0.5], pma=[0.6])
 
-    monkeypatch.setattr(redesign, "design_observer", observer)
-    monkeypatch.setattr(redesign, "design_actuators", actuators)
+    monkeypatch.setattr(redesign, "design_pair", pair)
     monkeypatch.setattr(redesign, "worst_points_of", points)
     monkeypatch.setattr(redesign, "check_implemented", check)
     monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["fsm: APE 1.200 of its limit"])
@@ -68,31 +64,40 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, param
     assert {p.name for p in folder.iterdir()} == {
         "k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"
     }  # fmt: skip
-    assert stand_ins == ["k_fsm, seed 0, short", "k_pma", f"check at {1 + 16 + 20 + 1}"]
+    assert stand_ins == ["pair, seed 0, short", "begins", f"check at {1 + 16 + 20 + 1}"]
     assert not found.met and found.not_met == ["fsm: APE 1.200 of its limit"]
     assert found.gammas == {"fsm": [0.5], "pma": [0.6]}
-    assert "K_FSM: round 1: fine" in lines
+    assert "round 1: fine" in lines
     content = json.loads((folder / "verification.json").read_text())
     assert content == {"implemented": {"samples": 38}, "not_met": found.not_met}
     assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == parameters_hash(parameters)
     assert load_worst_points(folder)["fsm"]["slow"].omega == 5.0
 
 
-def test_steps_that_are_there_are_kept_until_something_changes(stand_ins, parameters, tmp_path) -> None:
+def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, parameters, tmp_path) -> None:
     design_all(parameters, tmp_path, effort="short")
     stand_ins.clear()
     lines: list[str] = []
     design_all(parameters, tmp_path, effort="short", report=lines.append)
-    assert [s for s in stand_ins if s.startswith("k_")] == []
-    assert {"k_fsm.json: kept", "k_pma.json: kept"} <= set(lines)
+    assert not any(s.startswith("pair") for s in stand_ins) and "k_fsm.json, k_pma.json: kept" in lines
     for changed in ({"seed": 1}, {"seed": 1, "effort": "full"}, {"effort": "short", "resume": False}):
         stand_ins.clear()
         design_all(parameters, tmp_path, **{"effort": "short", **changed})
-        assert len([s for s in stand_ins if s.startswith("k_")]) == 2
+        assert sum(s.startswith("pair") for s in stand_ins) == 1
     stand_ins.clear()
     other = {**parameters, "isolator": {**parameters["isolator"], "damping": [1000.0] * 6}}
     design_all(other, tmp_path, effort="short")
-    assert len([s for s in stand_ins if s.startswith("k_")]) == 2
+    assert sum(s.startswith("pair") for s in stand_ins) == 1
+
+
+def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, parameters, tmp_path) -> None:
+    (tmp_path / "rounds.json").write_text("{}")
+    design_all(parameters, tmp_path, effort="short")
+    assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
+    stand_ins.clear()
+    (tmp_path / "rounds.json").write_text("{}")
+    design_all(parameters, tmp_path, effort="short", resume=False)
+    assert "begins" in stand_ins
 
 
 def test_the_output_is_checked_before_the_work(stand_ins, parameters, tmp_path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,9 +9,10 @@ import numpy as np
 import pytest
 from small_loop import SmallFamily, small_controllers, small_plant
 
-from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
 from los_design import starts, synthesis, trade_off
+from los_design.implemented_loop import ImplementedLoop, loop_metrics
 from los_design.options import LOOP_DELAY, DesignOptions
+from los_design.pair_problem import ALONE, BOTH, blocks, grid, limits, named
 from los_design.rounds import Effort
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
@@ -20,50 +20,19 @@ from los_design.starts import screened, zero_controller
 from los_design.store import continuous, load_designs
 from los_design.trade_off import TradeOffPoint, undominated
 from los_design.worst_points import SearchOptions
-from los_estimator.problem import observer_plant, observer_requirements, observer_structure
+from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import StateSpace
 from robust_design import certify
+from robust_design.frequency_domain import gain_matrices
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
-from titop_plant.simulation import telescope
+from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.budget import error_budget
-from titop_plant.telescope.parameters import design_basis, load_parameters
+from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
 
 MAS = np.pi / 648e6
 NOISE_SHARE = error_budget(load_parameters()).noise / MAS
 PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
-STATUSES = {
-    "converged",
-    "rounds",
-    "target",
-    "iterations",
-    "stalled",
-    "infeasible",
-    "wall_limit",
-    "out_of_time",
-    "inaccurate",
-}
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
-def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path) -> None:
-    """Ports, period, provenance; written and read back without a change."""
-    system.require(*PORTS[kind], 1e-3)
-    provenance = system.provenance
-    nominal = " --nominal" if options.nominal else ""
-    assert provenance["command"] == f"los-testbed design {kind}{nominal} --loop-delay 0.0015 --seed {options.seed}"
-    assert (provenance["seed"], provenance["loop_delay"]) == (options.seed, LOOP_DELAY)
-    assert system.design_basis == design_basis(parameters).to_mapping()
-    assert provenance["status"] in STATUSES
-    assert provenance["commit"]
-    system.to_file(tmp_path / "design.json")
-    again = type(system).from_file(tmp_path / "design.json")
-    assert all(np.array_equal(getattr(system, key), getattr(again, key)) for key in "ABCD")
-    assert again.provenance == provenance and again.design_basis == system.design_basis and again.name == system.name
-    assert continuous(again).order == 4
+STATUSES = {"converged", "rounds", "out_of_time"}
 
 
 def certified(system, plant, measured, requirements, options: DesignOptions, points) -> dict[str, float]:
@@ -75,125 +44,135 @@ def certified(system, plant, measured, requirements, options: DesignOptions, poi
     return dict(zip((r.name for r in requirements), found.values.max(axis=1)))
 
 
-def test_designs_of_the_nominal_model_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
-    """Two iterations each: files fit the runtime, their provenance is whole, their gammas are the certified ones."""
-    monkeypatch.setattr(synthesis, "MAX_NOMINAL_ITERATIONS", 2)
-    assembled, options = telescope(), DesignOptions(nominal=True, seed=3)
-    k_fsm = synthesis.design_observer(assembled, parameters, options)
-    check_file(k_fsm, "k-fsm", options, parameters, tmp_path)
-    plant = observer_plant(assembled, parameters, **options.hold_delays)
-    requirements = observer_requirements(parameters, implemented=True)
-    found = certified(k_fsm, plant, MEASURED, requirements, options, [{}])
-    assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
-    assert not continuous(k_fsm).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
 
-    k_pma = synthesis.design_actuators(assembled, parameters, k_fsm, options)
-    check_file(k_pma, "k-pma", options, parameters, tmp_path)
-    plant = actuator_plant(assembled, parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
-    requirements = actuator_requirements(parameters, implemented=True)
-    found = certified(k_pma, plant, ("accel_Ip",), requirements, options, [{}])
-    assert k_pma.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
+
+def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path, command: str) -> None:
+    """Ports, period, provenance; written and read back without a change."""
+    system.require(*PORTS[kind], 1e-3)
+    provenance = system.provenance
+    assert provenance["command"] == command
+    assert (provenance["seed"], provenance["loop_delay"]) == (options.seed, LOOP_DELAY)
+    assert system.design_basis == design_basis(parameters).to_mapping()
+    assert provenance["status"] in STATUSES
+    assert provenance["commit"]
+    system.to_file(tmp_path / "design.json")
+    again = type(system).from_file(tmp_path / "design.json")
+    assert all(np.array_equal(getattr(system, key), getattr(again, key)) for key in "ABCD")
+    assert again.provenance == provenance and again.design_basis == system.design_basis and again.name == system.name
+    assert continuous(again).order == 4
 
 
 SMALL = SearchOptions(frequencies=12, points=4, ascents=2, iterations=2)
+TINY = Effort(rounds=1, points=0, first=6, iterations=0, quick=SMALL, thorough=SMALL)
 
 
-@pytest.mark.slow
-def test_a_robust_observer_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
-    """One round with a small search: active points and worst cases are in the file, the values hold at the points."""
-    monkeypatch.setattr(synthesis, "EFFORT", Effort(rounds=1, iterations=1, quick=SMALL, thorough=SMALL))
-    monkeypatch.setattr(synthesis, "FIRST_SEARCH", SMALL)
-    monkeypatch.setattr(synthesis, "FIRST_POINTS", 1)
-    assembled, options = telescope(), DesignOptions(seed=4)
-    lines: list[str] = []
-    k_fsm = synthesis.design_observer(assembled, parameters, options, lines.append)
-    check_file(k_fsm, "k-fsm", options, parameters, tmp_path)
-    assert lines[-1].startswith("round 1: 2 models, tuned")
-    active = k_fsm.provenance["active_models"]
-    assert active[0] == {} and len(active) == 2
-    plant = observer_plant(assembled, parameters, **options.hold_delays)
-    requirements = observer_requirements(parameters, implemented=True)
-    found = certified(k_fsm, plant, MEASURED, requirements, options, active)
-    assert k_fsm.provenance["tuned_values"] == pytest.approx(found, rel=2e-3)
-    worst = {case["requirement"]: case for case in k_fsm.provenance["worst_cases"]}
-    assert set(worst) == {"APE", "slow", "fast", "mirror", "sensitivity"}
-    case = worst["mirror"]  # the continuous problem has the same value, its delays being approximations
-    at = certified(k_fsm, plant, MEASURED, requirements, options, [case["parameters"]])
-    assert at["mirror"] == pytest.approx(case["value"], rel=0.03)
+def measured(parameters, pair, values) -> dict[str, float]:
+    """Worst gamma of every requirement of the tuned values' names at one parameter point, by the implemented loop."""
+    system, found = control_loop_plant(telescope(), parameters), {}
+    for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
+        loop = ImplementedLoop(system, parameters, *pair, name)
+        for metric in loop_metrics(parameters, name).values():
+            share = limits(parameters, stage)[metric.name]
+            omega = [w for w in grid() if metric.band[0] <= w < metric.band[1]][::4]
+            peaks = [loop.gains(loop.at(w), metric, loop.point(values)[None])[0] for w in omega]
+            found[named(metric.name, stage)] = float(np.max(peaks)) * metric.limit / share
+    return found
 
 
-def test_what_a_design_is_started_with(parameters, monkeypatch) -> None:
-    """The implemented problem starts from the stored controllers, on the first points; the paper's on the screened."""
-    calls = []
-
-    def stop(*args, **kwargs):
-        calls.append((args, kwargs))
-        raise InterruptedError
-
-    for name in ("tune", "tune_robust", "design_in_rounds"):
-        monkeypatch.setattr(synthesis, name, stop)
-    monkeypatch.setattr(synthesis, "screened", lambda *args: [{"seed": args[-1]}])
-    monkeypatch.setattr(synthesis, "_first_points", lambda search: [{"wheel_1.speed": 100.0}])
-    monkeypatch.setattr(synthesis.Search, "run", lambda self, names: {name: [] for name in names})
-    k_fsm, _ = load_designs("implemented")
-    for options in (DesignOptions(nominal=True), DesignOptions(seed=5), DesignOptions(loop_delay=0.0)):
-        with pytest.raises(InterruptedError):
-            synthesis.design_observer(telescope(), parameters, options)
-        with pytest.raises(InterruptedError):
-            synthesis.design_actuators(telescope(), parameters, k_fsm, options)
-    nominal, nominal_actuators, observer, actuators, paper, paper_actuators = calls
-    assert len(nominal[1]["initial"]) == len(nominal_actuators[1]["initial"]) == 1
-    assert nominal[1]["options"].iterations == 250 and nominal[1]["loop_delay"] == pytest.approx(1e-3)
-    for (task, start, active, effort, tuning, _), _ in (observer, actuators):
-        assert active == [{}, {"wheel_1.speed": 100.0}] and effort is synthesis.EFFORT
-        assert tuning.target == synthesis.GOAL and task.loop_delay == pytest.approx(1e-3)
-        assert set(task.bounds) >= {"APE", "slow", "fast", "mirror", "sensitivity, mirror"}
-        assert {name for name, _ in task.bounds.values()} <= {r.name for r in task.requirements}
-        assert start.shape == (task.structure.size,)
-    assert paper[1]["active"] == paper_actuators[1]["active"] == [{"seed": 0}]
-    assert paper[1]["loop_delay"] == 0.0 and paper[1]["options"].iterations == 40
+def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
+    """Six steps at the nominal point: the files are whole, no value there is above the tuned one."""
+    monkeypatch.setattr(synthesis, "EFFORT", TINY)
+    assembled, options = telescope(), DesignOptions(seed=3)
+    pair = synthesis.design_pair(assembled, parameters, options)
+    for kind, system in zip(PORTS, pair):
+        check_file(system, kind, options, parameters, tmp_path, "los-testbed design all --seed 3")
+        assert system.provenance["active_models"] == [pytest.approx(nominal_values(parameters))]
+    assert not continuous(pair[0]).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
+    found, tuned = measured(parameters, pair, {}), pair[0].provenance["tuned_values"]
+    assert set(tuned) == {*found, "noise", "noise, alone"}
+    for name, value in found.items():
+        assert value <= tuned[name] * (1.0 + 1e-9) and (name == "force" or value > 0.5 * tuned[name])
+    worst = {case["requirement"] for case in pair[0].provenance["worst_cases"]}
+    assert worst <= set(found) and {"fast", "fast, alone"} <= worst
 
 
-def test_a_start_that_does_not_stabilise_is_replaced_by_the_kalman_observer(parameters, monkeypatch) -> None:
-    """In steps of relaxed requirements: each begins where the one before ended."""
-    start_points, lines = [], []
-
-    def tuned(models, requirements, structure, *, initial, loop_delay, options):
-        start_points.append((requirements[-2].bound, initial[0]))
-        return SimpleNamespace(x=initial[0] + 1.0, soft=2.0)
-
-    def stop(task, start, *_):
-        start_points.append((None, start))
-        raise InterruptedError
-
-    monkeypatch.setattr(synthesis, "tune", tuned)
-    monkeypatch.setattr(synthesis, "design_in_rounds", stop)
-    monkeypatch.setattr(synthesis, "stabilises", lambda *_: False)
-    monkeypatch.setattr(synthesis, "_first_points", lambda search: [])
-    monkeypatch.setattr(synthesis.Search, "run", lambda self, names: {name: [] for name in names})
-    with pytest.raises(InterruptedError):
-        synthesis.design_observer(telescope(), parameters, DesignOptions(), lines.append)
-    noise = [bound for bound, _ in start_points[:-1]]
-    assert noise == sorted(noise, reverse=True) and len(noise) == len(synthesis.RELAXATIONS)
-    assert all(np.array_equal(later, before + 1.0) for (_, before), (_, later) in itertools.pairwise(start_points))
-    assert lines[0].startswith("the stored start does not stabilise") and lines[1].endswith("tuned 2.000")
+def nominal_values(parameters) -> dict[str, float]:
+    return {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
 
 
 @pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])
-def test_the_stored_starts_stabilise_the_reference_telescope(kind: str, parameters) -> None:
-    options = DesignOptions()
+def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameters, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", TINY)
+    options, (k_fsm, k_pma) = DesignOptions(nominal=True), load_designs("implemented")
     if kind == "k-fsm":
-        plant = observer_plant(telescope(), parameters, **options.hold_delays)
-        structure = observer_structure(plant, camera_hold=True)
+        found, other = synthesis.design_observer(telescope(), parameters, options), k_fsm
     else:
-        k_fsm, _ = load_designs("implemented")
-        plant = actuator_plant(
-            telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays
-        )
-        structure = actuator_structure(plant)
-    x = structure.parameters_of(starts.stored_start(kind, plant.system))
-    assert starts.stabilises(x, [plant({})], structure, options.delay)
-    assert not starts.stabilises(-1e3 * x, [plant({})], structure, options.delay)
+        found, other = synthesis.design_actuators(telescope(), parameters, k_fsm, options), k_pma
+    check_file(
+        found, kind, options, parameters, tmp_path, f"los-testbed design {kind} --nominal --loop-delay 0.0015 --seed 0"
+    )
+    alone = ["alone" in name for name in found.provenance["tuned_values"]]
+    assert all(alone) if kind == "k-fsm" else not any(alone)
+    assert not np.array_equal(found.A, other.A)
+
+
+def test_a_pair_is_designed_for_the_implemented_loop_only(parameters) -> None:
+    for options, got in (
+        (DesignOptions(loop_delay=0.0), "no loop delay"),
+        (DesignOptions(nominal=True), "the nominal"),
+    ):
+        with pytest.raises(ValueError, match=f"got {got}"):
+            synthesis.design_pair(telescope(), parameters, options)
+
+
+@pytest.mark.parametrize("stabilised", [0, 1, 2])
+def test_a_start_that_does_not_stabilise_is_replaced(stabilised: int, parameters, monkeypatch) -> None:
+    """The stored start; else the Kalman observer with a random law, the largest that it bears; else an error."""
+    starts_seen, lines = [], []
+
+    def stable(task, x, values=None):
+        F, P = gain_matrices(blocks(parameters, BOTH), x)
+        size = float(np.abs(P).max())
+        if stabilised == 0:
+            return True
+        return stabilised == 1 and np.array_equal(F, kalman) and size < 500.0
+
+    def stop(task, start, *rest):
+        starts_seen.append(gain_matrices(blocks(parameters, BOTH), start))
+        raise InterruptedError
+
+    plant = observer_plant(telescope(), parameters, **DesignOptions().hold_delays)
+    structure = observer_structure(plant, camera_hold=True)
+    kalman = structure.gain_matrix(kalman_start(structure, telescope(), parameters, lead=LOOP_DELAY))
+    monkeypatch.setattr(synthesis.Task, "stable", stable)
+    monkeypatch.setattr(synthesis, "design_in_rounds", stop)
+    error = ValueError if stabilised == 2 else InterruptedError
+    with pytest.raises(error, match="K_FSM must stabilise" if stabilised == 2 else ""):
+        synthesis.design_pair(telescope(), parameters, DesignOptions(), lines.append)
+    if stabilised == 0:
+        assert np.array_equal(starts_seen[0][0][:4, :4], starts.stored_start("k-fsm").A) and lines == []
+    else:
+        assert lines[0].startswith("the stored start does not stabilise")
+    if stabilised == 1:
+        assert np.array_equal(starts_seen[0][0], kalman) and 0.0 < np.abs(starts_seen[0][1]).max() < 500.0
+
+
+def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None:
+    matrices = []
+    for kind in PORTS:
+        start = starts.stored_start(kind)
+        matrices.append(np.block([[start.A, start.B], [start.C, start.D]]))
+    assembled, options = telescope(), DesignOptions(nominal=True)
+    loop = sampled_loop(
+        control_loop_plant(assembled, parameters).data_at({}),
+        *(synthesis._sampled(k, synthesis._state_space(M), parameters, options, None) for k, M in zip(PORTS, matrices)),
+        loop="fsm+pma",
+        frame_ticks=20,
+    )
+    assert loop.spectral_radius() < 1.0
 
 
 def test_options_name_variant_and_delays() -> None:
