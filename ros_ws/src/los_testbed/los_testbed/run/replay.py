@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
 from pointing_analysis import replay
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, knowledge_error_of
+from pointing_analysis.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.metrics import radial, rpe_rms
 from pointing_analysis.read import Run
@@ -150,8 +152,10 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
     """
     with one_thread(), np.errstate(all="ignore"):
         replayed = replay.replay(run, chosen.estimator, chosen.controller, progress)
-    wrong = np.flatnonzero(~np.isfinite(replayed.estimate).all(axis=1))
-    if wrong.size:
+    for part in parts(len(replayed.estimate)):
+        wrong = part.start + np.flatnonzero(~np.isfinite(replayed.estimate[part]).all(axis=1))
+        if not wrong.size:
+            continue
         seconds = (replayed.stamp[wrong[0]] - replayed.stamp[0]) * 1e-9
         raise LoopDivergedError(f"the observer diverges on the sensors of {run.path} within {seconds:g} s")
     return replayed
@@ -159,10 +163,12 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
 
 def _knowledge(series: ErrorSeries) -> dict[str, float]:
     size = radial(series.values)
+    ranked = SortedValues(size)
     rke = float(np.hypot(*rpe_rms(series.values, series.dt, WINDOW))) if series.duration >= WINDOW else float("nan")
     return {
-        "ake_rms_arcsec": float(np.sqrt(np.nanmean(size**2))) / RAD_PER_ARCSEC,
-        "ake_p997_arcsec": float(np.nanquantile(size, 0.997)) / RAD_PER_ARCSEC,
+        "ake_rms_arcsec": math.sqrt(sum(np.nansum(size[part] ** 2) for part in parts(len(size))) / ranked.size)
+        / RAD_PER_ARCSEC,
+        "ake_p997_arcsec": ranked.quantile(0.997) / RAD_PER_ARCSEC,
         "rke_rms_mas": rke / RAD_PER_MAS,
     }
 
@@ -171,7 +177,8 @@ def _commands(signals: Signals) -> dict[str, float]:
     found = {}
     for name, key in (("fsm/command", "fsm_peak_rad"), ("pma/command", "pma_peak_n")):
         if name in signals and len(signals[name][1]):
-            found[key] = float(np.abs(signals[name][1]).max())
+            values = signals[name][1]
+            found[key] = float(max(np.abs(values[part]).max() for part in parts(len(values))))
     return found
 
 
@@ -233,6 +240,7 @@ def write_signals(bag: BagWriter, signals: Signals) -> None:
                 times, name = stamps[low:high], topic.path_in(bag.namespace)
                 bag.write(name, times, times, codec.encode_many(times, part))
         bag.end_chunk()
+        release()
 
 
 def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found: Mapping[str, Any]) -> dict[str, Any]:
