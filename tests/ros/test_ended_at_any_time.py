@@ -75,12 +75,22 @@ def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
     return process
 
 
+def output_of(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """What a run wrote; it must end by itself."""
+    try:
+        return process.communicate(timeout=240)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, err = process.communicate()
+        raise AssertionError(f"the run goes on\n{out}\n{err}") from None
+
+
 def ended(folder: Path, mode: str, name: str, wait: float) -> tuple[int, str]:
     """Exit code and error output of a run that gets a signal after `wait` seconds; its processes are gone."""
     process = started(folder, mode, 600.0)
     time.sleep(wait)
     process.send_signal(getattr(signal, name))
-    _, err = process.communicate(timeout=120)
+    err = output_of(process)[1]
     end = time.monotonic() + 60
     while nodes_of(folder / "bag"):
         assert time.monotonic() < end, "processes are left"
@@ -146,7 +156,7 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     time.sleep(wait)
     with contextlib.suppress(ProcessLookupError):  # the run may be over by then
         os.kill(found[0], getattr(signal, name))
-    out, err = process.communicate(timeout=240)
+    out, err = output_of(process)
     told = f"{name} after {wait:.2f} s: code {process.returncode}\n{out}\n{err}"
     assert process.returncode in (0, 1, 3) and "Traceback" not in err, told
     if process.returncode == 1:
