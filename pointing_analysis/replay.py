@@ -136,7 +136,7 @@ def sensors(run: Run) -> Sensors:
     Raises
     ------
     BagError
-        A sensor topic is missing or has another number of values.
+        A sensor topic is missing, has another number of values, or values that are not finite (camera aside).
     """
     stamp, period, incomplete = _complete_ticks(run)
     measurement = empty((len(stamp), MEASUREMENTS))
@@ -145,7 +145,15 @@ def sensors(run: Run) -> Sensors:
     for name, columns in MEASUREMENT.items():
         topic = run[name]
         for rows, source in common_rows(stamp, topic.stamp):
-            measurement[rows, columns] = topic.values[source, : columns.stop - columns.start]
+            values = topic.values[source, : columns.stop - columns.start]
+            odd = ~np.isfinite(values).all(axis=1)
+            if odd.any() and columns != CAMERA:
+                seconds = (stamp[rows[odd][0]] - stamp[0]) / NANO
+                raise BagError(
+                    f"{run.path}: for a replay the samples of {name} must be finite, got {values[odd][0]} "
+                    f"{seconds:.3f} s after the first tick"
+                )
+            measurement[rows, columns] = values
     return Sensors(stamp, read_only(measurement), period, incomplete)
 
 

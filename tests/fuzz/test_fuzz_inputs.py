@@ -171,12 +171,14 @@ def as_toml(value: object) -> str:
 
 
 REFERENCE = load_parameters()
-PLACES = [
+ENTRIES = [
     (table, key) for table, content in REFERENCE.items() for key in (content if isinstance(content, dict) else ())
 ]
 
 
-@given(value=VALUES, place=st.sampled_from(PLACES), kind=st.sampled_from(["{} = {}", "{}.x = {}", "[[{}]]\nname = {}"]))
+@given(
+    value=VALUES, place=st.sampled_from(ENTRIES), kind=st.sampled_from(["{} = {}", "{}.x = {}", "[[{}]]\nname = {}"])
+)
 @examples(20)
 def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple[str, str], kind: str) -> None:
     table, key = place

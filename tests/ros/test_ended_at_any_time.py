@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -42,9 +41,9 @@ app.main()
 """
 
 
-def temporary() -> set[str]:
-    """Entries of the temporary folder that are ours."""
-    return {name for name in os.listdir(tempfile.gettempdir()) if name.startswith(("los_testbed", ".los"))}
+def temporary(folder: Path) -> list[Path]:
+    """Entries of the temporary folder of a run."""
+    return sorted((folder / "temporary").iterdir())
 
 
 def names_run(entry: Path, bag: Path, command: str) -> bool:
@@ -65,11 +64,13 @@ def nodes_of(bag: Path, command: str = "") -> list[int]:
 def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
     """A run that answers signals: until its modules are imported no program can in its own way."""
     bag = folder / "bag"
+    (folder / "temporary").mkdir()
     command = [sys.executable, "-c", BEGIN, "run", f"--mode={mode}", f"--duration={duration:g}"]
     command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
+    variables = {**os.environ, "BAG_OF_TEST": str(bag), "TMPDIR": str(folder / "temporary")}
     process = subprocess.Popen(
-        command, cwd=folder, env={**os.environ, "BAG_OF_TEST": str(bag)}, stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE, text=True, start_new_session=True,
+        command, cwd=folder, env=variables, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        start_new_session=True,
     )  # fmt: skip
     assert process.stderr is not None and process.stderr.readline() == "begun\n"
     return process
@@ -123,13 +124,12 @@ def check_bag(folder: Path, bag: Path) -> None:
 
 
 def trial(folder: Path, mode: str, name: str, seed: int) -> None:
-    before = temporary()
     code, err = ended(folder, mode, name, random.Random(f"{mode} {name} {seed}").uniform(0.0, 9.0))
     assert code == (-signal.SIGKILL if name == "SIGKILL" else 130), err
     assert "Traceback" not in err
     if name != "SIGKILL":
         assert "los-testbed: interrupted" in err or (folder / "bag").exists()
-    assert temporary() <= before
+    assert not temporary(folder)
     check_bag(folder, folder / "bag")
 
 
@@ -147,7 +147,7 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
 
 def recorder_trial(folder: Path, name: str, seed: int) -> None:
     """A recorder that is told to end goes on until its topics are quiet; one that is killed is replaced and told of."""
-    before, wait = temporary(), random.Random(f"recorder {name} {seed}").uniform(0.0, 9.0)
+    wait = random.Random(f"recorder {name} {seed}").uniform(0.0, 9.0)
     process = started(folder, "realtime", 5.0)
     end = time.monotonic() + 60
     while not (found := nodes_of(folder / "bag", "nodes.recorder")):
@@ -163,7 +163,7 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
         assert err.startswith("los-testbed: recorder") and err.count("\n") == 1, told
     if process.returncode == 3:
         assert name == "SIGKILL" and "recorder ended unexpectedly (signal 9)" in out, told
-    assert temporary() <= before
+    assert not temporary(folder)
     for bag in sorted(folder.glob("bag*")):
         shutil.rmtree(folder / "repaired", ignore_errors=True)
         check_bag(folder, bag)

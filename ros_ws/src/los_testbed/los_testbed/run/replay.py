@@ -20,6 +20,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import assemble_controller, compare_with_telescope
+from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
 from los_testbed.run_start import START_FILE, RunStart
@@ -148,17 +149,25 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
     BagError
         A sensor is missing in the bag.
     LoopDivergedError
-        The observer leaves the finite numbers.
+        Observer or controller leave the finite numbers.
     """
     with one_thread(), np.errstate(all="ignore"):
         replayed = replay.replay(run, chosen.estimator, chosen.controller, progress)
-    for part in parts(len(replayed.estimate)):
-        wrong = part.start + np.flatnonzero(~np.isfinite(replayed.estimate[part]).all(axis=1))
-        if not wrong.size:
-            continue
-        seconds = (replayed.stamp[wrong[0]] - replayed.stamp[0]) * 1e-9
-        raise LoopDivergedError(f"the observer diverges on the sensors of {run.path} within {seconds:g} s")
+    _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
+    _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed
+
+
+def _check_finite(who: str, signals: Mapping[str, NDArray[np.float64]], stamp: NDArray[np.int64], run: Run) -> None:
+    """Refuse a replay whose output is not finite, with tick and port."""
+    for part in parts(len(stamp)):
+        found = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
+        if found is not None:
+            tick = part.start + found[0]
+            seconds = (stamp[tick] - stamp[0]) * 1e-9
+            raise LoopDivergedError(
+                f"the {who} diverges on the sensors of {run.path} within {seconds:g} s: at tick {tick} the {found[1]}"
+            )
 
 
 def _knowledge(series: ErrorSeries) -> dict[str, float]:
