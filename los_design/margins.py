@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import ImplementedLoop
 from los_design.sampled_loop import SampledLoop
-from lti.batched_linalg import largest_gains
-from titop_plant.interface import COMMANDS, FORCE_STAGES, FORCES, MIRROR
+from lti.batched_linalg import eigenvalues, largest_gains
+from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, MIRROR
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 GAINS = (0.5, 2.0)
 """Factors of the loop gain that the loop must bear, all channels alike and one at a time."""
 
@@ -82,6 +84,23 @@ def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, ome
         if T > 0.5:
             smallest = min(smallest, 2.0 * math.asin(0.5 / T) / float(w))
     return smallest
+
+
+def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> NDArray[np.bool_]:
+    """Whether some change of :func:`changed_loops` could meet -1 at a frequency, for N sensitivities (N, 8, 8).
+
+    A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from
+    1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` stands for 1 because of what
+    lies between the frequencies of a grid, the second above :data:`NARROW_FROM`, where modes are narrow.
+    """
+    size = COMMANDS if stage in FORCE_STAGES else MIRROR.stop
+    S = sensitivity[:, :size, :size]
+    own = np.concatenate([np.diagonal(S, axis1=1, axis2=2), np.asarray(eigenvalues(S))], axis=1)
+    T = np.abs(own - 1.0)
+    low, high = GAINS
+    later = 2.0 * abs(math.sin(0.5 * min(omega * DT, math.pi))) * T[:, size:].max(axis=1)
+    worst = np.maximum.reduce([np.abs(own).max(axis=1) * (high - 1.0) / high, (1.0 - low) * T.max(axis=1), later])
+    return np.asarray(worst >= CERTAIN[int(omega > NARROW_FROM)])
 
 
 def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, SampledLoop]]:

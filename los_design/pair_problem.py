@@ -52,6 +52,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 OBSERVER, ACTUATORS = 0, 1
 ALONE, BOTH = (OBSERVER,), (OBSERVER, ACTUATORS)
+ALONE_SUFFIX = ", alone"
 LOWEST = 1e-4
 """Lowest frequency of the samples [rad/s]: poles that cross the origin show there."""
 FINE, FINE_STEP = (120.0, 800.0), 0.003
@@ -145,7 +146,7 @@ def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[Re
 
 def named(name: str, stage: tuple[int, ...]) -> str:
     """Name of a requirement of a stage."""
-    return name if stage == BOTH else f"{name}, alone"
+    return name if stage == BOTH else name + ALONE_SUFFIX
 
 
 def noises(open_loop: OpenLoop, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
@@ -163,7 +164,7 @@ def noises(open_loop: OpenLoop, stages: Sequence[tuple[int, ...]]) -> tuple[Resp
     step = np.gradient(omega) * (DT / np.pi) * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
     density = np.broadcast_to(amplitude, (len(omega), MEASUREMENTS))
     shares = {ALONE: budget.noise, BOTH: budget.total_noise}
-    return tuple(ResponseNoise(named("noise", s), s, samples, density, step, shares[s]) for s in stages)
+    return tuple(ResponseNoise(named("noise -> RPE", s), s, samples, density, step, shares[s]) for s in stages)
 
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:

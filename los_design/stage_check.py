@@ -3,8 +3,8 @@
 All points share the frequencies of one grid: at each of them the loop is closed once and every point costs a solution
 of order 48 (:mod:`los_design.implemented_loop`). Each point has, besides, the frequencies of its loop's slow modes:
 they are narrower than the steps of the grid. Peaks near the largest of a metric are refined between the grid's
-frequencies. Stability, also with one more tick of delay and with other gains, is that of the eigenvalues of the exact
-periodic loop at every point.
+frequencies. Stability is that of the eigenvalues of the exact periodic loop at every point. One more tick of delay and
+other gains are checked by them where the sensitivities leave a doubt (:func:`los_design.margins.doubtful`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
-from los_design.margins import changed_loops
-from los_design.sampled_loop import radius_of, sampled_loop, slow_modes
+from los_design.margins import changed_loops, doubtful
+from los_design.sampled_loop import SampledLoop, radius_of, sampled_loop, slow_modes
 from los_design.worst_points import Search, WorstPoint
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
@@ -109,23 +109,20 @@ def check_stage(
     """
     if not points:
         raise ValueError("points must hold at least one parameter point, got none")
-    stable, unstable, modes = [], [], list[FloatArray]()
-    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    search = Search(system, parameters, *pair, stage)
+    stable, modes = [], list[FloatArray]()
     for values in points:
-        loop = sampled_loop(
-            system.data_at(values), *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
-        )
-        multipliers = loop.multipliers()
+        multipliers = _loop(search, values).multipliers()
         stable.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
         modes.append(slow_modes(multipliers, FRAME_TICKS, FINE_FROM, NARROW))
-        found = changed_loops(loop, stage) if changes else ()
-        unstable.append([name for name, changed in found if not changed.spectral_radius() < 1.0])
         tick()
-    search = Search(system, parameters, *pair, stage)
     cube = np.array([search.loop.point(dict(values)) for values in points])
     metrics, omega = loop_metrics(parameters, stage), grid()
-    peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable))
-    narrow = _at_modes(search.loop, metrics, modes, cube, np.array(stable))
+    doubt = np.zeros(len(points), dtype=bool)
+    doubt[0] = True  # one point is checked by eigenvalues, whatever its responses say
+    peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable), doubt)
+    narrow = _at_modes(search.loop, metrics, modes, cube, np.array(stable), doubt)
+    unstable = [_lost(search, points[i]) if changes and doubt[i] else [] for i in range(len(points))]
     worst = {}
     if any(stable):
         worst = {name: _worst(search, metrics[name], _brackets(metrics[name], omega, *peaks[name]) + narrow[name], cube)
@@ -133,10 +130,31 @@ def check_stage(
     return StageCheck(stage, worst, np.array(stable), unstable, envelope)
 
 
+def _loop(search: Search, values: Values) -> SampledLoop:
+    """The exact periodic loop at a parameter point."""
+    loop = search.loop
+    sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
+    stage = "isolator" if loop.stage == "none" else loop.stage
+    return sampled_loop(
+        loop.system.data_at(values), *search.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
+    )
+
+
+def _lost(search: Search, values: Values) -> list[str]:
+    """Changes of gain and delay that make the loop unstable at a point."""
+    changed = changed_loops(_loop(search, values), search.loop.stage)
+    return [name for name, loop in changed if not loop.spectral_radius() < 1.0]
+
+
 def _largest(
-    loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], omega: FloatArray, cube: FloatArray, stable: FloatArray
+    loop: ImplementedLoop,
+    metrics: Mapping[str, LoopMetric],
+    omega: FloatArray,
+    cube: FloatArray,
+    stable: NDArray[np.bool_],
+    doubt: NDArray[np.bool_],
 ) -> tuple[dict[str, tuple[FloatArray, NDArray[np.intp]]], dict[str, FloatArray]]:
-    """For each metric the largest value of every point with its place in the grid, and the envelope."""
+    """For each metric the largest value of every point with its place in the grid, and the envelope; marks `doubt`."""
     value = {name: np.zeros(len(cube)) for name in metrics}
     place = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
     envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
@@ -146,6 +164,7 @@ def _largest(
         for begin in range(0, len(cube), CHUNK):
             part = slice(begin, begin + CHUNK)
             T = loop.responses(closed, whole, loop.delta(cube[part]))
+            doubt[part] |= doubtful(T[:, 2:, 22:], float(w), loop.stage)
             for name, metric in metrics.items():
                 if metric.band[0] <= w <= metric.band[1]:
                     gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))
@@ -163,12 +182,14 @@ def _at_modes(
     modes: Sequence[FloatArray],
     cube: FloatArray,
     stable: NDArray[np.bool_],
+    doubt: NDArray[np.bool_],
 ) -> dict[str, list[Bracket]]:
-    """For each metric its values at the slow modes of every stable point."""
+    """For each metric its values at the slow modes of every stable point; marks `doubt`."""
     found: dict[str, list[Bracket]] = {name: [] for name in metrics}
     for i in np.flatnonzero(stable):
         for w in modes[i]:
             closed = loop.at(float(w))
+            doubt[i] |= bool(doubtful(loop.sensitivities(closed, cube[i][None]), float(w), loop.stage)[0])
             for name, metric in metrics.items():
                 if metric.band[0] <= w <= metric.band[1]:
                     value = float(loop.gains(closed, metric, cube[i][None])[0])

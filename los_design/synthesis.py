@@ -19,9 +19,9 @@ from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_requireme
 from fsm_pma_controller.skyhook import sampled_controller
 from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
-from los_design.pair_problem import ACTUATORS, ALONE, BOTH, OBSERVER, Samples, blocks
+from los_design.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
 from los_design.provenance import commit
-from los_design.rounds import Effort, Task, design_in_rounds
+from los_design.rounds import Effort, Outcome, Task, design_in_rounds
 from los_design.starts import random_law, random_start, screened, stored_start
 from los_design.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.worst_points import SearchOptions
@@ -186,16 +186,31 @@ def _implemented(
         "loop_delay": options.loop_delay,
         "status": outcome.status,
         "seconds": round(time.monotonic() - begin, 1),
-        "tuned_values": {name: float(f"{value:.6g}") for name, value in outcome.tuned.items()},
         "active_models": outcome.active,
-        "worst_cases": outcome.worst_cases(),
     }
     found = []
-    for system, M in zip(pair(outcome.x), gain_matrices(blocks(parameters, tuned), outcome.x)):
+    for stage, system, M in zip(
+        (ALONE, BOTH), pair(outcome.x), gain_matrices(blocks(parameters, tuned), outcome.x), strict=True
+    ):
         A, B, C, D = _state_space(M)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
-        found.append(replace(system, provenance={**common, "continuous": matrices}))
+        found.append(replace(system, provenance={**common, **_values(outcome, stage), "continuous": matrices}))
     return found[0], found[1]
+
+
+def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
+    """Tuned values and worst cases of a stage: that of the mirror alone for K_FSM, of both controllers for K_PMA."""
+
+    def own(name: str) -> bool:
+        return name.endswith(ALONE_SUFFIX) == (stage == ALONE)
+
+    tuned = {name.removesuffix(ALONE_SUFFIX): float(f"{v:.6g}") for name, v in outcome.tuned.items() if own(name)}
+    worst = [
+        {**case, "requirement": case["requirement"].removesuffix(ALONE_SUFFIX)}
+        for case in outcome.worst_cases()
+        if own(case["requirement"])
+    ]
+    return {"tuned_values": tuned, "worst_cases": worst}
 
 
 def _start(

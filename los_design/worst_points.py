@@ -165,7 +165,7 @@ class Search:
         options: SearchOptions | None = None,
     ) -> None:
         self.loop = ImplementedLoop(system, parameters, k_fsm, k_pma, stage)
-        self._controllers = (k_fsm, k_pma)
+        self.pair = (k_fsm, k_pma)
         self.options = options or SearchOptions()
         self.metrics = loop_metrics(parameters, stage)
 
@@ -271,9 +271,7 @@ class Search:
             plant = loop.system.data_at(values)
             sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
             stage = "isolator" if loop.stage == "none" else loop.stage
-            closed = sampled_loop(
-                plant, *self._controllers, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
-            )
+            closed = sampled_loop(plant, *self.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
             response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
             gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
             gamma = gain / metric.limit

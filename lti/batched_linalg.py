@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.linalg import det as _det
 from numpy.linalg import eigh as _eigh
+from numpy.linalg import eigvals as _eigvals
 from numpy.linalg import eigvalsh as _eigvalsh
 from numpy.linalg import solve as _solve
 from numpy.linalg import svd as _svd
@@ -28,6 +29,11 @@ def solve(M: ComplexArray, X: ComplexArray) -> ComplexArray:
 def determinants(M: ComplexArray) -> ComplexArray:
     """Determinant of each matrix of the stack `M` (N, k, k)."""
     return np.asarray(_det(M), dtype=complex)
+
+
+def eigenvalues(M: ComplexArray) -> ComplexArray:
+    """Eigenvalues of each matrix of the stack `M` (N, k, k): shape (N, k)."""
+    return np.asarray(_eigvals(M), dtype=complex)
 
 
 def largest_gains(T: ComplexArray) -> FloatArray:

@@ -121,5 +121,5 @@ def test_a_problem_of_one_controller_has_its_stage_only(open_loop) -> None:
     samples = Samples(open_loop)
     problem = pair_problem(samples, (BOTH,), (ACTUATORS,))
     assert all("alone" not in gain.name for gain in problem.gains)
-    assert [noise.name for noise in problem.noises] == ["noise"]
+    assert [noise.name for noise in problem.noises] == ["noise -> RPE"]
     assert problem.free.sum() == 100

@@ -91,12 +91,15 @@ def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
         check_file(system, kind, options, parameters, tmp_path, "los-testbed design all --seed 3")
         assert system.provenance["active_models"] == [pytest.approx(nominal_values(parameters))]
     assert not continuous(pair[0]).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
-    found, tuned = measured(parameters, pair, {}), pair[0].provenance["tuned_values"]
-    assert set(tuned) == {*found, "noise", "noise, alone"}
-    for name, value in found.items():
-        assert value <= tuned[name] * (1.0 + 1e-9) and (name == "force" or value > 0.5 * tuned[name])
-    worst = {case["requirement"] for case in pair[0].provenance["worst_cases"]}
-    assert worst <= set(found) and {"fast", "fast, alone"} <= worst
+    found = measured(parameters, pair, {})
+    for stage, system in zip((ALONE, BOTH), pair):
+        tuned = system.provenance["tuned_values"]
+        assert set(tuned) == {*limits(parameters, stage), "noise -> RPE"}
+        for name in limits(parameters, stage):
+            value = found[named(name, stage)]
+            assert value <= tuned[name] * (1.0 + 1e-9) and (name == "force" or value > 0.5 * tuned[name])
+        worst = {case["requirement"] for case in system.provenance["worst_cases"]}
+        assert worst <= set(limits(parameters, stage)) and "fast" in worst
 
 
 def nominal_values(parameters) -> dict[str, float]:
@@ -114,8 +117,8 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameter
     check_file(
         found, kind, options, parameters, tmp_path, f"los-testbed design {kind} --nominal --loop-delay 0.0015 --seed 0"
     )
-    alone = ["alone" in name for name in found.provenance["tuned_values"]]
-    assert all(alone) if kind == "k-fsm" else not any(alone)
+    stage = ALONE if kind == "k-fsm" else BOTH
+    assert set(found.provenance["tuned_values"]) == {*limits(parameters, stage), "noise -> RPE"}
     assert not np.array_equal(found.A, other.A)
 
 
