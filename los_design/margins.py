@@ -90,8 +90,8 @@ def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> NDArray[np.
     """Whether some change of :func:`changed_loops` could meet -1 at a frequency, for N sensitivities (N, 8, 8).
 
     A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from
-    1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` stands for 1 because of what
-    lies between the frequencies of a grid, the second above :data:`NARROW_FROM`, where modes are narrow.
+    1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` is below 1 for what lies
+    between the frequencies of a grid; its second number holds above :data:`NARROW_FROM`, where modes are narrow.
     """
     size = COMMANDS if stage in FORCE_STAGES else MIRROR.stop
     S = sensitivity[:, :size, :size]
