@@ -50,16 +50,16 @@ class Effort:
         Random parameter points of the first round: half of them corners.
     first, iterations : int
         Of the descent in the first and in the other rounds.
-    quick, thorough : SearchOptions
-        Search of the rounds, and of the end.
+    quick, thorough : SearchOptions or None
+        Search of the rounds, and of the end; None: one descent at the first points, nothing is searched.
     """
 
     rounds: int
     points: int
     first: int
     iterations: int
-    quick: SearchOptions
-    thorough: SearchOptions
+    quick: SearchOptions | None
+    thorough: SearchOptions | None
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Outcome:
     x : ndarray
         Entries of both gain matrices.
     status : {"converged", "rounds", "out_of_time"}
-        ``rounds``: worse points were still found in the last round.
+        ``rounds``: worse points were still found in the last round; without a search the status of the descent.
     tuned : dict of str to float
         Largest value of each requirement at the samples, noise among them.
     worst : dict of str to WorstPoint
@@ -195,6 +195,41 @@ def design_in_rounds(
         File of the state between rounds, and what it must have been made for.
     """
     begin, known = time.monotonic(), dict[str, list[WorstPoint]]()
+    state = _begin(task, start, effort, report, kept)
+    while True:
+        problem = pair_problem(task.samples, task.stages, task.tuned)
+        left = task.wall_limit - (time.monotonic() - begin)
+        iterations = effort.first if state.number == 0 else effort.iterations
+
+        def step(iteration: int, value: float, number: int = state.number + 1) -> None:
+            report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
+
+        options = DescentOptions(iterations=iterations, wall_limit=left)
+        descent = _stabilising(task, problem, state, options, step)
+        state.x, state.number = descent.x, state.number + 1
+        late = descent.status == "out_of_time"
+        last = state.number >= effort.rounds or late
+        found, new = _searched(task, state, problem, descent, effort, known, last)
+        worst, values = _worst(task, found)
+        report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
+        if last or not new:
+            status = descent.status if effort.quick is None else _status(bool(new), late)
+            active = [task.samples.open_loop.values(p) for p in state.points]
+            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
+        known = {name: points[:3] for name, points in found.items()}
+        _add(task, state, new)
+        if kept:
+            state.save(*kept)
+
+
+def _begin(
+    task: Task,
+    start: FloatArray,
+    effort: Effort,
+    report: Report,
+    kept: tuple[Path, Mapping[str, Any]] | None,
+) -> _Progress:
+    """The state that is kept, or a new one; its parameter points are sampled."""
     state = _Progress.load(*kept) if kept else None
     if state is None:
         state = _Progress(np.array(start, dtype=float), points=_first_points(task, effort))
@@ -203,34 +238,32 @@ def design_in_rounds(
     task.samples.add(np.array(state.points))
     for omega, point in state.around:
         task.samples.add_around(omega, point)
-    while True:
-        problem = pair_problem(task.samples, task.stages, task.tuned)
-        left = task.wall_limit - (time.monotonic() - begin)
-        iterations = effort.first if state.number == 0 else effort.iterations
-        options = DescentOptions(iterations=iterations, wall_limit=left)
+    return state
 
-        def step(iteration: int, value: float, number: int = state.number + 1) -> None:
-            report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
 
-        descent = _stabilising(task, problem, state, options, step)
-        state.x, state.number = descent.x, state.number + 1
-        last = state.number >= effort.rounds or descent.status == "out_of_time"
-        near = {g.name: bool(v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
-        found = _search(task, state.x, effort.quick, known, state.number, near)
+def _status(worse: bool, late: bool) -> str:
+    return "out_of_time" if worse and late else "rounds" if worse else "converged"
+
+
+def _searched(
+    task: Task,
+    state: _Progress,
+    problem: ResponseProblem,
+    descent: Descent,
+    effort: Effort,
+    known: Mapping[str, Sequence[WorstPoint]],
+    last: bool,
+) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
+    """Worst points by name, and those that are worse than what is known; thorough if nothing is, or at the end."""
+    if effort.quick is None or effort.thorough is None:
+        return {}, []
+    near = {g.name: bool(v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+    found = _search(task, state.x, effort.quick, known, state.number, near)
+    new = _new(task, found, descent)
+    if last or not new:
+        found = _search(task, state.x, effort.thorough, known, state.number, dict.fromkeys(near, True))
         new = _new(task, found, descent)
-        if last or not new:
-            found = _search(task, state.x, effort.thorough, known, state.number, dict.fromkeys(near, True))
-            new = _new(task, found, descent)
-        worst, values = _worst(task, found)
-        report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
-        if last or not new:
-            status = "converged" if not new else "rounds" if descent.status != "out_of_time" else "out_of_time"
-            active = [task.samples.open_loop.values(p) for p in state.points]
-            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
-        known = {name: points[:3] for name, points in found.items()}
-        _add(task, state, new)
-        if kept:
-            state.save(*kept)
+    return found, new
 
 
 def _stabilising(
@@ -327,9 +360,9 @@ def _line(
     number: int, problem: ResponseProblem, descent: Descent, worst: Mapping[str, WorstPoint],
     values: Mapping[str, float], seconds: float,
 ) -> str:  # fmt: skip
-    peaks = ", ".join(f"{name} {values[name]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items())
+    searched = ", ".join(f"{name} {values[name]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items())
     noise = ", ".join(f"{n.name} {v:.3f}" for n, v in zip(problem.noises, descent.noise))
     return (
         f"round {number}: {len(problem.samples)} samples, {descent.status} at {descent.value:.4f}, {noise}; "
-        f"worst found: {peaks} ({seconds:.0f} s)"
+        f"worst found: {searched or 'not searched'} ({seconds:.0f} s)"
     )

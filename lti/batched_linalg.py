@@ -61,6 +61,12 @@ def singular_values(T: ComplexArray) -> FloatArray:
     return np.asarray(_svd(T, compute_uv=False))
 
 
+def singular_triples(T: ComplexArray) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+    """U (N, p, k), singular values (N, k) and Vh (N, k, m) of each matrix of the stack `T` (N, p, m), k = min(p, m)."""
+    U, values, Vh = _svd(T, full_matrices=False)
+    return np.asarray(U), np.asarray(values), np.asarray(Vh)
+
+
 def gains_above(T: ComplexArray, fraction: float) -> FloatArray:
     """Largest singular values of the stack `T`, exact wherever they exceed `fraction` of the largest of all.
 

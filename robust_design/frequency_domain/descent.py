@@ -71,7 +71,7 @@ class Descent:
     values : ndarray, shape (gains,)
         Largest value of each gain.
     noise : ndarray, shape (noises,)
-    place : ndarray of int, shape (gains,)
+    worst_pair : ndarray of int, shape (gains,)
         Pair of each largest value.
     status : {"target", "stalled", "iterations", "out_of_time"}
     iterations : int
@@ -81,7 +81,7 @@ class Descent:
     value: float
     values: FloatArray
     noise: FloatArray
-    place: IntArray
+    worst_pair: IntArray
     status: str
     iterations: int
 
@@ -255,6 +255,6 @@ def _direction(
 
 def _result(problem: ResponseProblem, x: FloatArray, status: str, iterations: int) -> Descent:
     raw, noise = problem.values(x), problem.noise(x)
-    values, place = raw.max(axis=1), raw.argmax(axis=1)
+    values, worst_pair = raw.max(axis=1), raw.argmax(axis=1)
     value = max(float(values.max()), float(noise.max(initial=0.0)))
-    return Descent(x, value, values, noise, place, status, iterations)
+    return Descent(x, value, values, noise, worst_pair, status, iterations)

@@ -13,7 +13,7 @@ IntArray = NDArray[np.intp]
 
 
 def chained(
-    response: ControllerResponse, active: tuple[int, ...], place: IntArray, a: ComplexArray, b: ComplexArray
+    response: ControllerResponse, active: tuple[int, ...], at_frequency: IntArray, a: ComplexArray, b: ComplexArray
 ) -> FloatArray:
     """Gradients of ``Re(a' K b)``, shape (n, parameters).
 
@@ -22,7 +22,7 @@ def chained(
     response : ControllerResponse
     active : tuple of int
         Blocks of the loop.
-    place : ndarray of int, shape (n,)
+    at_frequency : ndarray of int, shape (n,)
         Frequencies of the response.
     a, b : ndarray, complex, shapes (n, commands) and (n, measurements)
     """
@@ -30,18 +30,18 @@ def chained(
     for k, (block, part) in enumerate(zip(response.blocks, response.parts)):
         rows, columns = block.shape
         if k not in active:
-            out.append(np.zeros((len(place), rows * columns)))
+            out.append(np.zeros((len(at_frequency), rows * columns)))
             continue
-        p = np.einsum("nij,ni->nj", part.left[place].conj(), a[:, block.commands])
-        q = np.einsum("nij,nj->ni", part.right[place], b[:, block.measurements])
-        out.append(np.real(p.conj()[:, :, None] * q[:, None, :]).reshape(len(place), rows * columns))
+        p = np.einsum("nij,ni->nj", part.left[at_frequency].conj(), a[:, block.commands])
+        q = np.einsum("nij,nj->ni", part.right[at_frequency], b[:, block.measurements])
+        out.append(np.real(p.conj()[:, :, None] * q[:, None, :]).reshape(len(at_frequency), rows * columns))
     return np.concatenate(out, axis=1)
 
 
 def gram_sum(
     response: ControllerResponse,
     active: tuple[int, ...],
-    place: IntArray,
+    at_frequency: IntArray,
     weight: FloatArray,
     L: ComplexArray,
     R: ComplexArray,
@@ -56,8 +56,8 @@ def gram_sum(
     left, right = {}, {}
     for k in active:
         block, part = response.blocks[k], response.parts[k]
-        left[k] = L[:, :, block.commands] @ part.left[place]
-        right[k] = part.right[place] @ R[:, block.measurements]
+        left[k] = L[:, :, block.commands] @ part.left[at_frequency]
+        right[k] = part.right[at_frequency] @ R[:, block.measurements]
     for i in active:
         for j in active:
             if j < i:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.batched_linalg import largest_gains, solve
+from lti.batched_linalg import largest_gains, singular_triples, solve
 from robust_design.frequency_domain.blocks import ControllerBlock, ControllerResponse
 from robust_design.frequency_domain.gains import ResponseGain, ResponseNoise
 from robust_design.frequency_domain.metric import chained, gram_sum
@@ -92,12 +92,12 @@ class ResponseProblem:
     noises: tuple[ResponseNoise, ...] = ()
     scales: FloatArray = field(init=False, repr=False)
     _omega: FloatArray = field(init=False, repr=False)
-    _place: IntArray = field(init=False, repr=False)
+    _index: IntArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        omega, place = np.unique(self.samples.omega, return_inverse=True)
+        omega, at_frequency = np.unique(self.samples.omega, return_inverse=True)
         scales = np.array([gain.scale(self.samples.omega) for gain in self.gains])
-        for name, value in (("_omega", omega), ("_place", place), ("scales", scales)):
+        for name, value in (("_omega", omega), ("_index", at_frequency), ("scales", scales)):
             object.__setattr__(self, name, value)
 
     @property
@@ -124,7 +124,7 @@ class ResponseProblem:
             part = chosen[begin : begin + CHUNK]
             samples = self.samples.chosen(part)
             for active in self._active():
-                closed = close(samples, response.matrix(active, self._place[part]))
+                closed = close(samples, response.matrix(active, self._index[part]))
                 for g, gain in enumerate(self.gains):
                     if gain.active == active:
                         scaled = largest_gains(closed.part(gain)) * self.scales[g, part]
@@ -140,12 +140,12 @@ class ResponseProblem:
         values, gradients, owners = [], [], []
         for g in np.unique(entries[:, 0]):
             gain, pairs = self.gains[g], entries[entries[:, 0] == g, 1]
-            place, scale = self._place[pairs], self.scales[g, pairs]
-            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, place))
-            U, sigma, Vh = np.linalg.svd(closed.part(gain), full_matrices=False)
+            at_frequency, scale = self._index[pairs], self.scales[g, pairs]
+            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, at_frequency))
+            U, sigma, Vh = singular_triples(closed.part(gain))
             L, R = closed.left(gain), closed.right(gain)
             for weights in ((1.0, 0.0), *MIXTURES):
-                w = np.array(weights) / np.linalg.norm(weights)
+                w = np.array(weights) / np.sqrt(np.sum(np.abs(weights) ** 2))
                 first = weights == (1.0, 0.0)
                 if not first and sigma.shape[1] < 2:
                     break
@@ -158,7 +158,7 @@ class ResponseProblem:
                 a = np.einsum("nij,ni->nj", L[at].conj(), u)
                 b = np.einsum("nij,nj->ni", R[at], v)
                 values.append((sigma[at][:, :m] @ np.abs(w[:m]) ** 2) * scale[at])
-                gradients.append(chained(response, gain.active, place[at], a, b) * scale[at][:, None])
+                gradients.append(chained(response, gain.active, at_frequency[at], a, b) * scale[at][:, None])
                 owners.append(np.full(len(at), g))
         return np.concatenate(values), np.vstack(gradients), np.concatenate(owners)
 
@@ -222,18 +222,18 @@ class ResponseProblem:
                 continue
             pairs = index[near]
             weight = np.exp(sharpness * (values[g, near] / top - 1.0))
-            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, self._place[pairs]))
+            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, self._index[pairs]))
             each = weight * (self.scales[g, pairs] / values[g, near]) ** 2
-            H += gram_sum(response, gain.active, self._place[pairs], each, closed.left(gain), closed.right(gain))
+            H += gram_sum(response, gain.active, self._index[pairs], each, closed.left(gain), closed.right(gain))
             total += float(weight.sum())
         H /= max(total, 1.0)
         for k, entry in enumerate(self.noises):
-            at, places, closed, K = self._noise_loop(x, entry)
+            at, indices, closed, K = self._noise_loop(x, entry)
             Kn = K * entry.density[:, None, :]
             R = np.eye(K.shape[2]) * entry.density[:, None, :] + closed.Pyu @ (closed.S @ Kn)
             weight = np.exp(sharpness * (noise[k] / top - 1.0))
             each = entry.step * (weight / (entry.limit * noise[k]) ** 2)
-            H += gram_sum(at, entry.active, places, each, closed.Peu @ closed.S, R)
+            H += gram_sum(at, entry.active, indices, each, closed.Peu @ closed.S, R)
         return H
 
     def _active(self) -> Sequence[tuple[int, ...]]:
