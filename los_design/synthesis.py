@@ -146,9 +146,8 @@ def design_pair(
     (K_FSM, K_PMA)
         With the same provenance.
     """
-    if not options.implemented or options.nominal:
-        got = "the nominal model alone" if options.implemented else "no loop delay"
-        raise ValueError(f"both controllers are designed together for the implemented loop and the box, got {got}")
+    if not options.implemented:
+        raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
     return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), ["k-fsm", "k-pma"], kept=kept)
 
 
@@ -321,7 +320,8 @@ def _run(
 def _command(kind: str, options: DesignOptions) -> str:
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
     if kind == "all":
-        flags = f" --seed {options.seed}" + (" --effort short" if options.short else "")
+        flags = " --nominal" if options.nominal else ""
+        flags += f" --seed {options.seed}" + (" --effort short" if options.short else "")
     return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
 
 
