@@ -92,6 +92,9 @@ designs: $(READY)
 	cp build/designs/k_fsm.json los_estimator/designs/
 	cp build/designs/k_pma.json fsm_pma_controller/designs/
 	cp build/designs/worst_points.json los_design/
+	$(BIN)/los-testbed design all --nominal --effort short --output build/designs_nominal || true
+	cp build/designs_nominal/k_fsm.json los_estimator/designs/k_fsm_implemented_nominal.json
+	cp build/designs_nominal/k_pma.json fsm_pma_controller/designs/k_pma_implemented_nominal.json
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv

@@ -76,6 +76,7 @@ def design_all(
     report: Report = lambda text: None,
     resume: bool = True,
     wall_limit: float = 3600.0,
+    nominal: bool = False,
 ) -> DesignSummary:
     """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
 
@@ -92,7 +93,9 @@ def design_all(
     resume : bool
         Keep the steps that are there already.
     wall_limit : float
-        Of each controller's design [s].
+        Of the design of the controllers [s].
+    nominal : bool
+        Tune at the nominal parameters alone; the verification is that of the whole box.
 
     Raises
     ------
@@ -102,11 +105,11 @@ def design_all(
     if effort not in EFFORTS:
         raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
     _check_writable(folder)
-    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit)
+    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit, nominal=nominal)
     with one_thread():
         assembled = build_telescope(parameters)
 
-        key = _key(parameters, seed, effort)
+        key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
         k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
         report("worst points of the stages")
         points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort])

@@ -16,10 +16,10 @@ from los_testbed.cli.output import Json, print_json
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 
-ALL_EXAMPLES = """Design K_FSM, then K_PMA on it, for a telescope; find their worst points and verify them.
+ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
-Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. What is there from
-an interrupted design of the same telescope is kept. The exit code is 1 if a requirement is not met.
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. An
+interrupted design of the same telescope goes on after its last round. The exit code is 1 if a requirement is not met.
 
 **Examples**
 
@@ -64,6 +64,7 @@ def design_all(
     parameters: Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of starts and searches.", min=0)] = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
+    nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
     json_: Json = False,
 ) -> None:
@@ -76,7 +77,7 @@ def design_all(
         sys.stderr.write(f"telescope: {line}\n")
     summary = redesign.design_all(
         load_parameters(parameters or REFERENCE), output, seed=seed, effort=effort, resume=resume,
-        report=_say,
+        report=_say, nominal=nominal,
     )  # fmt: skip
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
 
