@@ -137,7 +137,8 @@ class Follower:
             return False
         stamp, changes = synchronizer.stamp, self._changes
         if stamp == HOLD_STAMP:
-            self._start = 0
+            if self._start:
+                self._begin_again()
         else:
             self._start = self._start or stamp
             changes.now = stamp - self._start
@@ -149,6 +150,16 @@ class Follower:
         else:  # another run begins, on another clock
             self._ahead = 0
         return True
+
+    def _begin_again(self) -> None:
+        """The plant holds after a run: the next one has the settings of the start and counts of its own."""
+        self._report()
+        self._start = self.ticks = 0
+        self._changes.restore()
+        self._execution, self._period = LatencyHistogram(), LatencyHistogram()
+        self._health = LoopHealth(self._context.config.mode == "realtime")
+        self._synchronizer.gaps, self._troubles = 0, (0, 0)
+        self._synchronizer.rejected.clear()
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""
