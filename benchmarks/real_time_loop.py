@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.run.runner import Results, Runner
+from los_testbed.run.results import Results
+from los_testbed.run.runner import Runner
 from los_testbed.topics import NODES
 
 HERE = Path(__file__).parent

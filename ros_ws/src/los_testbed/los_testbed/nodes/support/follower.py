@@ -21,6 +21,9 @@ WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000
 """Time between looks at the graph while a topic has messages of a publisher that is not yet decided on."""
 
+CHANGE_REPORT_NS = 5_000_000
+"""A change is reported this long after it was applied, in another tick than the answer to the request."""
+
 HORIZON_NS = 50_000_000
 """A stamp may be this much ahead of the plant's clock."""
 
@@ -94,6 +97,8 @@ class Follower:
                 next_decision = before + DECISION_NS
                 for subscription in self._subscriptions:
                     subscription.decide(before)
+            if self._changes.told and next_report > before + CHANGE_REPORT_NS:
+                next_service, next_report = before, before + CHANGE_REPORT_NS
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 context.service()
