@@ -1,5 +1,8 @@
 """A run for Foxglove: a client of its protocol, by the schemas that the server sends, against the bag."""
 
+import os
+import signal
+
 import numpy as np
 import pytest
 
@@ -65,3 +68,18 @@ def test_nine_of_the_channels_have_a_kilohertz_but_for_what_the_server_did_not_g
         span = (stamps.max() - stamps.min()) // TICK_NS + 1
         assert len(stamps) == len(set(stamps.tolist())) and np.all(stamps % TICK_NS == 0), topic
         assert abs(len(stamps) + int(lost[f"lost_{topic}"]) - span) <= 0.01 * span, topic
+
+
+def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
+    config = config_for(tmp_path, mode="lockstep", duration=1.5)
+
+    def progress(ticks):
+        if ticks >= 300 and not killed:
+            killed.append(runner.processes["live"])
+            os.kill(killed[0], signal.SIGKILL)
+
+    killed, runner = [], Runner(config, progress, commands={"plant": PLANT}, live=Live(port=0))
+    results = runner.run()
+    assert killed and results.statistics["plant"]["ticks"] == "1500"
+    assert not results.failures
+    assert results.warnings[-1] == "the server for viewers ended unexpectedly: code -9"
