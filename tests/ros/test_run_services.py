@@ -1,6 +1,8 @@
 """Start, stop and reset of a run by the clients of ROS, in lockstep, where the bits tell what was done."""
 
 import json
+import subprocess
+import sys
 import threading
 import time
 
@@ -26,6 +28,13 @@ def ask(user, name):
     """Answer of a service of the plant."""
     answer = user.remote._call(Trigger, f"plant/{name}", Trigger.Request())
     return answer.success, answer.message
+
+
+def control(words, runner):
+    """Exit code and error output of `los-testbed control`."""
+    command = [sys.executable, "-m", "los_testbed.cli.app", "control", *words, "--domain", str(runner.domain)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    return done.returncode, done.stderr
 
 
 def await_ticks(runner, condition, timeout=120.0):
@@ -59,6 +68,7 @@ def served(tmp_path_factory):
             found["start"] = ask(user, "start")
             await_ticks(runner, lambda ticks: ticks >= 500)
             found["running"] = ask(user, "start")
+            found["commands"] = [control(name, runner) for name in (["start"], ["reset", "--at", "0.001"])]
             user.remote.change("stage", "isolator")
             user.remote.change("noise", False)
             ticks = runner.ticks_done
@@ -94,6 +104,9 @@ def test_a_request_in_the_wrong_state_is_refused_with_the_reason(served):
     for name in ("stop", "reset"):
         assert found["waiting"][name] == (False, f"the run must be running for {name}, got waiting for its start")
     assert found["running"] == (False, "the run must be waiting for its start for start, got running")
+    (code, told), (late, reason) = found["commands"]
+    assert (code, told) == (2, "los-testbed: the run must be waiting for its start for start, got running\n")
+    assert late == 2 and reason.startswith("los-testbed: at must be later than") and reason.count("\n") == 1
 
 
 def test_after_a_reset_the_run_has_the_same_bits_as_one_that_nobody_touched(served, plain):

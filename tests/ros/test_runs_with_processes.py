@@ -126,7 +126,7 @@ def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path):
     def meanwhile(ticks):
         if ticks > 200 and not outcome:
             outcome.append(
-                subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=30)
+                subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=240)
             )
             raise KeyboardInterrupt
 
