@@ -214,7 +214,7 @@ class Runner:
             self._start("plant")
             if self._live is not None:
                 self._start(LIVE)
-                self._until(LIVE, "ready", 60.0)
+                self._until(LIVE, "ready", 120.0)
             self._until("plant", "alone", 30.0)
             for name in NODES[1:]:
                 self._start(name)

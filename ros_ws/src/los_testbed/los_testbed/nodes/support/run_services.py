@@ -25,6 +25,11 @@ class RunServices:
         Stop and reset are changes: they apply at one tick and are recorded.
     waits : bool
         Whether a run begins only when it is started.
+
+    Raises
+    ------
+    ValueError
+        A run that waits, without ``std_srvs``.
     """
 
     def __init__(self, node: Node, changes: Changes, waits: bool) -> None:
@@ -33,8 +38,9 @@ class RunServices:
         self._asked = False
         self.state = WAITING
         if importlib.util.find_spec("std_srvs") is None:
+            if waits:
+                raise ValueError("std_srvs must be installed for wait_for_start, got no such package")
             node.get_logger().warning("std_srvs must be installed for the services start, stop and reset")
-            self._waits = False
             return
         from std_srvs.srv import Trigger
 
