@@ -152,12 +152,15 @@ class _Progress:
     number: int = 0
     points: list[FloatArray] = field(default_factory=list)
     around: list[tuple[float, FloatArray]] = field(default_factory=list)
+    known: dict[str, list[WorstPoint]] = field(default_factory=dict)
 
     def save(self, path: Path, key: Mapping[str, Any]) -> None:
         content = {
             "key": dict(key), "x": self.x.tolist(), "number": self.number,
             "points": [p.tolist() for p in self.points],
             "around": [[omega, p.tolist()] for omega, p in self.around],
+            "known": {name: [[p.stage, p.requirement, p.to_mapping()] for p in found]
+                      for name, found in self.known.items()},
         }  # fmt: skip
         write_text(path, json.dumps(content))
 
@@ -169,7 +172,9 @@ class _Progress:
                 return None
             points = [np.array(p, dtype=float) for p in content["points"]]
             around = [(float(omega), np.array(p, dtype=float)) for omega, p in content["around"]]
-            return cls(np.array(content["x"], dtype=float), int(content["number"]), points, around)
+            known = {name: [WorstPoint.from_mapping(*entry) for entry in found]
+                     for name, found in content["known"].items()}  # fmt: skip
+            return cls(np.array(content["x"], dtype=float), int(content["number"]), points, around, known)
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -194,7 +199,7 @@ def design_in_rounds(
     kept : (Path, mapping), optional
         File of the state between rounds, and what it must have been made for.
     """
-    begin, known = time.monotonic(), dict[str, list[WorstPoint]]()
+    begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
     while True:
         problem = pair_problem(task.samples, task.stages, task.tuned)
@@ -209,14 +214,14 @@ def design_in_rounds(
         state.x, state.number = descent.x, state.number + 1
         late = descent.status == "out_of_time"
         last = state.number >= effort.rounds or late
-        found, new = _searched(task, state, problem, descent, effort, known, last)
+        found, new = _searched(task, state, problem, descent, effort, last)
         worst, values = _worst(task, found)
         report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
         if last or not new:
             status = descent.status if effort.quick is None else _status(bool(new), late)
             active = [task.samples.open_loop.values(p) for p in state.points]
             return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
-        known = {name: points[:3] for name, points in found.items()}
+        state.known = {name: points[:3] for name, points in found.items()}
         _add(task, state, new)
         if kept:
             state.save(*kept)
@@ -251,17 +256,16 @@ def _searched(
     problem: ResponseProblem,
     descent: Descent,
     effort: Effort,
-    known: Mapping[str, Sequence[WorstPoint]],
     last: bool,
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
     """Worst points by name, and those that are worse than what is known; thorough if nothing is, or at the end."""
     if effort.quick is None or effort.thorough is None:
         return {}, []
     near = {g.name: bool(v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
-    found = _search(task, state.x, effort.quick, known, state.number, near)
+    found = _search(task, state.x, effort.quick, state.known, state.number, near)
     new = _new(task, found, descent)
     if last or not new:
-        found = _search(task, state.x, effort.thorough, known, state.number, dict.fromkeys(near, True))
+        found = _search(task, state.x, effort.thorough, state.known, state.number, dict.fromkeys(near, True))
         new = _new(task, found, descent)
     return found, new
 

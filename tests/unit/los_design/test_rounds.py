@@ -167,6 +167,7 @@ def test_an_interrupted_design_goes_on_after_its_last_round(bench, tmp_path) -> 
     found = again.design(kept=(kept, key))
     assert again.lines[0] == "goes on after 2 rounds" and again.tuned == [3]
     assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]] and again.samples.around == [10.0, 20.0]
+    assert again.searched[0][2] == 1  # climbed from, as it would have been
     np.testing.assert_array_equal(found.x, [3.0, 3.0])
     other = bench([[], []])
     other.design(kept=(kept, {"seed": 1}))  # made for something else: not used
