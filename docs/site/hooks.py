@@ -34,12 +34,9 @@ def public_names(path: Path) -> list[str]:
         for node in body
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) and not node.name.startswith("_")
     ]
-    for node in body:
-        targets = (
-            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-        )
-        names += [t.id for t in targets if isinstance(t, ast.Name) and not t.id.startswith("_")]
-    return names
+    targets = [t for node in body if isinstance(node, ast.Assign) for t in node.targets]
+    targets += [node.target for node in body if isinstance(node, ast.AnnAssign)]
+    return names + [t.id for t in targets if isinstance(t, ast.Name) and not t.id.startswith("_")]
 
 
 def exported(path: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Every Python block of the documentation runs, every TOML block is read; the pages with output have tests of theirs."""
+"""Every Python block of the documentation runs, every TOML block is read."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def an_uncertain_system(_: Path, __: pytest.MonkeyPatch) -> Names:
 
 
 def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Names:
-    """The design takes an hour: its call is checked against the signature, its result has the attributes of a real one."""
+    """The design takes an hour: its call is checked against the signature, its result is empty."""
     from los_design import redesign
 
     (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")

@@ -1,4 +1,4 @@
-"""The documentation site: complete navigation, an API page for every public name, links, nothing loaded from elsewhere."""
+"""The documentation site: navigation, an API page for every public name, links, nothing loaded from elsewhere."""
 
 from __future__ import annotations
 
