@@ -105,8 +105,8 @@ def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
 
 
 def _stroke(i: int, runs: int) -> dict[str, Any]:
-    """Colour and width of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
-    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i)}
+    """Colour, width, gid of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
+    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i), "gid": f"run-{i}"}
 
 
 def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
@@ -132,7 +132,8 @@ def time_history(views: Sequence[RunView]) -> Picture:
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), sharex=True)
-        for axis, view in zip(axes, views):
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
             for i, name in enumerate(metrics.AXES):
                 t, y = envelope(view.series.time, view.series.values[:, i] / RAD_PER_ARCSEC)
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
@@ -152,7 +153,8 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), columns=min(2, len(views)))
-        for axis, view in zip(axes, views):
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
             arcsec = float(np.nanmax(metrics.radial(view.series.values))) / RAD_PER_ARCSEC
             unit, scale = ("arcsec", RAD_PER_ARCSEC) if arcsec >= 0.1 else ("mas", RAD_PER_MAS)
             e = view.series.values / scale
@@ -206,28 +208,57 @@ def density(views: Sequence[RunView]) -> Picture:
 
 
 def cumulative(views: Sequence[RunView]) -> Picture:
-    """Cumulative RMS of the error and of its RPE part."""
+    """Cumulative RMS of the error and of its RPE part, which steps up at each line; the largest steps are named.
+
+    One run has a linear axis from zero; several have a logarithmic one that ends at a thirtieth of the smallest total.
+    """
+    curves: list[tuple[int, RunView, Floats, Floats, Floats]] = []
+    for i, view in enumerate(views):
+        if (s := view.spectrum) is not None:
+            weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
+            whole, part = s.cumulative_rms() / RAD_PER_MAS, s.cumulative_rms(weight) / RAD_PER_MAS
+            curves.append((i, view, s.frequency[1:], whole[1:], part[1:]))
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
-        for i, view in enumerate(views):
-            s = view.spectrum
-            if s is None:
-                continue
-            stroke = _stroke(i, len(views))
-            weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
-            axis.loglog(s.frequency[1:], s.cumulative_rms()[1:] / RAD_PER_MAS, label=view.label, **stroke)
-            rpe = s.cumulative_rms(weight)[1:] / RAD_PER_MAS
-            axis.loglog(s.frequency[1:], rpe, ls="--", **stroke)
-        axis.set_ylim(bottom=max(axis.get_ylim()[0], axis.get_ylim()[1] * 1e-5))
+        axis.set_xscale("log")
+        for i, view, frequency, whole, part in curves:
+            axis.step(frequency, whole, where="post", label=view.label, **_stroke(i, len(views)))
+            axis.step(frequency, part, where="post", ls="--", **_stroke(i, len(views)))
+        totals = [float(min(whole[-1], part[-1])) for *_, whole, part in curves]
+        if len(curves) > 1 and min(totals) > 0:
+            axis.set_yscale("log")
+            axis.set_ylim(bottom=min(totals) / 30)
+        else:
+            axis.set_ylim(bottom=0.0)
         axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
         _mark_tones(axis, views)
+        _name_steps(axis, curves)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("RMS below frequency [mas]")
         _legend(figure, axis)
 
     alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
     return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
+
+
+def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, Floats, Floats, Floats]]) -> None:
+    """Frequencies of the largest lines of each run, at the height of its curve behind them."""
+    for i, view, frequency, whole, _ in curves:
+        strongest = sorted(view.tones, key=lambda line: -line.rms)[: 3 if len(curves) == 1 else 1]
+        for line in strongest:
+            hertz = line.omega / (2 * np.pi)
+            height = float(np.interp(1.05 * hertz, frequency, whole))
+            axis.annotate(
+                f"{hertz:.3g} Hz",
+                (hertz, height),
+                xytext=(-3, 3),
+                textcoords="offset points",
+                ha="right",
+                fontsize=7.5,
+                color=COLOURS[i % 6],
+                gid=f"run-{i}",
+            )
 
 
 def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]) -> Picture | None:
@@ -242,10 +273,27 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
             found = sorted(view.tones, key=lambda line: line.omega)
             hertz = [line.omega / (2 * np.pi) for line in found]
             rms = [line.rms / RAD_PER_MAS for line in found]
-            axis.loglog(hertz, rms, "os^Dvx"[i % 6], ms=7 - i % 4, mfc="none", color=COLOURS[i % 6], label=view.label)
+            axis.loglog(
+                hertz,
+                rms,
+                "os^Dvx"[i % 6],
+                ms=7 - i % 4,
+                mfc="none",
+                color=COLOURS[i % 6],
+                label=view.label,
+                gid=f"run-{i}",
+            )
             if view.label in model:
                 omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
-                axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "+", ms=11, mew=0.9, color=COLOURS[i % 6])
+                axis.loglog(
+                    omega / (2 * np.pi),
+                    expected / RAD_PER_MAS,
+                    "+",
+                    ms=11,
+                    mew=0.9,
+                    color=COLOURS[i % 6],
+                    gid=f"run-{i}",
+                )
         if model:
             axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
         axis.set_xlabel("frequency [Hz]")
