@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pointing_analysis import requirements
-from pointing_analysis.figures import cumulative
+from pointing_analysis.cumulative_figure import cumulative
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
 from pointing_analysis.report import labels, latency_us, render, view, write_report
