@@ -73,3 +73,20 @@ def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPat
     drawn = [call.kwargs["names"] for call in called.call_args_list]
     assert sorted(drawn) == sorted([name] for name in plant_figures.FIGURES)
     assert all(call.args == (str(tmp_path),) for call in called.call_args_list)
+
+
+def test_the_stewart_platform_has_the_modes_of_its_legs() -> None:
+    """Poles of the block against energies: the stiffness along any motion is the sum over the legs."""
+    example = runpy.run_path(str(EXAMPLES / "stewart_platform_isolator.py"))
+    J, k = example["leg_matrix"](), example["LEG_STIFFNESS"]
+    motion = np.random.default_rng(0).standard_normal(6)
+    stretch = J.T @ motion  # of each leg
+    system = example["platform"](0.0).data_at({})
+    stored = motion @ system.C[:6, :6] @ motion
+    assert stored == pytest.approx(k * float(stretch @ stretch), rel=1e-12)
+    poles = np.linalg.eigvals(system.A)
+    modes = np.linalg.eigvals(np.linalg.solve(example["PAYLOAD"], k * J @ J.T))
+    np.testing.assert_allclose(np.sort(np.abs(poles))[::2] ** 2, np.sort(modes.real), rtol=1e-9)
+    vertical = k * float(J[2] @ J[2]) / 60.0  # symmetric legs: the mode along z is that of mass and vertical stiffness
+    assert np.abs(np.sort(modes.real) / vertical - 1.0).min() < 1e-9
+    example["main"]()
