@@ -102,10 +102,9 @@ class NonlinearPlant:
         self._most = np.empty(COMMANDS)
         self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * plant.dt, limits.force_rate * plant.dt
         self._push, self._move = held_oscillator(actuator, plant.dt)
-        b, a = ([1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+        self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
         if limits.cut_off:
-            b, a = signal.butter(2, limits.cut_off, fs=1.0 / plant.dt)
-        self._b, self._a = np.asarray(b), np.asarray(a)
+            self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / plant.dt))
         self._filtered = bool(limits.cut_off)
         self._step = np.zeros(MEASUREMENTS)
         self._step[ACCELERATIONS], self._step[CAMERA] = limits.acceleration_step, limits.camera_step
@@ -128,7 +127,7 @@ class NonlinearPlant:
     @property
     def displacement(self) -> FloatArray:
         """Copy of the displacements of the six proof masses [m]."""
-        return self._mass[0].copy()
+        return np.array(self._mass[0])
 
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""

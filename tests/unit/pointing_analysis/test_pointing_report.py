@@ -91,7 +91,7 @@ class Outline(html.parser.HTMLParser):
             self.pictures.append(found.get("aria-label"))
         if re.fullmatch("h[1-6]", tag):
             self.headings.append(int(tag[1]))
-        if tag not in ("meta", "link", "img", "br"):
+        if tag not in ("meta", "link", "img", "br", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
