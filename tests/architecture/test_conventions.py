@@ -37,13 +37,24 @@ MAY_IMPORT: dict[str, set[str]] = {
     "los_testbed": set(FOLDERS),
 }
 LAYERS = (
-    "config", "topics", "run_start", "variants", "plugins", "factories", "bags", "loop", "run", "campaign", "nodes",
+    "config",
+    "topics",
+    "run_start",
+    "variants",
+    "plugins",
+    "factories",
+    "bags",
+    "loop",
+    "run",
+    "live",
+    "campaign",
+    "nodes",
     "cli",
-)  # fmt: skip
+)
 """Modules and subpackages of los_testbed: each imports of the package only itself and what stands before it."""
 ROS = {
     "rclpy", "ament_index_python", "launch", "launch_ros", "rcl_interfaces", "std_msgs", "sensor_msgs", "geometry_msgs",
-    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs",
+    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs", "std_srvs",
 }  # fmt: skip
 STACKS = {
     "lti/batched_linalg.py", "los_design/sampled_loop.py",

@@ -9,9 +9,9 @@ import json
 from importlib.util import find_spec
 from pathlib import Path
 
-import headless_browser
 import numpy as np
 import pytest
+from support import headless_browser
 
 from pointing_analysis.read import Run
 from pointing_analysis.report import write_report
