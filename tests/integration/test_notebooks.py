@@ -33,8 +33,8 @@ def test_they_are_stored_without_output(path: Path) -> None:
 def test_they_run(path: Path) -> None:
     """In a kernel of their own, in the folder in which they are; at least one cell shows a picture."""
     nbclient = pytest.importorskip("nbclient")
-    nbformat = pytest.importorskip("nbformat")
-    pytest.importorskip("ipykernel")
+    import nbformat
+
     notebook = nbformat.read(path, as_version=4)
     nbclient.NotebookClient(notebook, timeout=280, resources={"metadata": {"path": str(FOLDER)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
