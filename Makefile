@@ -9,7 +9,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs designs lock clean
+.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -22,6 +22,7 @@ help:
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
 	@echo "make designs    the shipped controllers of the implemented loop anew (a quarter of an hour or more)"
+	@echo "make site       build/site: the documentation with its API reference, links checked"
 	@echo "make lint       style and types alone"
 	@echo "make lock       new requirements.lock (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
@@ -95,6 +96,10 @@ designs: $(READY)
 	$(BIN)/los-testbed design all --nominal --effort short --output build/designs_nominal || true
 	cp build/designs_nominal/k_fsm.json los_estimator/designs/k_fsm_implemented_nominal.json
 	cp build/designs_nominal/k_pma.json fsm_pma_controller/designs/k_pma_implemented_nominal.json
+
+site: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/python docs/site/check_links.py build/site
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
