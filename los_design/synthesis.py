@@ -44,7 +44,7 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=20)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500)
-EFFORT = Effort(rounds=15, points=30, first=60, iterations=24, quick=QUICK, thorough=THOROUGH)
+EFFORT = Effort(rounds=24, points=30, first=60, iterations=24, quick=QUICK, thorough=THOROUGH)
 SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12)
 SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, quick=SHORT_SEARCH, thorough=SHORT_SEARCH)
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, quick=None, thorough=None)
