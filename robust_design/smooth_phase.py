@@ -23,12 +23,13 @@ from robust_design.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective
 FloatArray = NDArray[np.float64]
 
 POWERS = (40.0, 150.0, 600.0)
+WORTH = (1e-2, 3e-3, 1e-3)  # relative decrease by a round at each power that is worth another one
 STEPS, MIN_STEPS = 12, 3  # of a round
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 RESTORING_STEPS = 6  # of a round that lowers hard values alone
 MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
 MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
-TOLERANCE = 1e-3  # decrease of the logarithm that is worth another round
+TOLERANCE = 1e-3  # relative increase by a round that asks for a shorter one
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
 FEASIBLE = 1e-6  # excess over 1 that a hard value may have
 
@@ -125,11 +126,11 @@ class _Rounds:
                 penalty = penalty * MORE_PENALTY if excess > 0.5 * HARD_MARGIN else penalty
             new = self._restored(new)
             lower = new.better_than(self.point)
-            if lower and new.better_than(self.point, TOLERANCE):
+            if lower and new.better_than(self.point, WORTH[stage]):
                 self.point, steps = new, STEPS
             elif lower:
                 self.point, stage = new, stage + 1
-            elif steps > MIN_STEPS and self.point.better_than(new, TOLERANCE):
+            elif stage == len(POWERS) - 1 and steps > MIN_STEPS and self.point.better_than(new, TOLERANCE):
                 steps = max(MIN_STEPS, steps // 2)
             else:
                 stage, steps = stage + 1, STEPS
@@ -159,8 +160,8 @@ class _Rounds:
             start.x,
             objective.metric(start.x),
             steps=steps,
-            tolerance=TOLERANCE / 10.0,
-            floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
+            tolerance=WORTH[-1] / 10.0,
+            floor=float(np.log(HARD_TARGET if restoring else NEGLIGIBLE * max(start.soft, 1e-290))),
             renewed=objective.metric if power == POWERS[0] else None,
             stop=lambda: time.monotonic() > self._deadline,
         )
