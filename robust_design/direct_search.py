@@ -54,6 +54,8 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
     for _ in range(CYCLES):
         before = run.point
         run.descend(POLISHING_STEPS, POLISHING_TOLERANCE)
+        if run.late():
+            break
         run.smooth()
         if not run.point.better_than(before, VISIBLE):
             break
@@ -83,7 +85,7 @@ class _Direct:
             steps=STABILISING_STEPS,
             tolerance=1e-9,
             floor=target,
-            stop=self._late,
+            stop=self.late,
         )
         if self._problem.abscissa(found.x) < -self._problem.min_decay:
             return found.x
@@ -110,14 +112,14 @@ class _Direct:
             return
         floor = max(LEAST_LOG, float(np.log(max(self._limits.target, 1e-300))))
         found = quasi_newton(
-            self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self._late
+            self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
         )
         self._take(point_at(self._problem, found.x))
 
     def result(self) -> StartResult:
         """The best point so far."""
         point, target = self.point, self._limits.target
-        status = TuningStatus.OUT_OF_TIME if self._late() else TuningStatus.ITERATIONS
+        status = TuningStatus.OUT_OF_TIME if self.late() else TuningStatus.ITERATIONS
         status = TuningStatus.TARGET if point.soft < target else status
         count = self._evaluations + self._value.evaluations
         return StartResult(status, point.x, point.soft, point.hard, point.found.abscissa, np.inf, count, 0)
@@ -126,5 +128,6 @@ class _Direct:
         if point.better_than(self.point):
             self.point = point
 
-    def _late(self) -> bool:
+    def late(self) -> bool:
+        """The time is used up."""
         return time.monotonic() > self._limits.deadline

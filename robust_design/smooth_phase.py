@@ -8,6 +8,7 @@ the grid had missed are added and the round is repeated from the last point, sho
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,9 +74,20 @@ class SmoothPhase:
     rounds: int
 
 
-def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> SmoothPhase:
-    """Lower the largest values from the stable point `x` (size,) with at most about this number of evaluations."""
-    rounds = _Rounds(problem, x, evaluations, deadline, target)
+def smooth_phase(
+    problem: Problem,
+    x: FloatArray,
+    evaluations: int,
+    deadline: float,
+    target: float,
+    *,
+    report: Callable[[Point, int], bool] = lambda point, used: True,
+) -> SmoothPhase:
+    """Lower the largest values from the stable point `x` (size,) with at most about this number of evaluations.
+
+    `report` is told the best point and the evaluations after each round on the soft values; False ends the phase.
+    """
+    rounds = _Rounds(problem, x, evaluations, deadline, target, report)
     while not rounds.point.feasible and rounds.left:
         if not rounds.restore():
             break
@@ -87,8 +99,17 @@ def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: fl
 class _Rounds:
     """The point so far, the frequencies that the grid had missed, and what has been spent."""
 
-    def __init__(self, problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        x: FloatArray,
+        evaluations: int,
+        deadline: float,
+        target: float,
+        report: Callable[[Point, int], bool],
+    ) -> None:
         self._problem, self._evaluations, self._deadline, self._target = problem, evaluations, deadline, target
+        self._report = report
         self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
         self.point = point_at(problem, x)
         self._quick = len(problem.models) > 1 and len(problem.h2) > 0 and same_h2(problem, self.point.found)
@@ -134,6 +155,8 @@ class _Rounds:
                 steps = max(MIN_STEPS, steps // 2)
             else:
                 stage, steps = stage + 1, STEPS
+            if not self._report(self.point, self.used):
+                break
 
     def _restored(self, new: Point) -> Point:
         """A stable point that violates hard requirements, brought back to feasible ones if its soft value is lower."""

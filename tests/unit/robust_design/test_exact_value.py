@@ -168,8 +168,7 @@ def test_controller_response_with_and_without_a_basis_of_eigenvectors(defect: fl
     assert not found[3].any()
 
 
-def test_unused_norm_is_consistent() -> None:
-    """The value of a static loop is the norm of its direct path."""
+def test_without_feedback_the_value_is_the_norm_of_the_plant() -> None:
     model = plant(4)
     problem = Problem([model], [HinfGain("w", "z")], state_space([Y], [U], 0))
     value, _ = ExactValue(problem)(np.zeros(6))
