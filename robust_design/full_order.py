@@ -27,6 +27,7 @@ sl: Any = scipy.linalg
 
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
+MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
 LEVELS, ABOVE = 12, 1.1  # bisections of the H-infinity level; level used over the lowest one found
 MAX_REQUIREMENTS = 2
 
@@ -100,7 +101,7 @@ def _lqg(plant: ExtendedPlant) -> Estimator | None:
     try:
         X = sl.solve_continuous_are(plant.A, plant.B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
         Y = sl.solve_continuous_are(plant.A.T, plant.C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
-    except (np.linalg.LinAlgError, ValueError):
+    except (sl.LinAlgError, ValueError):
         return None
     F = -sl.solve(D12.T @ D12, plant.B2.T @ X + D12.T @ C1)
     L = -sl.solve(D21 @ D21.T, plant.C2 @ Y + D21 @ B1.T).T
@@ -137,7 +138,7 @@ def _central(plant: ExtendedPlant, level: float) -> Estimator | None:
     try:
         X = sl.solve_continuous_are(plant.A, B, C1.T @ C1, R, s=C1.T @ D1)
         Y = sl.solve_continuous_are(plant.A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
-    except (np.linalg.LinAlgError, ValueError):
+    except (sl.LinAlgError, ValueError):
         return None
     product = X @ Y / level**2
     least = min(float(sl.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
@@ -187,7 +188,8 @@ def _parameters(
     if len(A):
         poles, V = sl.eig(A)
         V, blocks = sl.cdf2rdf(poles, V)[::-1]
-        if np.linalg.cond(V) < 1e8:
+        values = sl.svdvals(V)
+        if values[0] < MAX_CONDITION * values[-1]:
             forms.append((blocks, sl.solve(V, B), C @ V))
     return next((x for form in forms if (x := _taken(structure, *form, D)) is not None), None)
 

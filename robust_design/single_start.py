@@ -182,6 +182,7 @@ def _random_directions(
 
 
 def unstable(stable: Descent, steps: int) -> StartResult:
+    """Result of a start that stabilised no loop."""
     status = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}.get(
         stable.reason, TuningStatus.NOT_STABILISED
     )
