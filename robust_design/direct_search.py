@@ -17,7 +17,7 @@ from robust_design.metric import Metric
 from robust_design.problem import Problem
 from robust_design.quasi_newton import quasi_newton
 from robust_design.single_start import StartResult, stabilise, unstable
-from robust_design.smooth_phase import Point, point_at, smooth_phase
+from robust_design.smooth_phase import NEGLIGIBLE, Point, point_at, smooth_phase
 from robust_design.starts import Start
 from robust_design.status import TuningStatus
 
@@ -28,7 +28,7 @@ SMOOTH_EVALUATIONS = 120
 SCREENING_STEPS, POLISHING_STEPS = 120, 1000
 SCREENING_TOLERANCE, POLISHING_TOLERANCE = 1e-5, 1e-7  # of the logarithm
 CYCLES, VISIBLE = 4, 1e-4
-LEAST_LOG = np.log(1e-12)
+SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
 
 def direct_screen(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
@@ -62,6 +62,16 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
     return run.result()
 
 
+def negligible_value(problem: Problem) -> float:
+    """Value that counts as zero: the infimum is zero and only approached."""
+    parts = [
+        float(np.quantile(np.sqrt(np.sum(np.abs(P11) ** 2, axis=(1, 2))), SCALE))
+        for loop in problem.gains
+        for P11 in loop.grid.P11.values()
+    ]
+    return max(NEGLIGIBLE * max(parts, default=1.0), 1e-290)
+
+
 class _Direct:
     """The best point of a start, by its exact values."""
 
@@ -71,7 +81,7 @@ class _Direct:
         size = problem.structure.size
         self._metric = Metric(np.eye(size), np.eye(size))
         self.point: Point
-        self._evaluations = 0
+        self._evaluations, self._floor = 0, negligible_value(problem)
 
     def stabilised(self, x: FloatArray, seed: int) -> FloatArray | StartResult:
         """A stable point, or the result of a start that found none."""
@@ -100,9 +110,10 @@ class _Direct:
 
     def smooth(self) -> None:
         """A smooth phase."""
-        found = smooth_phase(
-            self._problem, self.point.x, SMOOTH_EVALUATIONS, self._limits.deadline, self._limits.target
-        )
+        target = max(self._limits.target, self._floor)
+        if self.point.soft <= target:
+            return
+        found = smooth_phase(self._problem, self.point.x, SMOOTH_EVALUATIONS, self._limits.deadline, target)
         self._evaluations += found.evaluations
         self._take(found.point)
 
@@ -110,7 +121,7 @@ class _Direct:
         """Quasi-Newton on the exact value."""
         if not np.isfinite(self._value(self.point.x)[0]):
             return
-        floor = max(LEAST_LOG, float(np.log(max(self._limits.target, 1e-300))))
+        floor = float(np.log(max(self._limits.target, self._floor)))
         found = quasi_newton(
             self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
         )

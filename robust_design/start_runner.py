@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from lti.progress import Progress
 from lti.threads import one_thread
 from robust_design.descent import DescentOptions
-from robust_design.direct_search import direct_polish, direct_screen
+from robust_design.direct_search import direct_polish, direct_screen, negligible_value
 from robust_design.exact_value import ExactValue
 from robust_design.problem import Problem
 from robust_design.single_start import StartResult, screen, tune_from
-from robust_design.smooth_phase import NEGLIGIBLE
 from robust_design.starts import Start
 from robust_design.status import TuningStatus
 
@@ -32,6 +31,7 @@ Work = Callable[[Problem, Start, DescentOptions, float], StartResult]
 
 CARRIED = 6  # starts of a batch that are carried on after the screening; no more batches than one with so few starts
 MAX_BATCHES = 20
+VANISHING = 10.0  # times the value that counts as zero: below it the infimum is zero, and only approached
 PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of the best point
 BETTER = 1e-4  # relative decrease that counts as something better
 SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
@@ -97,15 +97,9 @@ def run_starts(
         if few or (number and fruitless):
             break
     unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
-    if unfinished and batches > 1 and not _vanishing(runner.results):
+    if unfinished and batches > 1 and runner.best.soft > VANISHING * negligible_value(problem):
         runner.run(_full, [Start(0, runner.best.x)])
     return Search(tuple(runner.results), runner.complete)
-
-
-def _vanishing(results: Sequence[StartResult]) -> bool:
-    """Whether the infimum is zero, and only approached."""
-    values = [run.soft for run in results if np.isfinite(run.soft)]
-    return bool(values) and min(values) <= NEGLIGIBLE * max(values)
 
 
 def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
