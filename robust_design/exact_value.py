@@ -72,11 +72,17 @@ class ExactValue:
             return False
         weights = [w for r in problem.requirements if isinstance(r, HinfGain) for w in (r.weight_in, r.weight_out) if w]
         extra = max((w.order for w in weights), default=0) * 2
-        return all(problem.order(k) + extra <= MAX_ORDER for k in range(len(problem.models)))
+        return all(0 < problem.order(k) <= MAX_ORDER - extra for k in range(len(problem.models)))
 
     def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient (size,); infinite and zero outside the domain."""
         self.evaluations += 1
+        try:
+            return self._evaluated(x)
+        except (ValueError, ArithmeticError):  # matrices near overflow
+            return OUTSIDE, np.zeros(len(x))
+
+    def _evaluated(self, x: FloatArray) -> tuple[float, FloatArray]:
         K = self._structure.gain_matrix(x)
         best, at = 0.0, None
         for k, plant in enumerate(self._plants):

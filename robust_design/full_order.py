@@ -9,6 +9,7 @@ it exists, D11 left out. With the state estimate as its state a controller is
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,12 +53,22 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
         return []
     found = []
     for plant in _plants(problem):
-        for estimator in (_lqg(plant), _hinf(plant)):
-            reduced = None if estimator is None else _reduced(estimator, plant, structure.order)
-            x = None if reduced is None else _parameters(structure, *reduced)
+        for synthesis in (_lqg, _hinf):
+            x = _start(synthesis, plant, structure)
             if x is not None and np.all(np.isfinite(x)):
                 found.append(x)
     return found
+
+
+def _start(
+    synthesis: Callable[[ExtendedPlant], Estimator | None], plant: ExtendedPlant, structure: AffineStructure
+) -> FloatArray | None:
+    try:
+        estimator = synthesis(plant)
+        reduced = None if estimator is None else _reduced(estimator, plant, structure.order)
+        return None if reduced is None else _parameters(structure, *reduced)
+    except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
+        return None
 
 
 def _plants(problem: Problem) -> list[ExtendedPlant]:
