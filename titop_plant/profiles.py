@@ -56,11 +56,12 @@ class Profile:
 
     def angle(self, time: ArrayLike) -> FloatArray:
         """Array angle [rad]."""
-        return np.asarray(np.interp(time, self.time, self.theta))
+        return np.asarray(np.interp(np.asarray(time, dtype=float), self.time, self.theta))
 
     def speeds(self, time: ArrayLike) -> FloatArray:
         """Wheel speeds [rad/s], shape (..., 4)."""
-        return np.stack([np.interp(time, self.time, column) for column in self.speed.T], axis=-1)
+        t = np.asarray(time, dtype=float)
+        return np.stack([np.interp(t, self.time, column) for column in self.speed.T], axis=-1)
 
     def turned(self, time: ArrayLike) -> FloatArray:
         """Angle through which each wheel has turned since time 0 [rad], shape (..., 4)."""
@@ -80,7 +81,8 @@ class Profile:
 
     def table(self) -> list[list[float]]:
         """Knots as rows in the order of :data:`COLUMNS`."""
-        return np.column_stack([self.time, self.theta, self.speed]).tolist()
+        table: list[list[float]] = np.column_stack([self.time, self.theta, self.speed]).tolist()
+        return table
 
 
 def linear_profile(theta: float, rate: float, speed: ArrayLike, acceleration: ArrayLike, duration: float) -> Profile:

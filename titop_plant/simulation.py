@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -298,7 +299,7 @@ def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
 
 
 def _hash(config: PlantConfig, parameters: Parameters) -> str:
-    content = [parameters_hash(parameters), asdict(config)]
+    content: list[Any] = [parameters_hash(parameters), asdict(config)]
     if config.ramps:
         content.append(motion(config, parameters).table())
     text = json.dumps(content, sort_keys=True)

@@ -25,7 +25,7 @@ from los_testbed.config import RunConfig
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
-FORMAT = 1
+FORMAT = 2
 CHUNK = {"time": 10, "model": 100}
 """Members of a chunk, which is what one task computes and one file holds."""
 

@@ -197,11 +197,13 @@ class ModelDepth:
             return _exact_noise(self.system, self.parameters, self.controllers, self.stage, values)
         change = _noise_density(T, self.model.K[index], self.sigma) - self.nominal[index]
         omega = self.model.omega[index]
-        powers = [
-            reference**2 + DT / np.pi * float(np.trapezoid(change * weight, omega))
-            for reference, weight in zip(self.noise, (1.0, self.seen[index] ** 2))
-        ]
-        plain, relative = (float(np.sqrt(max(power, 0.0))) for power in powers)
+        width = np.diff(omega)
+
+        def power(reference: float, density: FloatArray) -> float:
+            return reference**2 + DT / np.pi * float(np.sum(0.5 * (density[1:] + density[:-1]) * width))
+
+        powers = power(self.noise[0], change), power(self.noise[1], change * self.seen[index] ** 2)
+        plain, relative = (float(np.sqrt(max(value, 0.0))) for value in powers)
         return plain, relative
 
 

@@ -19,8 +19,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
-from scipy import linalg
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop
 from lti import SampledSystem, UncertainSystem
@@ -29,6 +29,7 @@ from titop_plant.telescope.parameters import Parameters, parameter_corners
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.intp]
+linalg: Any = scipy.linalg
 
 LOWEST = 1e-2
 COARSE = 1.1
@@ -198,7 +199,7 @@ class ModelLoop:
         """Points of the grid at and beside the lightly damped modes of a member, and the coarse ones."""
         near = np.searchsorted(self._middle, self.modes.light(W).imag)
         beside = (near[:, None] + BESIDE).ravel()
-        return np.unique(np.concatenate([self.coarse, np.clip(beside, 0, self.omega.size - 1)]))
+        return np.asarray(np.unique(np.concatenate([self.coarse, np.clip(beside, 0, self.omega.size - 1)])))
 
     @cached_property
     def _middle(self) -> FloatArray:

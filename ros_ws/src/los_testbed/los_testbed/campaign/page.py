@@ -96,7 +96,7 @@ def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Pic
 
 def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
     finite = metric[np.isfinite(metric)]
-    levels = np.linspace(0.0, 1.1 * max([float(finite.max()), *limits]), LEVELS)
+    levels = np.asarray(np.linspace(0.0, 1.1 * max([float(finite.max()), *limits]), LEVELS), dtype=float)
     share, bound = yield_curve(metric, levels)
 
     def draw(figure: Figure) -> None:

@@ -119,7 +119,7 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
         found += [
             _decided("ensemble", *common, int(np.sum(worst >= limit)), len(worst), _quantile(worst, requirement)),
             _temporal(requirement, limit, unit, own),
-            _decided("mixed", *common, math.ceil(pooled * effective.sum()), int(effective.sum()),
+            _decided("mixed", *common, math.ceil(pooled * effective.sum() - 1e-6), int(effective.sum()),
                      _quantile(own, requirement, mean=True)),
         ]  # fmt: skip
     return found
