@@ -20,7 +20,7 @@ help:
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
-	@echo "make docs       figures and tables of README.md and docs/ from the model and the stored designs"
+	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
 	@echo "make lint       style and types alone"
 	@echo "make lock       new requirements.lock (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
@@ -81,7 +81,10 @@ docs: $(READY)
 	$(BIN)/los-testbed design table --json | $(BIN)/python docs/fill_tables.py gammas
 	folder=$$(mktemp -d) && $(BIN)/los-testbed stages --output $$folder/stages \
 	    && $(BIN)/python docs/fill_tables.py stages < $$folder/stages/stages.md \
-	    && $(BIN)/python docs/fill_tables.py prediction < $$folder/stages/stages.md && rm -r $$folder
+	    && $(BIN)/python docs/fill_tables.py prediction < $$folder/stages/stages.md \
+	    && $(BIN)/python docs/fill_tables.py worst_case < $$folder/stages/stages.md \
+	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --no-report --output $$folder/run > $$folder/run.txt \
+	    && $(BIN)/python docs/fill_tables.py run < $$folder/run.txt && rm -r $$folder
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv

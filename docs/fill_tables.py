@@ -1,11 +1,14 @@
-"""Write a table of README.md between its markers, from the output of a command.
+"""Write a table of docs/results.md or README.md between its markers, from the output of a command.
 
     los-testbed design table --json | python docs/fill_tables.py gammas
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
     python docs/fill_tables.py prediction < FOLDER/stages.md
+    python docs/fill_tables.py worst_case < FOLDER/stages.md
+    COLUMNS=100 los-testbed run --mode inprocess --output FOLDER --no-report | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
-the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled.
+the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
+docs/results.md, as ``gammas`` is. README.md has ``worst_case``, one row a stage, and ``run``, the output of a command.
 """
 
 from __future__ import annotations
@@ -17,7 +20,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-PAGE = Path(__file__).parents[1] / "README.md"
+DOCS = Path(__file__).parent
+PAGES = dict.fromkeys(("gammas", "stages", "prediction"), DOCS / "results.md")
+PAGES |= dict.fromkeys(("worst_case", "run"), DOCS.parent / "README.md")
+TONES = ("APE", "RPE, slow", "RPE, fast")
+"""Rows of a stage in the table of worst cases."""
 COLUMNS = ("APE", "RPE", "mirror", "force", "noise -> APE", "noise -> RPE")
 PUBLISHED = {"k-fsm": ("APE", "RPE", "mirror"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
 DESIGNS = {"k-fsm": "K_FSM", "k-pma": "K_PMA"}
@@ -74,6 +81,46 @@ def parts(text: str, heading: str) -> list[str]:
     return [f"{block}\n\n{blocks[i + 1]}" for i, block in enumerate(blocks[:-1]) if block.startswith(heading)]
 
 
+def worst_case(text: str) -> str:
+    """One row a stage of the scenario of worst cases: error by tone and noise, and the limits that it keeps.
+
+    Examples
+    --------
+    >>> head = "| stage | worst tone | with noise, 99.7 % | limits |\\n|---|---|---:|---:|\\n"
+    >>> rows = [f"| fsm | {tone} | 9 mas | keeps 10 |" for tone in TONES]
+    >>> print(worst_case("**Scenario `worst_case`**\\n\\n" + head + "\\n".join(rows)))
+    | stage | APE | RPE, slow tone | RPE, fast tone |
+    | --- | ---: | ---: | ---: |
+    | fsm | 9 mas, keeps 10 | 9 mas, keeps 10 | 9 mas, keeps 10 |
+    """
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in parts(text, "**Scenario `worst_case`")[0]
+             .splitlines() if line.startswith("|")]  # fmt: skip
+    head, rows = lines[0], [dict(zip(lines[0], line)) for line in lines[2:]]
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        found.setdefault(row[head[0]], []).append(f"{row['with noise, 99.7 %']}, {row['limits']}")
+    return markdown(
+        ["stage", *(tone.replace("slow", "slow tone").replace("fast", "fast tone") for tone in TONES)],
+        [[stage, *cells] for stage, cells in found.items()],
+    )
+
+
+def screen(text: str) -> str:
+    """Output of a command as a block of code; the paths of its bag and report are those of the example.
+
+    Examples
+    --------
+    >>> print(screen("a table\\nbag     /tmp/x\\n"))
+    ```text
+    a table
+    bag     bags/20261120-120000
+    ```
+    """
+    lines = [line.rstrip() for line in text.strip("\n").splitlines()]
+    lines = ["bag     bags/20261120-120000" if line.startswith("bag  ") else line for line in lines]
+    return "\n".join(["```text", *lines, "```"])
+
+
 def table_of(name: str, text: str) -> str:
     """Text for the markers `name`.
 
@@ -84,9 +131,13 @@ def table_of(name: str, text: str) -> str:
     """
     if name == "gammas":
         return gammas(json.loads(text))
+    if name == "run" and "verdict" in text:
+        return screen(text)
+    if name == "worst_case" and parts(text, "**Scenario `worst_case`"):
+        return worst_case(text)
     chosen = {"stages": "**Scenario", "prediction": "Transmissibility"}
     if name not in chosen:
-        raise ValueError(f"name must be gammas, {' or '.join(chosen)}, got {name!r}")
+        raise ValueError(f"name must be one of {', '.join(PAGES)} with an input of its kind, got {name!r}")
     found = parts(text, chosen[name])
     if not found:
         raise ValueError(f"input must be stages.md with a paragraph that begins with {chosen[name]!r}, got none")
@@ -117,12 +168,13 @@ def filled(page: str, name: str, table: str) -> str:
 def main() -> int:
     """Read JSON from the standard input, write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="gammas, stages or prediction")
-    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("name", help=", ".join(PAGES))
+    parser.add_argument("--page", type=Path, help="page with the markers (default: the one that has them)")
     given = parser.parse_args()
     try:
         table = table_of(given.name, sys.stdin.read())
-        given.page.write_text(filled(given.page.read_text("utf-8"), given.name, table), "utf-8")
+        page = given.page or PAGES[given.name]
+        page.write_text(filled(page.read_text("utf-8"), given.name, table), "utf-8")
     except (OSError, KeyError, ValueError) as error:
         sys.stderr.write(f"fill_tables: {error}\n")
         return 2

@@ -10,13 +10,18 @@ integrated autocorrelation time :math:`\tau_{int}` (Sokal 1997) estimated from t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, special
 
+from pointing_analysis.mapped_arrays import SortedValues, by_parts, parts, present, release
+
 Floats = NDArray[np.float64]
+LAGS = 1 << 18
+"""Lags of an autocorrelation that are formed at a time."""
 SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
 
 
@@ -101,34 +106,48 @@ def autocorrelation_time(values: ArrayLike) -> float:
     >>> 9 < autocorrelation_time(lfilter([1], [1, -0.9], white)) < 10
     True
     """
-    x = np.asarray(values, dtype=float)
-    x = x[~np.isnan(x)]
+    x = present(np.asarray(values, dtype=float))
     n = int(x.size)
     if n < 4:
         return 0.5
-    largest = float(np.abs(x).max())
-    x = x - x.mean()
-    power = float(x @ x)
+    largest = max(float(np.abs(x[part]).max()) for part in parts(n))
+    mean = sum(float(x[part].sum()) for part in parts(n)) / n
+    x = by_parts(lambda rows: rows - mean, x)
+    power = sum(float(x[part] @ x[part]) for part in parts(n))
     # A constant: one value said n times. Rounding noise about it must not pass for information.
     if power <= n * (1e-14 * largest) ** 2:
         return n / 2
-    size = fft.next_fast_len(2 * n, real=True)
-    spectrum = fft.rfft(x, size)
-    rho = fft.irfft(np.abs(spectrum) ** 2, size)[:n] / power
-    tau = np.cumsum(rho) - 0.5
-    lags = np.arange(n)
-    found = np.flatnonzero(lags >= SOKAL_WINDOW * np.maximum(tau, 0.5))
-    if not found.size:
-        return n / 2
-    # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back.
-    lag = int(found[0])
-    return float(min(max(tau[lag], 0.5) * (1 + (2 * lag + 1) / n), n / 2))
+    total = -0.5
+    for first, products in _autocorrelation(x):
+        tau = total + np.cumsum(products / power)
+        total = float(tau[-1])
+        found = np.flatnonzero(first + np.arange(tau.size) >= SOKAL_WINDOW * np.maximum(tau, 0.5))
+        if found.size:
+            # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back.
+            lag = first + int(found[0])
+            return float(min(max(tau[found[0]], 0.5) * (1 + (2 * lag + 1) / n), n / 2))
+    return n / 2
+
+
+def _autocorrelation(x: Floats) -> Iterator[tuple[int, Floats]]:
+    """Sums of x[i] x[i + lag] over i, by lag: some lags at a time, with the first of them."""
+    n = len(x)
+    block = min(n, LAGS)
+    size = fft.next_fast_len(2 * block, real=True)
+    for first in range(0, n, block):
+        total = np.zeros(min(block, n - first))
+        for begin in range(0, n - first, block):
+            own, later = x[begin : begin + block], x[begin + first : begin + first + 2 * block]
+            product = fft.rfft(later, size) * np.conj(fft.rfft(own, size))
+            total += fft.irfft(product, size)[: total.size]
+            release()
+        yield first, total
 
 
 def effective_number(values: ArrayLike) -> float:
     r"""Number of independent samples that weigh as much as these: :math:`N/(2\tau_{int})`, between 1 and N."""
     x = np.asarray(values, dtype=float)
-    n = int((~np.isnan(x)).sum())
+    n = sum(int((~np.isnan(x[part])).sum()) for part in parts(len(x)))
     return max(1.0, n / (2 * autocorrelation_time(x))) if n else 0.0
 
 
@@ -188,13 +207,13 @@ def quantile(
     [inf, 997.0]
     """
     p, c = _probability(probability), _probability(confidence)
-    x = np.sort(np.asarray(values, dtype=float))
-    x = x[~np.isnan(x)]
+    x = SortedValues(np.asarray(values, dtype=float))
     if not x.size:
         return Quantile(p, c, math.nan, math.nan, math.inf, 0.0)
     n_eff = effective_number(values) if effective is None else min(effective, x.size)
     n = max(int(n_eff), 1)
     up, low = _upper_rank(n, p, c), _lower_rank(n, p, c)
-    upper = float(x[min(math.ceil(up * x.size / n), x.size) - 1]) if up <= n else math.inf
-    lower = float(x[max(math.floor((low - 1) * x.size / n), 0)]) if low >= 1 else float(x[0])
-    return Quantile(p, c, float(np.quantile(x, p)), lower, upper, float(n_eff))
+    upper_rank = min(math.ceil(up * x.size / n), x.size) - 1
+    lower_rank = max(math.floor((low - 1) * x.size / n), 0) if low >= 1 else 0
+    lower, upper = x.at([lower_rank, min(upper_rank, x.size - 1)]).tolist()
+    return Quantile(p, c, x.quantile(p), lower, upper if up <= n else math.inf, float(n_eff))

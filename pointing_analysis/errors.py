@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.recording import Recording
 from pointing_analysis.telescope_values import telescope_value
@@ -44,7 +45,7 @@ class ErrorSeries:
     @property
     def time(self) -> Floats:
         """(n,) seconds after the first sample of the run."""
-        return np.asarray(self.start + self.dt * np.arange(len(self.values)), dtype=np.float64)
+        return rows_made(len(self.values), lambda row: self.start + self.dt * row)
 
     @property
     def duration(self) -> float:
@@ -79,8 +80,8 @@ def _drop(values: Floats, dt: float, transient: float, path: object, open_end: b
         raise BagError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
-    rest = np.array(values[first:, :2])
-    missing = int(np.isnan(rest).any(axis=1).sum())
+    rest = by_parts(np.array, values[first:, :2])
+    missing = sum(int(np.isnan(rest[part]).any(axis=1).sum()) for part in parts(len(rest)))
     if missing == len(rest):
         raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
     return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
@@ -149,10 +150,13 @@ def knowledge_error_of(
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
     grid, dt = on_grid(truth)
     gain = telescope_value(run, "los_sensitivity")
-    full = np.full((len(grid), 2), np.nan)
+    full = empty((len(grid), 2))
+    for part in parts(len(full)):
+        full[part] = np.nan
     step = round(dt * 1e9)
-    common, rows, columns = np.intersect1d(stamp, angle.stamp, assume_unique=True, return_indices=True)
-    index, rest = np.divmod(common - truth.grid_start, step)
-    fits = (rest == 0) & (index >= 0) & (index < len(grid))
-    full[index[fits]] = estimate[rows[fits], :2] + gain * angle.values[columns[fits], :2]
-    return _drop(full - grid[:, :2], dt, transient_of(run, transient, dt * len(grid)), run.path, truth.open_end)
+    for rows, columns in common_rows(stamp, angle.stamp):
+        index, rest = np.divmod(stamp[rows] - truth.grid_start, step)
+        fits = (rest == 0) & (index >= 0) & (index < len(grid))
+        index, rows, columns = index[fits], rows[fits], columns[fits]
+        full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
+    return _drop(full, dt, transient_of(run, transient, dt * len(grid)), run.path, truth.open_end)

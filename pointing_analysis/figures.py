@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis import metrics, weights
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
+from pointing_analysis.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.recording import Recording
 from pointing_analysis.spectra import Line, Spectrum
 
@@ -90,11 +91,22 @@ def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, F
     if n < 3:
         return time, values
     m = len(values) // n
-    blocks = values[: m * n].reshape(m, n)
-    low = np.fmin.reduce(blocks, axis=1)
-    high = np.fmax.reduce(blocks, axis=1)
-    t = time[: m * n : n]
+    low, high = np.empty(m), np.empty(m)
+    for i in range(m):
+        low[i], high[i] = (reduce(values[i * n : i * n + n]) for reduce in (np.fmin.reduce, np.fmax.reduce))
+        release()
+    t = np.array(time[: m * n : n])
     return np.repeat(t, 2), np.column_stack([low, high]).ravel()
+
+
+def _greatest(values: Floats) -> float:
+    """Largest value, NaN left out."""
+    return float(np.nanmax([np.fmax.reduce(values[part]) for part in parts(len(values))]))
+
+
+def _largest(view: RunView) -> float:
+    """Largest error of a run [rad], norm of both axes."""
+    return _greatest(metrics.radial(view.series.values))
 
 
 def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
@@ -133,8 +145,9 @@ def time_history(views: Sequence[RunView]) -> Picture:
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), sharex=True)
         for axis, view in zip(axes, views):
+            arcsec = by_parts(lambda rows: rows / RAD_PER_ARCSEC, view.series.values)
             for i, name in enumerate(metrics.AXES):
-                t, y = envelope(view.series.time, view.series.values[:, i] / RAD_PER_ARCSEC)
+                t, y = envelope(view.series.time, arcsec[:, i])
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
             axis.set_title(view.label)
             axis.set_ylabel("LOS error [arcsec]")
@@ -142,7 +155,7 @@ def time_history(views: Sequence[RunView]) -> Picture:
         axes[-1].set_xlabel("time [s]")
 
     alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
-        f"{v.label} reaches {np.nanmax(metrics.radial(v.series.values)) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
+        f"{v.label} reaches {_largest(v) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
     )
     return picture("time", "Line of sight over time", alt, 1.2 + 1.5 * len(views), draw)
 
@@ -153,12 +166,13 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), columns=min(2, len(views)))
         for axis, view in zip(axes, views):
-            arcsec = float(np.nanmax(metrics.radial(view.series.values))) / RAD_PER_ARCSEC
+            arcsec = _largest(view) / RAD_PER_ARCSEC
             unit, scale = ("arcsec", RAD_PER_ARCSEC) if arcsec >= 0.1 else ("mas", RAD_PER_MAS)
-            e = view.series.values / scale
-            step = max(1, len(e) // 3000)
+            step = max(1, len(view.series.values) // 3000)
+            e = np.array(view.series.values[::step]) / scale
+            release()
             largest = arcsec * RAD_PER_ARCSEC / scale
-            axis.plot(e[::step, 0], e[::step, 1], color=COLOURS[0], linewidth=0.5)
+            axis.plot(e[:, 0], e[:, 1], color=COLOURS[0], linewidth=0.5)
             angle = np.linspace(0, 2 * np.pi, 181)
             axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label="largest error")
             if limit is not None and limit < 4 * arcsec:
@@ -266,12 +280,11 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
             e = view.series.values
             if kind == "RPE":
                 e = metrics.rpe_instant(e, view.series.dt, view.window)
-            r = np.sort(metrics.radial(e) / scale)
-            r = r[~np.isnan(r)]
-            share = 1 - np.arange(r.size) / max(r.size, 1)
+            r = SortedValues(by_parts(lambda rows: metrics.radial(rows) / scale, e))
             # Even steps in the logarithm of the share: the tail keeps all of its points.
             pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
-            axis.loglog(r[pick], share[pick], label=view.label, **_stroke(i, len(views)))
+            pick = pick if r.size else pick[:0]
+            axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **_stroke(i, len(views)))
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
@@ -299,9 +312,9 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
             for i, name in enumerate(names):
                 topic = view.run[name]
                 columns = topic.values[:, :2] if name == "fsm/command" else topic.values
-                load = 100 * np.abs(columns).max(axis=1) / authority[name]
-                t, y = envelope(topic.time, load)
-                peak = float(np.nanmax(load))
+                size = by_parts(lambda rows: np.abs(rows).max(axis=1), columns)
+                t, y = envelope(topic.time, size)
+                y, peak = 100 * y / authority[name], 100 * _greatest(size) / authority[name]
                 peaks.append(f"{view.label} {name} peaks at {peak:.3g} %")
                 label = f"{LOADS.get(name, name)}, peak {peak:.3g} %"
                 axis.plot(t, y, color=COLOURS[i], lw=0.8, label=label)
@@ -324,22 +337,24 @@ def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> 
     data = [(name, values) for name, values in histograms if values.size]
     if not data:
         return None
+    ranked = [SortedValues(values) for _, values in data]
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
-        low = min(float(v.min()) for _, v in data)
-        high = max(float(np.quantile(v, 0.9999)) for _, v in data)
+        low = min(float(v.at(0)[0]) for v in ranked)
+        high = max(v.quantile(0.9999) for v in ranked)
         edges = np.linspace(low, max(high, low + 1), 61)
         for i, (name, values) in enumerate(data):
-            axis.hist(
-                np.minimum(values, edges[-1]), bins=edges.tolist(), histtype="step", color=COLOURS[i % 6], label=name
-            )
+            pieces = (values[part] for part in parts(len(values)))
+            counts = sum(np.histogram(np.minimum(piece, edges[-1]), bins=edges)[0] for piece in pieces)
+            axis.stairs(counts, edges, color=COLOURS[i % 6], label=name)
         axis.set_yscale("log")
         axis.set_xlabel(label)
         axis.set_ylabel("ticks")
         _legend(figure, axis)
 
     alt = f"{title}: " + "; ".join(
-        f"{name} median {np.median(v):.0f}, 99.9 % {np.quantile(v, 0.999):.0f} microseconds" for name, v in data
+        f"{name} median {v.quantile(0.5):.0f}, 99.9 % {v.quantile(0.999):.0f} microseconds"
+        for (name, _), v in zip(data, ranked)
     )
     return picture("timing-" + label.split()[0], title, alt, 3.2, draw)

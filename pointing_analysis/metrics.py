@@ -33,12 +33,14 @@ Missing samples are NaN in the input. A window that holds one is left out and co
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointing_analysis.mapped_arrays import PART, GrowingArray, by_parts, empty, release
 from pointing_analysis.topic import read_only
 
 Floats = NDArray[np.float64]
@@ -49,7 +51,7 @@ AXES = ("x", "y")
 def radial(error: ArrayLike) -> Floats:
     """Norm of the 2-vector: (n, 2) -> (n,), same unit."""
     e = _series(error)
-    return np.hypot(e[:, 0], e[:, 1])
+    return by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
 
 
 def rms(values: ArrayLike) -> Floats:
@@ -145,13 +147,25 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     e = _series(error)
     n = _fits(e, window, dt)
     m = len(e) // n
-    blocks = e[: m * n].reshape(m, n, 2)
-    mean = blocks.mean(axis=1)
-    kept = ~np.isnan(mean).any(axis=1)
-    # About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without the cancellation.
-    variance = np.square(blocks[kept] - mean[kept, None, :]).mean(axis=1)
-    start = (np.flatnonzero(kept) * n).astype(np.int64)
-    return Windows(read_only(mean[kept]), read_only(variance), read_only(start), n, int(m - kept.sum()))
+    means, variances, starts = GrowingArray(2), GrowingArray(2), GrowingArray(None, np.int64)
+    for first, blocks in _blocks(e, n):
+        mean = blocks.mean(axis=1)
+        kept = ~np.isnan(mean).any(axis=1)
+        means.append(mean[kept])
+        # About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without cancellation.
+        variances.append(np.square(blocks[kept] - mean[kept, None, :]).mean(axis=1))
+        starts.append((first + np.flatnonzero(kept)) * n)
+    mean, variance, start = (read_only(found.array()) for found in (means, variances, starts))
+    return Windows(mean, variance, start, n, m - len(start))
+
+
+def _blocks(e: Floats, n: int) -> Iterator[tuple[int, Floats]]:
+    """Disjoint windows of n samples (m, n, 2), some at a time, with the number of the first."""
+    m = len(e) // n
+    for first in range(0, m, max(PART // n, 1)):
+        last = min(first + max(PART // n, 1), m)
+        yield first, e[first * n : last * n].reshape(last - first, n, 2)
+        release()
 
 
 def rpe_rms(error: ArrayLike, dt: float, window: float) -> Floats:
@@ -190,9 +204,11 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     e = _series(error)
     n = _fits(e, window, dt)
     if position == "all":
-        m = len(e) // n
-        blocks = e[: m * n].reshape(m, n, 2)
-        return np.asarray((blocks - blocks.mean(axis=1, keepdims=True)).reshape(m * n, 2))
+        found = empty((len(e) // n * n, 2))
+        for first, blocks in _blocks(e, n):
+            rest = (blocks - blocks.mean(axis=1, keepdims=True)).reshape(-1, 2)
+            found[first * n : first * n + len(rest)] = rest
+        return found
     if position not in ("centred", "end"):
         raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
     at = n // 2 if position == "centred" else n - 1

@@ -27,7 +27,7 @@ from pointing_analysis.message_types import COLUMNS
 from pointing_analysis.topic import NANO, Topic
 from pointing_analysis.topic_columns import KNOWN, Column, decode_block
 
-MEMORY_LIMIT = 2_000_000_000
+MEMORY_LIMIT = 6_000_000_000
 
 
 def _repair_notes(table: Mapping[str, str]) -> list[str]:
@@ -88,8 +88,8 @@ class Run:
         path : rosbag2 folder or ``.mcap`` file
         namespace : which plant, when the bag holds several
         start, stop : only this part of the run [s], counted from the first recorded message by recording time
-        memory_limit : bytes that the arrays may take (None: `MEMORY_LIMIT`, 2 GB); a larger bag is read topic by topic,
-            or in parts
+        memory_limit : bytes that the arrays may take, in memory and in mapped files (None: `MEMORY_LIMIT`, 6 GB); a
+            larger bag is read topic by topic, or in parts
         max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
 
         Raises

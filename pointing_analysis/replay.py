@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis.gap_stepping import GapStepper
+from pointing_analysis.mapped_arrays import GrowingArray, by_parts, common_rows, empty, parts
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.read import Run
 from pointing_analysis.topic import NANO, read_only
@@ -102,14 +103,8 @@ class Replayed:
         return found
 
 
-def sensors(run: Run) -> Sensors:
-    """Join the sensors of a run by stamp.
-
-    Raises
-    ------
-    BagError
-        A sensor topic is missing or has another number of values.
-    """
+def _complete_ticks(run: Run) -> tuple[Stamps, int, int]:
+    """Stamps on which every sensor is there, the tick [ns], and how many ticks lack a sensor."""
     for name, columns in MEASUREMENT.items():
         if name not in run:
             raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
@@ -118,35 +113,76 @@ def sensors(run: Run) -> Sensors:
     fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
     stamp = fast[0].stamp
     for topic in fast[1:]:
-        stamp = np.intersect1d(stamp, topic.stamp, assume_unique=True)
+        stamp = _common(stamp, topic.stamp)
     if not stamp.size:
         raise BagError(f"{run.path}: the sensors must have common stamps, got none")
     camera = run["camera/los"]
     frame = round(camera.period * NANO) if len(camera) > 1 else 0
     if frame:
         # A frame that is due and not in the bag: the node never saw this tick complete, or the bag lacks the frame.
-        due = (stamp % frame == camera.stamp[0] % frame) & (stamp >= camera.stamp[0])
-        stamp = stamp[~due | np.isin(stamp, camera.stamp)]
-    measurement = np.full((len(stamp), MEASUREMENTS), np.nan)
+        kept = GrowingArray(None, np.int64)
+        for part in parts(len(stamp)):
+            ticks = stamp[part]
+            due = (ticks % frame == camera.stamp[0] % frame) & (ticks >= camera.stamp[0])
+            kept.append(ticks[~due | np.isin(ticks, camera.stamp)])
+        stamp = kept.array()
+    longest = max(len(topic) for topic in fast)
+    return read_only(stamp), round(fast[0].period * NANO), longest - len(stamp)
+
+
+def sensors(run: Run) -> Sensors:
+    """Join the sensors of a run by stamp.
+
+    Raises
+    ------
+    BagError
+        A sensor topic is missing, has another number of values, or values that are not finite (camera aside).
+    """
+    stamp, period, incomplete = _complete_ticks(run)
+    measurement = empty((len(stamp), MEASUREMENTS))
+    for part in parts(len(stamp)):
+        measurement[part] = np.nan
     for name, columns in MEASUREMENT.items():
         topic = run[name]
-        _, rows, source = np.intersect1d(stamp, topic.stamp, assume_unique=True, return_indices=True)
-        measurement[rows, columns] = topic.values[source, : columns.stop - columns.start]
-    period = round(fast[0].period * NANO)
-    longest = max(len(topic) for topic in fast)
-    return Sensors(read_only(stamp.copy()), read_only(measurement), period, longest - len(stamp))
+        for rows, source in common_rows(stamp, topic.stamp):
+            values = topic.values[source, : columns.stop - columns.start]
+            odd = ~np.isfinite(values).all(axis=1)
+            if odd.any() and columns != CAMERA:
+                seconds = (stamp[rows[odd][0]] - stamp[0]) / NANO
+                raise BagError(
+                    f"{run.path}: for a replay the samples of {name} must be finite, got {values[odd][0]} "
+                    f"{seconds:.3f} s after the first tick"
+                )
+            measurement[rows, columns] = values
+    return Sensors(stamp, read_only(measurement), period, incomplete)
+
+
+def _common(first: Stamps, second: Stamps) -> Stamps:
+    """Stamps that both have."""
+    kept = GrowingArray(None, np.int64)
+    for rows, _ in common_rows(first, second):
+        kept.append(first[rows])
+    return kept.array()
 
 
 def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
     """Rows to step on: those the node acted on, as far as the bag tells; all of them if it tells nothing."""
-    if done is None or not done.size:
-        return np.arange(len(stamp))
-    return np.flatnonzero(np.isin(stamp, done))
+    kept = GrowingArray(None, np.int64)
+    for part in parts(len(stamp)):
+        rows = np.arange(part.start, part.stop)
+        kept.append(rows if done is None or not done.size else rows[_is_in(stamp[part], done)])
+    return kept.array()
 
 
-def _gaps(stamp: Stamps, period: int) -> list[int]:
-    """Ticks missing before each one."""
-    return np.append(0, np.diff(stamp) // period - 1).tolist()  # type: ignore[no-any-return]
+def _is_in(stamp: Stamps, done: Stamps) -> NDArray[np.bool_]:
+    low, high = np.searchsorted(done, (stamp[0], stamp[-1] + 1))
+    return np.isin(stamp, done[low:high])
+
+
+def _gaps(stamp: Stamps, period: int, part: slice) -> list[int]:
+    """Ticks missing before each one of a part."""
+    steps = np.diff(stamp[max(part.start - 1, 0) : part.stop]) // period - 1
+    return ([] if part.start else [0]) + steps.tolist()  # type: ignore[no-any-return]
 
 
 def replay(
@@ -169,29 +205,47 @@ def replay(
     given = sensors(run)
     recorded = run["los_estimate"].stamp if "los_estimate" in run else None
     rows = _ticks(given.stamp, recorded)
-    stamp, measurement = given.stamp[rows], given.measurement[rows]
+    stamp = _rows_of(given.stamp, rows)
     total = 2 * len(stamp)
-    estimate = np.zeros((len(stamp), 2))
     estimator.reset()
     step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
-    for i, gap in enumerate(_gaps(stamp, given.period)):
-        step(measurement[i], gap, estimate[i])
-        if i % 1000 == 0:
-            progress(i, total)
+    estimate = _stepped(
+        lambda part: given.measurement[rows[part]], step, stamp, given.period, 2, lambda i: progress(i, total)
+    )
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
-    command_stamp = stamp[acted]
-    command = _commands(controller, estimate[acted], measurement[acted, PLATFORM], _gaps(command_stamp, given.period))
-    progress(total, total)
-    return Replayed(read_only(stamp.copy()), read_only(estimate), read_only(command_stamp.copy()), read_only(command))
-
-
-def _commands(controller: Controller, estimate: Floats, accel: Floats, gaps: list[int]) -> Floats:
-    samples, command = np.hstack([estimate, accel]), np.zeros((len(estimate), COMMANDS))
+    command_stamp = _rows_of(stamp, acted)
     controller.reset()
-    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), samples.shape[1])
-    for i, gap in enumerate(gaps):
-        step(samples[i], gap, command[i])
-    return command
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + PLATFORM.stop)
+    command = _stepped(
+        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], PLATFORM]]),
+        step, command_stamp, given.period, COMMANDS, lambda i: progress(len(stamp) + i, total),
+    )  # fmt: skip
+    progress(total, total)
+    return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command))
+
+
+def _rows_of(stamp: Stamps, rows: NDArray[np.int64]) -> Stamps:
+    return by_parts(lambda part: stamp[part], rows, dtype=np.int64)
+
+
+def _stepped(
+    samples: Callable[[slice], Floats],
+    step: Callable[[Floats, int, Floats], None],
+    stamp: Stamps,
+    period: int,
+    width: int,
+    progress: Callable[[int], None],
+) -> Floats:
+    """Outputs (n, width) of a block that is stepped on samples, which are made part by part."""
+    outputs = empty((len(stamp), width))
+    for part in parts(len(stamp)):
+        given, out = samples(part), np.zeros((part.stop - part.start, width))
+        for i, gap in enumerate(_gaps(stamp, period, part)):
+            step(given[i], gap, out[i])
+            if i % 1000 == 0:
+                progress(part.start + i)
+        outputs[part] = out
+    return outputs
 
 
 @dataclass(frozen=True)
@@ -260,13 +314,15 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
         if name not in run or not len(run[name]):
             continue
         topic = run[name]
-        _, i, j = np.intersect1d(stamp, topic.stamp, assume_unique=True, return_indices=True)
-        a = np.ascontiguousarray(values[i])
-        b = np.ascontiguousarray(topic.values[j, : values.shape[1]])
-        wrong = np.any(a.view(np.int64) != b.view(np.int64), axis=1)
-        where = np.flatnonzero(wrong)
-        first = float((topic.stamp[j[where[0]]] - topic.stamp[0]) / NANO) if where.size else None
-        largest = float(np.nanmax(np.abs(a - b))) if len(a) else 0.0
-        lone = len(stamp) + len(topic) - 2 * len(i)
-        found.append(Difference(name, len(i), int(wrong.sum()), lone, first, largest))
-    return Comparison(tuple(found), sensors(run).incomplete)
+        compared, wrong, largest, first = 0, 0, 0.0, None
+        for i, j in common_rows(stamp, topic.stamp):
+            a = np.ascontiguousarray(values[i])
+            b = np.ascontiguousarray(topic.values[j, : values.shape[1]])
+            where = np.flatnonzero(np.any(a.view(np.int64) != b.view(np.int64), axis=1))
+            if where.size and first is None:
+                first = float((topic.stamp[j[where[0]]] - topic.stamp[0]) / NANO)
+            compared, wrong = compared + len(i), wrong + int(where.size)
+            largest = max(largest, float(np.fmax.reduce(np.abs(a - b), axis=None))) if len(a) else largest
+        lone = len(stamp) + len(topic) - 2 * compared
+        found.append(Difference(name, compared, wrong, lone, first, largest))
+    return Comparison(tuple(found), _complete_ticks(run)[2])

@@ -22,6 +22,7 @@ from pointing_analysis import figures, spectra
 from pointing_analysis.atomic_output import check_output, write_text
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.metrics import is_whole
 from pointing_analysis.moving_tones import motion_of, moving_pictures
 from pointing_analysis.prediction import Prediction, ToneComparison
@@ -151,11 +152,10 @@ def _authority(runs: Sequence[Recording]) -> dict[str, float]:
 
 def intervals_us(run: Recording) -> NDArray[np.float64]:
     """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
-    topic = run["truth/los"]
-    sent = topic.published
-    if len(topic) < 3 or np.all(np.diff(sent) == np.diff(topic.stamp)):
+    stamp, sent = run["truth/los"].stamp, run["truth/los"].published
+    if len(sent) < 3 or all((sent[p] - stamp[p] == sent[0] - stamp[0]).all() for p in parts(len(sent))):
         return np.empty(0)
-    return np.asarray(np.diff(sent) / 1e3)
+    return by_parts(lambda later, earlier: (later - earlier) / 1e3, sent[1:], sent[:-1])
 
 
 def latency_us(run: Recording) -> NDArray[np.float64]:
@@ -163,9 +163,12 @@ def latency_us(run: Recording) -> NDArray[np.float64]:
     if "fsm/command" not in run or "isolator/accel" not in run:
         return np.empty(0)
     sensor, command = run["isolator/accel"], run["fsm/command"]
-    _, i, j = np.intersect1d(sensor.stamp, command.stamp, assume_unique=True, return_indices=True)
-    delay = (command.published[j] - sensor.published[i]) / 1e3
-    return delay if delay.size and np.any(delay != 0) else np.empty(0)
+    delays, differs = GrowingArray(None), False
+    for i, j in common_rows(sensor.stamp, command.stamp):
+        delay = (command.published[j] - sensor.published[i]) / 1e3
+        differs |= bool(np.any(delay != 0))
+        delays.append(delay)
+    return delays.array() if differs else np.empty(0)
 
 
 def pictures(

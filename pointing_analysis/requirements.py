@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis import confidence, metrics
 from pointing_analysis.errors import ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.mapped_arrays import by_parts, parts, present
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.recording import Recording
 from pointing_analysis.requirement_text import DEFAULT_FILE, Requirement, RequirementError, load, parse
@@ -104,12 +105,12 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
     its mean, so no more than one per window counts. Of a requirement of windows each window is one sample.
     """
     values, cap = _index(series.values, series.dt, requirement)
-    there = values[~np.isnan(values)]
+    there = present(values)
     if series.open_end:
         return there, cap, math.inf
     if not series.missing:
         return there, cap, 0.0
-    whole, _ = _index(np.zeros_like(series.values), series.dt, requirement)
+    whole, _ = _index(by_parts(np.zeros_like, series.values), series.dt, requirement)
     return there, cap, float(len(whole) - len(there))
 
 
@@ -152,7 +153,8 @@ def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transi
 
 def _norm(samples: NDArray[np.float64], requirement: Requirement) -> NDArray[np.float64]:
     if requirement.axis:
-        return np.asarray(np.abs(samples[:, metrics.AXES.index(requirement.axis)]))
+        column = metrics.AXES.index(requirement.axis)
+        return by_parts(lambda rows: np.abs(rows[:, column]), samples)
     return metrics.radial(samples)
 
 
@@ -171,7 +173,7 @@ def decide(
     not enough data.
     """
     n = max(int(effective), 1)
-    above = int(np.count_nonzero(values >= requirement.limit))
+    above = sum(int(np.count_nonzero(values[part] >= requirement.limit)) for part in parts(len(values)))
     rate = above / len(values)
     p, c = requirement.probability, requirement.confidence
     unknown = math.isinf(missing)
@@ -219,10 +221,11 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         return _not_judged(requirement, str(error))
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
-        known = [one for one in collected if not one.missing or one.values.max() >= requirement.limit]
+        worst_of = [max(float(one.values[part].max()) for part in parts(len(one.values))) for one in collected]
+        known = [w for one, w in zip(collected, worst_of) if not one.missing or w >= requirement.limit]
         if not known:
             return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
-        worst = np.array([one.values.max() for one in known])
+        worst = np.array(known)
         return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
     if requirement.interpretation == "mixed":
         values = np.concatenate([one.values for one in collected])

@@ -5,6 +5,7 @@ Nothing is detrended: an offset is part of the APE and stays in the spectrum at 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from pointing_analysis import weights
+from pointing_analysis.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.topic import read_only
 
 Floats = NDArray[np.float64]
 NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
+FITTED = 20_000  # rows of a fit at a time
 MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
 
 
@@ -83,7 +86,8 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     density = np.zeros((n // 2 + 1, 2))
     used = skipped = 0
     for start in range(0, len(e) - n + 1, max(n // 2, 1)):
-        piece = e[start : start + n]
+        piece = np.array(e[start : start + n])
+        release()
         if np.isnan(piece).any():
             skipped += 1
             continue
@@ -157,7 +161,7 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     n = len(e)
     if n <= 2 * NEIGHBOURS[-1] or not present.any():
         return np.full(tones.shape, np.nan)
-    w = np.where(present, _taper(n), 0.0)
+    w = np.where(present, _taper(n, np.arange(n)), 0.0)
     e = np.where(present[:, None], e, 0.0)
     e = w[:, None] * (e - w @ e / w.sum())
     found = np.empty(tones.shape)
@@ -169,8 +173,16 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     return np.asarray(np.power(found, 0.25))
 
 
-def _taper(n: int) -> Floats:
-    return np.asarray(np.hanning(n + 2)[1:-1], dtype=np.float64)
+def _taper(n: int, rows: NDArray[np.int64]) -> Floats:
+    """Hann weights of some of n rows."""
+    return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * (rows + 1) / (n + 1)), dtype=np.float64)
+
+
+def _fit_parts(rows: int) -> Iterator[slice]:
+    """Parts of a fit, smaller than others: each row has as many columns as there are tones."""
+    for part in parts(rows):
+        for begin in range(part.start, part.stop, FITTED):
+            yield slice(begin, min(begin + FITTED, part.stop))
 
 
 def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool = False) -> tuple[Line, ...]:
@@ -218,19 +230,19 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
 
 def _fit(e: Floats, dt: float, tones: Floats, taper: bool) -> tuple[list[Floats], Floats, Floats]:
     """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
-    present = ~np.isnan(e).any(axis=1)
+    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
     groups = _resolved(np.unique(tones), dt * len(e))
     if not groups or present.sum() < 4 * len(groups) + 2:
         return [], np.empty(0), np.empty((0, 2))
     centre = np.array([g.mean() for g in groups])
     k = 2 * len(centre) + 1
     gram, right = np.zeros((k, k)), np.zeros((k, 2))
-    index, weight = np.flatnonzero(present), _taper(len(e)) if taper else np.ones(len(e))
-    for part in np.array_split(index, max(1, index.size // 20_000)):
-        basis = _basis(part, dt, centre)
-        weighted = basis.T * weight[part]
+    for part in _fit_parts(len(e)):
+        index = part.start + np.flatnonzero(present[part])
+        basis = _basis(index, dt, centre)
+        weighted = basis.T * _taper(len(e), index) if taper else basis.T
         gram += weighted @ basis
-        right += weighted @ e[part]
+        right += weighted @ e[index]
     return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
 
 
@@ -255,11 +267,12 @@ def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 0.3])).max() < 1e-9)
     True
     """
-    e = np.array(error, dtype=float)
+    e = np.asarray(error, dtype=float)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
     tones = tones[np.isfinite(tones) & (tones > 0) & (tones < np.pi / dt)]
     groups, centre, solution = _fit(e, dt, tones, taper=False)
-    if groups:
-        for part in np.array_split(np.arange(len(e)), max(1, len(e) // 20_000)):
-            e[part] -= _basis(part, dt, centre) @ solution
-    return e
+    rest = empty(e.shape)
+    for part in _fit_parts(len(e)):
+        fitted = _basis(np.arange(part.start, part.stop), dt, centre) @ solution if groups else 0.0
+        rest[part] = e[part] - fitted
+    return rest

@@ -20,6 +20,7 @@ from pointing_analysis.errors import (
     knowledge_error,
     performance_error,
 )
+from pointing_analysis.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.tone_budget import ToneBudget, tone_budget
@@ -45,7 +46,7 @@ class Knowledge:
         ValueError
             Shorter than a window.
         """
-        ake = np.nanquantile(metrics.radial(error), 0.997) / RAD_PER_ARCSEC
+        ake = SortedValues(metrics.radial(error)).quantile(0.997) / RAD_PER_ARCSEC
         rke = float(np.hypot(*metrics.rpe_rms(error, dt, WINDOW))) / RAD_PER_MAS
         return cls(float(ake), rke)
 
@@ -66,20 +67,20 @@ class Performance:
     @classmethod
     def of(cls, error: NDArray[np.float64], dt: float) -> Performance:
         """Of an error (n, 2) [rad], NaN where a sample is missing, with the sampling period `dt` [s]."""
-        ape = metrics.radial(error) / RAD_PER_ARCSEC
+        ape = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_ARCSEC, error))
         nan = float("nan")
         rms: NDArray[np.float64] = np.full(2, nan)
         p997, of_windows, cut, skipped = nan, nan, 0, 0
         if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
             w = metrics.windows(error, dt, WINDOW)
             rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
-            instant = metrics.radial(metrics.rpe_instant(error, dt, WINDOW)) / RAD_PER_MAS
-            p997 = float(np.nanquantile(instant, 0.997)) if np.isfinite(instant).any() else nan
+            instant = metrics.rpe_instant(error, dt, WINDOW)
+            p997 = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)).quantile(0.997)
             sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
             of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
         return cls(
-            float(np.nanmax(ape)),
-            float(np.nanquantile(ape, 0.997)),
+            float(ape.at(ape.size - 1)[0]),
+            ape.quantile(0.997),
             float(np.hypot(*rms)),
             p997,
             (float(rms[0]), float(rms[1])),

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.mapped_arrays import SortedValues, by_parts, empty, parts
 from pointing_analysis.mcap_records import BagError
 
 Floats = NDArray[np.float64]
 NANO = 1_000_000_000
+MANY_STEPS = 100_000  # different intervals of stamps that are counted one by one
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -90,7 +94,7 @@ class Topic:
     @property
     def time(self) -> Floats:
         """(n,) seconds since the topic's first stamp."""
-        return (self.stamp - self.stamp[:1]) / NANO
+        return by_parts(lambda stamp: (stamp - self.stamp[:1]) / NANO, self.stamp)
 
     @property
     def span(self) -> int:
@@ -109,52 +113,96 @@ class Topic:
         return self.stamp.nbytes + self.values.nbytes + self.published.nbytes
 
 
+def _steps(stamp: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Intervals of stamps, in parts, with the index of the first stamp of each."""
+    for part in parts(max(len(stamp) - 1, 0)):
+        yield part.start, np.diff(stamp[part.start : part.stop + 1])
+
+
 def _period_ns(stamp: NDArray[np.int64]) -> int:
     """Most frequent interval, jitter below 1 % of the median set aside; 0 with fewer than two stamps."""
-    steps = np.diff(stamp)
-    if not steps.size:
+    if stamp.size < 2:
         return 0
-    values, counts = np.unique(steps, return_counts=True)
-    if counts.max() * 2 >= steps.size:
-        return int(values[counts.argmax()])
-    return int(np.median(steps))
+    counts: Counter[int] = Counter()
+    for _, steps in _steps(stamp):
+        values, times = np.unique(steps, return_counts=True)
+        counts.update(dict(zip(values.tolist(), times.tolist())))
+        if len(counts) > MANY_STEPS:
+            break
+    period = min(counts, key=lambda step: (-counts[step], step))
+    if len(counts) <= MANY_STEPS and counts[period] * 2 >= stamp.size - 1:
+        return period
+    return int(SortedValues(np.concatenate([steps.astype(float) for _, steps in _steps(stamp)])).quantile(0.5))
 
 
-def _other_rate(steps: NDArray[np.int64], period: int) -> float:
-    """Share of intervals in stretches of 20 and more equal intervals that are not the period (two rates in one run)."""
-    if not steps.size:
-        return 0.0
-    ratio = np.rint(steps / period).astype(np.int64)
-    ratio = np.where(steps * 2 < period, 0, ratio)
-    edges = np.flatnonzero(np.diff(ratio)) + 1
-    starts, ends = np.append(0, edges), np.append(edges, ratio.size)
-    runs = ends - starts
-    return float(runs[(ratio[starts] != 1) & (runs >= 20)].sum() / ratio.size)
+class _OtherRate:
+    """Intervals in stretches of 20 and more equal intervals that are not the period (two rates in one run)."""
+
+    def __init__(self, period: int) -> None:
+        self.period, self.total, self.count = period, 0, 0
+        self._last, self._length = 1, 0
+
+    def add(self, steps: NDArray[np.int64]) -> None:
+        ratio = np.where(steps * 2 < self.period, 0, np.rint(steps / self.period).astype(np.int64))
+        edges = np.flatnonzero(np.diff(ratio)) + 1
+        starts, ends = np.append(0, edges), np.append(edges, ratio.size)
+        values, runs = ratio[starts], ends - starts
+        if values[0] == self._last:
+            runs[0] += self._length
+        else:
+            self._end_stretch()
+        self._last, self._length = int(values[-1]), int(runs[-1])
+        self.count += int(runs[:-1][(values[:-1] != 1) & (runs[:-1] >= 20)].sum())
+        self.total += int(ratio.size)
+
+    def _end_stretch(self) -> None:
+        self.count += self._length if self._last != 1 and self._length >= 20 else 0
+
+    def share(self) -> float:
+        """Of all intervals; to be asked for once, at the end."""
+        self._end_stretch()
+        return self.count / self.total if self.total else 0.0
 
 
-def _inspect(
-    stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_], order: int, period: int, unstamped: int
-) -> Integrity:
-    first = np.maximum.accumulate(np.where(kept, np.arange(stamp.size), 0))
-    again = ~kept
-    differs = np.any(values[again] != values[first[again]], axis=1) if again.any() else np.zeros(0, bool)
-    both_nan = np.isnan(values[again]).any(axis=1) if again.any() else differs
-    unique = stamp[kept]
-    steps = np.diff(unique)
-    ticks = np.maximum(np.rint(steps / period), 1).astype(np.int64) if period else steps
-    holes = np.flatnonzero(ticks > 1)
-    return Integrity(
-        messages=int(stamp.size) + unstamped,
-        unstamped=unstamped,
-        duplicates=int(again.sum()),
-        conflicts=int((differs & ~both_nan).sum()),
-        out_of_order=order,
-        missing=int((ticks - 1).sum()),
-        gaps=tuple((float((unique[i] - unique[0]) / NANO), int(ticks[i] - 1)) for i in holes[:1000]),
-        irregular=int((np.abs(steps - ticks * period) * 50 > period).sum()),
-        nan=int(np.isnan(values).any(axis=1).sum()),
-        other_rate=_other_rate(steps, period) if period else 0.0,
-    )
+def _repeated(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_]) -> int:
+    """How many messages say something else than the first one of the same stamp."""
+    again = np.flatnonzero(~kept)
+    if not again.size:
+        return 0
+    first = np.searchsorted(stamp, stamp[again])
+    differs = np.any(values[again] != values[first], axis=1)
+    return int((differs & ~np.isnan(values[again]).any(axis=1)).sum())
+
+
+def _inspect(stamp: NDArray[np.int64], period: int, found: Mapping[str, int]) -> Integrity:
+    """Look at unique stamps; `found` are the counts of what was sorted out before."""
+    other, missing, irregular = _OtherRate(period), 0, 0
+    gaps: list[tuple[float, int]] = []
+    for begin, steps in _steps(stamp):
+        ticks = np.maximum(np.rint(steps / period), 1).astype(np.int64) if period else steps
+        missing += int((ticks - 1).sum())
+        irregular += int((np.abs(steps - ticks * period) * 50 > period).sum())
+        holes = np.flatnonzero(ticks > 1)[: 1000 - len(gaps)].tolist()
+        gaps += [(float((stamp[begin + i] - stamp[0]) / NANO), int(ticks[i] - 1)) for i in holes]
+        if period:
+            other.add(steps)
+    return Integrity(missing=missing, gaps=tuple(gaps), irregular=irregular, other_rate=other.share(), **found)
+
+
+def _count_late(stamp: NDArray[np.int64]) -> int:
+    """Messages behind one with a later stamp."""
+    late, latest = 0, np.iinfo(np.int64).min
+    for part in parts(len(stamp)):
+        newest = np.maximum(np.maximum.accumulate(stamp[part]), latest)
+        late += int((stamp[part] < newest).sum())
+        latest = newest[-1]
+    return late
+
+
+def _chosen(rows: NDArray[Any], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Rows of arrays, by a mask or by indices."""
+    index = np.flatnonzero(rows) if rows.dtype == bool else rows
+    return tuple(by_parts(lambda i, array=array: array[i], index, dtype=array.dtype) for array in arrays)
 
 
 def make_topic(
@@ -167,19 +215,20 @@ def make_topic(
     published: NDArray[np.int64],
 ) -> Topic:
     """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
-    real = stamp != 0
-    unstamped = int(stamp.size - real.sum())
-    if unstamped:
-        stamp, values, published = stamp[real], values[real], published[real]
-    late = int((stamp < np.maximum.accumulate(stamp)).sum()) if stamp.size else 0
-    if late:
-        order = np.argsort(stamp, kind="stable")
-        stamp, values, published = stamp[order], values[order], published[order]
-    kept = np.append(np.ones(min(stamp.size, 1), bool), np.diff(stamp) > 0)
-    period = _period_ns(stamp[kept])
-    integrity = _inspect(stamp, values, kept, late, period, unstamped)
+    messages = int(stamp.size)
+    real = by_parts(lambda part: part != 0, stamp, dtype=bool)
+    if not real.all():
+        stamp, values, published = _chosen(real, stamp, values, published)
+    found = {"messages": messages, "unstamped": messages - int(stamp.size), "out_of_order": _count_late(stamp)}
+    if found["out_of_order"]:
+        stamp, values, published = _chosen(np.argsort(stamp, kind="stable"), stamp, values, published)
+    kept = np.concatenate([np.ones(min(stamp.size, 1), bool), *(steps > 0 for _, steps in _steps(stamp))])
+    nan = sum(int(np.isnan(values[part]).any(axis=1).sum()) for part in parts(len(values)))
+    found |= {"duplicates": int((~kept).sum()), "conflicts": _repeated(stamp, values, kept), "nan": nan}
     if not kept.all():
-        stamp, values, published = stamp[kept], values[kept], published[kept]
+        stamp, values, published = _chosen(kept, stamp, values, published)
+    period = _period_ns(stamp)
+    integrity = _inspect(stamp, period, found)
     return Topic(
         name,
         schema,
@@ -224,8 +273,7 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
         raise BagError(
             f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, not {state.irregular} others"
         )
-    index = np.rint((topic.stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64)
-    rows = int(index[-1]) + 1 + topic.lost_before + topic.lost_after
+    rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after
     if rows > 4 * len(topic) + 100_000:
         raise BagError(
             f"{topic.name}: recording must be continuous, got {len(topic)} samples in {rows * topic.period:g} s: "
@@ -233,6 +281,13 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
         )
     if rows == len(topic):
         return topic.values, topic.period
-    grid = np.full((rows, topic.values.shape[1]), np.nan)
-    grid[index + topic.lost_before] = topic.values
+    grid = empty((rows, topic.values.shape[1]))
+    for part in parts(rows):
+        grid[part] = np.nan
+    for part in parts(len(topic)):
+        grid[_grid_index(topic, topic.stamp[part]) + topic.lost_before] = topic.values[part]
     return grid, topic.period
+
+
+def _grid_index(topic: Topic, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.asarray(np.rint((stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import zstandard
@@ -12,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pointing_analysis import cdr
+from pointing_analysis.mapped_arrays import GrowingArray
 from pointing_analysis.mcap_records import BODY, HEAD, BagError, Block
 from pointing_analysis.message_types import COLUMNS, UNITS
 from pointing_analysis.topic import Topic, make_topic
@@ -33,53 +33,44 @@ KNOWN: Mapping[str, str] = MappingProxyType(
 
 
 class Column:
-    """Collects the decoded messages of one topic in arrays that grow by doubling.
-
-    The unused half of an array costs no memory (its pages are never touched), and there is no joining of pieces at the
-    end, which would take the memory twice.
-    """
+    """Collects the decoded messages of one topic."""
 
     def __init__(self, name: str, schema: str) -> None:
         self.name, self.schema = name, schema
-        width = len(COLUMNS[schema])
         self.size = 0
-        self.arrays: list[NDArray[Any]] = _nothing(width)
+        self.arrays = _nothing(len(COLUMNS[schema]))
 
     def add(self, stamp: NDArray[np.int64], values: NDArray[np.float64], sent: NDArray[np.int64]) -> None:
         """Append messages: stamps, values (m, k), times of publishing."""
-        if not self.size and values.shape[1] != self.arrays[1].shape[1]:
-            self.arrays = _nothing(values.shape[1])
-        if values.shape[1] != self.arrays[1].shape[1]:
+        width = values.shape[1]
+        if not self.size and width != self.arrays[1].columns:
+            self.arrays = _nothing(width)
+        if width != self.arrays[1].columns:
             raise BagError(
-                f"all messages must have the same number of values, got {self.arrays[1].shape[1]} and {values.shape[1]}"
+                f"all messages must have the same number of values, got {self.arrays[1].columns} and {width}"
             )
-        end = self.size + len(stamp)
-        for i, new in enumerate((stamp, values, sent)):
-            if end > len(self.arrays[i]):
-                larger = np.empty((max(end, 2 * len(self.arrays[i])), *new.shape[1:]), self.arrays[i].dtype)
-                larger[: self.size] = self.arrays[i][: self.size]
-                self.arrays[i] = larger
-            self.arrays[i][self.size : end] = new
-        self.size = end
+        for array, new in zip(self.arrays, (stamp, values, sent)):
+            array.append(new)
+        self.size += len(stamp)
 
     @property
     def nbytes(self) -> int:
-        """Memory in use [byte]."""
-        return self.size * sum(a.itemsize * (a.shape[1] if a.ndim > 1 else 1) for a in self.arrays)
+        """Size of the arrays [byte]."""
+        return sum(array.nbytes for array in self.arrays)
 
     def topic(self) -> Topic:
         """The finished topic; the column is empty afterwards."""
         columns = list(COLUMNS[self.schema])
-        stamp, values, published = (a[: self.size] for a in self.arrays)
+        stamp, values, published = (array.array() for array in self.arrays)
         if len(columns) != values.shape[1]:
             columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
-        self.arrays = []
+        self.arrays = ()
         unit = KNOWN.get(self.name, UNITS[self.schema])
         return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
 
 
-def _nothing(width: int) -> list[NDArray[Any]]:
-    return [np.empty(0, np.int64), np.empty((0, width)), np.empty(0, np.int64)]
+def _nothing(width: int) -> tuple[GrowingArray, ...]:
+    return GrowingArray(None, np.int64), GrowingArray(width), GrowingArray(None, np.int64)
 
 
 def decode_block(column: Column, block: Block, chosen: NDArray[np.bool_], packed: bool) -> None:

@@ -74,15 +74,15 @@ def damaged(original: Original, changes: list[Mutation]) -> Path:
 def test_repair_gives_what_was_recorded_and_says_what_is_lost(original: Original, changes: list[Mutation]) -> None:
     bag, new = damaged(original, changes), original.folder / "new"
     shutil.rmtree(new, ignore_errors=True)
-    start_time = time.monotonic()
+    start_time = time.process_time()
     others = others_get((bag / "bag_0.mcap").read_bytes(), original.content)
-    ours = time.monotonic()
+    ours = time.process_time()
     try:
         result = repair_bag(bag, new)
     except BagError:
         assert not others and not new.exists()
         return
-    assert time.monotonic() - ours < LIMIT_S + (ours - start_time)
+    assert time.process_time() - ours < LIMIT_S + (ours - start_time)
     found = messages((new / "new_0.mcap").read_bytes())
     assert all(original.content[key] == content for key, content in found.items())
     assert len(found) >= others

@@ -1,4 +1,4 @@
-"""Tables of README.md: docs/fill_tables.py and the markers; make targets named on the pages exist."""
+"""Tables of README.md and docs/results.md: docs/fill_tables.py and the markers; make targets on the pages exist."""
 
 from __future__ import annotations
 
@@ -30,16 +30,33 @@ def test_examples(filler) -> None:
     assert result.failed == 0
 
 
-def test_readme_has_the_markers_once(filler) -> None:
-    page = (ROOT / "README.md").read_text("utf-8")
-    for name in ("gammas", "stages", "prediction"):
+def test_pages_have_the_markers_once(filler) -> None:
+    for name in ("gammas", "stages", "prediction", "worst_case", "run"):
+        page = filler.PAGES[name].read_text("utf-8")
         assert filler.filled(page, name, "TABLE").count("TABLE") == 1
 
 
 def test_filling_is_idempotent(filler) -> None:
-    page = (ROOT / "README.md").read_text("utf-8")
+    page = filler.PAGES["stages"].read_text("utf-8")
     once = filler.filled(page, "stages", "| a |")
     assert filler.filled(once, "stages", "| a |") == once
+
+
+def test_the_readme_shows_the_results_of_the_results_page(filler) -> None:
+    """Both tables of worst cases come from one run of the stages."""
+    results = (ROOT / "docs" / "results.md").read_text("utf-8")
+    readme = (ROOT / "README.md").read_text("utf-8")
+    assert filler.worst_case(results.split("<!-- stages:begin -->")[1].split("<!-- stages:end -->")[0]) in readme
+
+
+def test_the_readme_is_short() -> None:
+    """One table of results with four rows and three columns; the quick start is within the first 200 words."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    rows = text.split("<!-- worst_case:begin -->")[1].split("<!-- worst_case:end -->")[0].strip().splitlines()
+    assert len(rows) == 2 + 4
+    assert {row.count("|") for row in rows} == {5}
+    assert len(text.split("## Quick start")[0].split()) < 200
+    assert len(text.split()) < 1300
 
 
 def test_the_design_table_becomes_rows(tmp_path: Path) -> None:
@@ -57,7 +74,9 @@ def test_the_design_table_becomes_rows(tmp_path: Path) -> None:
     assert lines[3] == "| K_PMA, *the paper, robust* | 0.5768 | 0.9835 | 0.1185 | 0.9835 |"
 
 
-@pytest.mark.parametrize(("name", "text"), [("gammas", ""), ("stages", "nothing"), ("other", "| a |")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("gammas", ""), ("stages", "nothing"), ("other", "| a |"), ("run", ""), ("worst_case", "")]
+)
 def test_errors_do_not_change_the_page(tmp_path: Path, name: str, text: str) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- gammas:begin -->\n<!-- gammas:end -->\n")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -24,41 +25,75 @@ TIMES = int(os.environ.get("SIGNAL_TRIALS", "25"))
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
 
 
-def temporary() -> set[str]:
-    """Entries of the temporary folder that are ours."""
-    return {name for name in os.listdir(tempfile.gettempdir()) if name.startswith(("los_testbed", ".los"))}
+BEGIN = """
+import signal, sys
+import los_testbed.cli.app as app
+
+made = app.typer.main.get_command
+
+def get_command(program):
+    print("begun", file=sys.stderr, flush=True)
+    return made(program)
+
+app.typer.main.get_command = get_command  # called when the program answers signals
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts tests in the background ignores it
+app.main()
+"""
 
 
-def names_run(entry: Path, bag: Path) -> bool:
-    """Whether a process belongs to the run of this bag, by its environment."""
+def temporary(folder: Path) -> list[Path]:
+    """Entries of the temporary folder of a run."""
+    return sorted((folder / "temporary").iterdir())
+
+
+def names_run(entry: Path, bag: Path, command: str) -> bool:
+    """Whether a process belongs to the run of this bag, by its environment, and has this in its command line."""
     try:
-        return f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes()
+        found = f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes()
+        return found and command.encode() in (entry / "cmdline").read_bytes()
     except OSError:
         return False
 
 
-def nodes_of(bag: Path) -> list[int]:
+def nodes_of(bag: Path, command: str = "") -> list[int]:
     """Processes of the run of this bag."""
-    return [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit() and names_run(entry, bag)]
+    entries = (entry for entry in Path("/proc").iterdir() if entry.name.isdigit())
+    return [int(entry.name) for entry in entries if names_run(entry, bag, command)]
+
+
+def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
+    """A run that answers signals: until its modules are imported no program can in its own way."""
+    bag = folder / "bag"
+    (folder / "temporary").mkdir()
+    command = [sys.executable, "-c", BEGIN, "run", f"--mode={mode}", f"--duration={duration:g}"]
+    command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
+    variables = {**os.environ, "BAG_OF_TEST": str(bag), "TMPDIR": str(folder / "temporary")}
+    process = subprocess.Popen(
+        command, cwd=folder, env=variables, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    assert process.stderr is not None and process.stderr.readline() == "begun\n"
+    return process
+
+
+def output_of(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """What a run wrote; it must end by itself."""
+    try:
+        return process.communicate(timeout=240)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, err = process.communicate()
+        raise AssertionError(f"the run goes on\n{out}\n{err}") from None
 
 
 def ended(folder: Path, mode: str, name: str, wait: float) -> tuple[int, str]:
     """Exit code and error output of a run that gets a signal after `wait` seconds; its processes are gone."""
-    bag = folder / "bag"
-    # Until its modules are imported no program can answer a signal in its own way.
-    begin = "import sys, los_testbed.cli.app as app; print('begun', file=sys.stderr, flush=True); app.main()"
-    command = [sys.executable, "-c", begin, "run", f"--mode={mode}", "--duration=600"]
-    command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
-    process = subprocess.Popen(
-        command, cwd=folder, env={**os.environ, "BAG_OF_TEST": str(bag)}, stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL, text=True, start_new_session=True,
-    )  # fmt: skip
-    assert process.stderr is not None and process.stderr.readline() == "begun\n"
+    process = started(folder, mode, 600.0)
     time.sleep(wait)
     process.send_signal(getattr(signal, name))
-    _, err = process.communicate(timeout=120)
+    err = output_of(process)[1]
     end = time.monotonic() + 60
-    while nodes_of(bag):
+    while nodes_of(folder / "bag"):
         assert time.monotonic() < end, "processes are left"
         time.sleep(0.2)
     return process.returncode, err
@@ -74,9 +109,8 @@ def opened(bag: Path) -> Run | None:
         raise
 
 
-def check_bag(folder: Path) -> None:
+def check_bag(folder: Path, bag: Path) -> None:
     """The bag can be read, or repaired and then read, or holds no message yet, or is not there."""
-    bag = folder / "bag"
     if not bag.exists():
         return
     run = opened(bag)
@@ -90,14 +124,13 @@ def check_bag(folder: Path) -> None:
 
 
 def trial(folder: Path, mode: str, name: str, seed: int) -> None:
-    before = temporary()
     code, err = ended(folder, mode, name, random.Random(f"{mode} {name} {seed}").uniform(0.0, 9.0))
     assert code == (-signal.SIGKILL if name == "SIGKILL" else 130), err
     assert "Traceback" not in err
     if name != "SIGKILL":
         assert "los-testbed: interrupted" in err or (folder / "bag").exists()
-    assert temporary() <= before
-    check_bag(folder)
+    assert not temporary(folder)
+    check_bag(folder, folder / "bag")
 
 
 @pytest.mark.ros
@@ -110,3 +143,40 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
         folder = tmp_path / str(seed)
         folder.mkdir()
         trial(folder, mode, name, seed)
+
+
+def recorder_trial(folder: Path, name: str, seed: int) -> None:
+    """A recorder that is told to end goes on until its topics are quiet; one that is killed is replaced and told of."""
+    wait = random.Random(f"recorder {name} {seed}").uniform(0.0, 9.0)
+    process = started(folder, "realtime", 5.0)
+    end = time.monotonic() + 60
+    while not (found := nodes_of(folder / "bag", "nodes.recorder")):
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.01)
+    time.sleep(wait)
+    with contextlib.suppress(ProcessLookupError):  # the run may be over by then
+        os.kill(found[0], getattr(signal, name))
+    out, err = output_of(process)
+    told = f"{name} after {wait:.2f} s: code {process.returncode}\n{out}\n{err}"
+    assert process.returncode in (0, 1, 3) and "Traceback" not in err, told
+    if process.returncode == 1:
+        assert err.startswith("los-testbed: recorder") and err.count("\n") == 1, told
+    if process.returncode == 3:
+        assert name == "SIGKILL" and "recorder ended unexpectedly (signal 9)" in out, told
+    assert not temporary(folder)
+    for bag in sorted(folder.glob("bag*")):
+        shutil.rmtree(folder / "repaired", ignore_errors=True)
+        check_bag(folder, bag)
+        if opened(bag) is not None and any("cut off" in problem for problem in Run.open(bag).problems):
+            assert f"los-testbed bag repair {bag}" in (out + err).replace("\n", ""), told
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_recorder_ended_at_a_random_time(tmp_path: Path, name: str) -> None:
+    for seed in range(TIMES):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        recorder_trial(folder, name, seed)

@@ -314,6 +314,29 @@ def test_a_full_disk_ends_the_run_with_the_reason_and_what_was_written_is_kept(t
     assert len(stamp) > 0.8 * ((stamp[-1] - stamp[0]) // MS + 1), "the last chunk is cut, what is before it is whole"
 
 
+FAILING_RECORDER = """
+import sys
+from los_testbed.bags.writer import BagWriter
+from los_testbed.nodes import recorder
+
+def fail(self, metadata=None):
+    raise OSError(28, "No space left on device")
+
+BagWriter.close = fail
+sys.exit(recorder.main())
+"""
+
+
+def test_a_recorder_that_fails_while_it_is_stopped_gives_its_own_reason(tmp_path):
+    """And not that it was waited for in vain."""
+    commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAILING_RECORDER]}
+    with pytest.raises(RunError, match=r"recorder: .*No space left on device.*los-testbed bag repair") as told:
+        Runner(config_for(tmp_path, duration=1.0), commands=commands).run()
+    assert told.value.code == 1
+    repair_bag(tmp_path / "bag", tmp_path / "saved")
+    assert len(Run.open(tmp_path / "saved")["truth/los"]) > 100
+
+
 def test_busy_processors_do_not_stop_the_loop(tmp_path):
     hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)]
     try:

@@ -237,18 +237,23 @@ def test_a_failed_repair_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch: 
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_partial_list_of_tables_in_a_parameter_file_is_refused_or_complete(tmp_path: Path) -> None:
-    """It must not replace the default in silence."""
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_default_in_silence(tmp_path: Path) -> None:
+    """One table of a list: those with other names stay; of tables without names the change is told."""
+    from titop_plant.telescope.parameters import differences, load_parameters
 
-    reference = load_parameters(REFERENCE)
+    reference = load_parameters()
     lists = [
-        (table, key)
+        (table, key, value)
         for table, content in reference.items()
         for key, value in (content.items() if isinstance(content, dict) else ())
-        if isinstance(value, (list, tuple)) and value and isinstance(value[0], dict)
+        if isinstance(value, list) and isinstance(value[0], dict)
     ]
-    for table, key in lists:
-        (tmp_path / "own.toml").write_text(f"[[{table}.{key}]]\n")
-        with pytest.raises(ValueError, match=r"own\.toml"):
-            load_parameters(tmp_path / "own.toml")
+    assert {key for _, key, _ in lists} == {"equipment", "further_modes"}
+    own = tmp_path / "own.toml"
+    for table, key, value in lists:
+        item = "\n".join(f"{name} = {json.dumps(entry)}" for name, entry in value[-1].items())
+        own.write_text(f"[[{table}.{key}]]\n{item}\n")
+        found = load_parameters(own)[table][key]
+        assert len(value) > 1
+        assert found == value or any(f"{table}.{key}" in line for line in differences(own)), (table, key)
+        assert found == value or "name" not in value[0]

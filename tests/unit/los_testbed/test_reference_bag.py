@@ -16,6 +16,7 @@ def test_it_is_small_and_whole() -> None:
     assert sum(file.stat().st_size for file in BAG.iterdir()) <= 2_000_000
     run = Run.open(BAG)
     assert not run.problems
+    assert "dirty" not in run.parameters["commit"], "recorded from a tree without changes"
     ticks = round(1000 * run.parameters["duration"])
     assert ticks >= 4000
     for topic in TOPICS:

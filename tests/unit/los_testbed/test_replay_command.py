@@ -1,6 +1,7 @@
 """``los-testbed replay``: bit identity is proved or refuted, others are compared, mistakes are one line."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -112,7 +113,47 @@ def test_another_stage_on_the_same_sensors(call, recorded) -> None:
 def test_an_observer_that_diverges_is_said(call, recorded, tmp_path) -> None:
     code, _, err = call(recorded, "--k-fsm", other_observer(tmp_path / "wild.json", pole=1.5))
     assert code == 1
-    assert "diverges on the sensors" in err and err.count("\n") == 1
+    assert "the observer diverges on the sensors" in err and err.count("\n") == 1
+    assert re.search(r"at tick \d+ the los_estimate \[\d\] is (nan|inf|-inf)", err)
+
+
+def test_a_controller_that_diverges_is_said_with_tick_and_port(call, recorded, tmp_path) -> None:
+    content = json.loads(Run.open(recorded).attachments["k_pma.json"])
+    inputs, outputs = len(content["D"][0]), len(content["D"])  # two equal states: their difference is zero, then NaN
+    wild = {**content, "A": [[3.0, 0.0], [0.0, 3.0]], "B": [[1.0] * inputs] * 2, "C": [[1.0, -1.0]] * outputs}
+    (tmp_path / "wild.json").write_text(json.dumps(wild))
+    code, _, err = call(recorded, "--k-pma", tmp_path / "wild.json", "--loop", "fsm+pma")
+    assert code == 1
+    assert re.search(r"the controller diverges on .*: at tick \d+ the command \[\d\] is nan", err), err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("D", [[0.0]], ["wild.json", "D"]),
+        ("inputs", [["camera_los", 2]], ["wild.json"]),
+        ("dt", 0.002, ["0.001 s", "0.002"]),
+        ("A", [["nan"]], ["wild.json"]),
+    ],
+)
+def test_a_controller_that_is_none_is_told_before_the_replay(call, recorded, tmp_path, key, value, words) -> None:
+    content = json.loads(Run.open(recorded).attachments["k_fsm.json"])
+    (tmp_path / "wild.json").write_text(json.dumps({**content, key: value}))
+    code, _, err = call(recorded, "--k-fsm", tmp_path / "wild.json")
+    assert code == 2 and err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+def test_a_sensor_with_nan_is_told_and_where(call, recorded, tmp_path) -> None:
+    run = Run.open(recorded)
+    signals = {name: (run[name].stamp, run[name].values.copy()) for name in run.topics}
+    signals["m1/accel"][1][1234, 2] = np.nan
+    files = {name: ("application/json", data) for name, data in run.attachments.items()}
+    with BagWriter(tmp_path / "odd", {"los_testbed": {"loop": "fsm"}}, files) as bag:
+        write_signals(bag, signals)
+    code, _, err = call(tmp_path / "odd")
+    assert code == 2 and "m1/accel must be finite" in err and "1.234 s" in err
 
 
 @pytest.mark.parametrize(

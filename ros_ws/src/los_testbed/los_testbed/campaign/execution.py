@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
@@ -200,13 +202,24 @@ def _portable(base: RunConfig) -> str:
     return json.dumps({"run": base.to_mapping(), "files": files}, sort_keys=True)
 
 
+def _worker_folder() -> str | None:
+    """Folder of this Dask worker, which is removed when the worker ends; None outside of one."""
+    from distributed import get_worker
+
+    try:
+        return str(get_worker().local_directory)
+    except ValueError:
+        return None
+
+
 @lru_cache(maxsize=2)
 def _base(content: str) -> RunConfig:
     """Configuration with its files on this machine."""
     given = json.loads(content)
     if not given["files"]:
         return RunConfig.from_mapping(given["run"])
-    folder = Path(tempfile.mkdtemp(prefix="los_testbed_files_"))
+    folder = Path(tempfile.mkdtemp(prefix="los_testbed_files_", dir=_worker_folder()))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for name, text in given["files"].items():
         path = folder / f"{name}{Path(given['run'][name]).suffix}"
         path.write_text(text, "utf-8")

@@ -69,8 +69,19 @@ INTERRUPTED = 130
 """Exit code after a signal."""
 
 
+AGAIN_S = 0.05
+
+
 def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
+
+
+def _not_raised(lost: sys.UnraisableHookArgs) -> None:
+    """Raise an interrupt again that came where no exception can leave: in a callback of the garbage collector."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -82,6 +93,8 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, _interrupt)
+    signal.signal(signal.SIGALRM, _interrupt)
+    sys.unraisablehook = _not_raised
     try:
         command: Callable[..., Any] = typer.main.get_command(app)
         result = command(args=arguments, prog_name="los-testbed", standalone_mode=False)

@@ -234,7 +234,7 @@ class Recorder:
         path = str(self.path) if self.bag is not None else None
         self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
         if self.bag is None and not self.finished:
-            raise ValueError("a plant must run on this domain, got no message to record")
+            raise ValueError("a plant must run on this domain, got no message before the recorder was ended")
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

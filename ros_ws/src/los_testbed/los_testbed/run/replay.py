@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import assemble_controller, compare_with_telescope
+from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
 from los_testbed.run_start import START_FILE, RunStart
@@ -27,6 +29,7 @@ from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
 from pointing_analysis import replay
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, knowledge_error_of
+from pointing_analysis.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.metrics import radial, rpe_rms
 from pointing_analysis.read import Run
@@ -146,23 +149,35 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
     BagError
         A sensor is missing in the bag.
     LoopDivergedError
-        The observer leaves the finite numbers.
+        Observer or controller leave the finite numbers.
     """
     with one_thread(), np.errstate(all="ignore"):
         replayed = replay.replay(run, chosen.estimator, chosen.controller, progress)
-    wrong = np.flatnonzero(~np.isfinite(replayed.estimate).all(axis=1))
-    if wrong.size:
-        seconds = (replayed.stamp[wrong[0]] - replayed.stamp[0]) * 1e-9
-        raise LoopDivergedError(f"the observer diverges on the sensors of {run.path} within {seconds:g} s")
+    _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
+    _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed
+
+
+def _check_finite(who: str, signals: Mapping[str, NDArray[np.float64]], stamp: NDArray[np.int64], run: Run) -> None:
+    """Refuse a replay whose output is not finite, with tick and port."""
+    for part in parts(len(stamp)):
+        found = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
+        if found is not None:
+            tick = part.start + found[0]
+            seconds = (stamp[tick] - stamp[0]) * 1e-9
+            raise LoopDivergedError(
+                f"the {who} diverges on the sensors of {run.path} within {seconds:g} s: at tick {tick} the {found[1]}"
+            )
 
 
 def _knowledge(series: ErrorSeries) -> dict[str, float]:
     size = radial(series.values)
+    ranked = SortedValues(size)
     rke = float(np.hypot(*rpe_rms(series.values, series.dt, WINDOW))) if series.duration >= WINDOW else float("nan")
     return {
-        "ake_rms_arcsec": float(np.sqrt(np.nanmean(size**2))) / RAD_PER_ARCSEC,
-        "ake_p997_arcsec": float(np.nanquantile(size, 0.997)) / RAD_PER_ARCSEC,
+        "ake_rms_arcsec": math.sqrt(sum(np.nansum(size[part] ** 2) for part in parts(len(size))) / ranked.size)
+        / RAD_PER_ARCSEC,
+        "ake_p997_arcsec": ranked.quantile(0.997) / RAD_PER_ARCSEC,
         "rke_rms_mas": rke / RAD_PER_MAS,
     }
 
@@ -171,7 +186,8 @@ def _commands(signals: Signals) -> dict[str, float]:
     found = {}
     for name, key in (("fsm/command", "fsm_peak_rad"), ("pma/command", "pma_peak_n")):
         if name in signals and len(signals[name][1]):
-            found[key] = float(np.abs(signals[name][1]).max())
+            values = signals[name][1]
+            found[key] = float(max(np.abs(values[part]).max() for part in parts(len(values))))
     return found
 
 
@@ -233,6 +249,7 @@ def write_signals(bag: BagWriter, signals: Signals) -> None:
                 times, name = stamps[low:high], topic.path_in(bag.namespace)
                 bag.write(name, times, times, codec.encode_many(times, part))
         bag.end_chunk()
+        release()
 
 
 def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found: Mapping[str, Any]) -> dict[str, Any]:

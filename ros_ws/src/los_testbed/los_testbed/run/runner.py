@@ -328,7 +328,8 @@ class Runner:
             self._poll(0.1)
             told = [message for name, message in self._errors if name == node.name]
             if told:
-                raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 else 1)
+                before_work = not {(node.name, "ready"), (node.name, "alone")} & self._seen.keys()
+                raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)
             last = node.errors.strip().splitlines()[-1:] or [""]
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())

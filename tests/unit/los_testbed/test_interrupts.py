@@ -1,0 +1,36 @@
+"""A signal ends a command, wherever it comes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import os, signal, sys, time, weakref
+from los_testbed.cli import app
+
+class Thing:
+    pass
+
+def work(**_):
+    thing = Thing()
+    kept = weakref.ref(thing, lambda ref: os.kill(os.getpid(), signal.{name}))
+    del thing  # the signal comes in a callback, which no exception leaves
+    print("goes on", flush=True)
+    time.sleep(60)
+
+app.app.command(name="work")(lambda: work())
+app.main(["work"])
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_in_a_callback_is_not_lost(name: str) -> None:
+    prepared = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    done = subprocess.run(
+        [sys.executable, "-c", prepared + CODE.replace("{name}", name)], capture_output=True, text=True, timeout=240
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.splitlines()[-1] == "los-testbed: interrupted"

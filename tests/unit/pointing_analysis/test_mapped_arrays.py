@@ -1,0 +1,126 @@
+"""Long arrays: the same numbers as arrays in memory, whatever the length of the parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pointing_analysis import confidence, mapped_arrays
+from pointing_analysis.mapped_arrays import GrowingArray, SortedValues, by_parts, common_rows, empty, parts, present
+from pointing_analysis.read import Run
+from pointing_analysis.report import render
+from pointing_analysis.summary import summarise
+from pointing_analysis.synthetic import write_bag
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts so short that a few hundred samples are long."""
+    monkeypatch.setattr(mapped_arrays, "PART", 97)
+    monkeypatch.setattr(mapped_arrays, "RUN", 50)
+    monkeypatch.setattr(mapped_arrays, "IN_MEMORY", 800)
+    monkeypatch.setattr(confidence, "LAGS", 64)
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("rows", [0, 1, 96, 97, 98, 1000])
+def test_arrays_that_grow_and_functions_by_parts(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    values, grown = rng.standard_normal((rows, 3)), GrowingArray(3)
+    for begin in range(0, rows, 13):
+        grown.append(values[begin : begin + 13])
+    found = grown.array()
+    assert np.array_equal(found, values) and found.shape == (rows, 3)
+    assert np.array_equal(by_parts(lambda e: 2 * e[:, 1], values), 2 * values[:, 1])
+    assert sum(part.stop - part.start for part in parts(rows)) == rows
+    made = empty((rows, 3))
+    made[:] = values
+    mapped_arrays.release()
+    assert np.array_equal(made, values), "what is given back is in the file"
+
+
+def test_long_arrays_are_mapped_and_leave_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(mapped_arrays.tempfile, "tempdir", None)
+    made = empty(mapped_arrays.IN_MEMORY)
+    assert made.base is not None and not list(tmp_path.iterdir())
+    assert empty(3).base is None
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    values=st.lists(st.floats(allow_infinity=False, width=32) | st.just(0.0) | st.just(-0.0), min_size=1, max_size=60),
+    run=st.integers(1, 20),
+    probability=st.floats(0, 1),
+)
+def test_ranks_and_quantiles_are_those_of_the_sorted_values(values: list[float], run: int, probability: float) -> None:
+    array = np.array(values)
+    known = np.sort(array[~np.isnan(array)])
+    before, mapped_arrays.RUN = mapped_arrays.RUN, run
+    try:
+        found = SortedValues(array)
+    finally:
+        mapped_arrays.RUN = before
+    assert found.size == known.size
+    if known.size:
+        assert np.array_equal(found.at(np.arange(known.size)), known)
+        assert found.quantile(probability) == pytest.approx(np.quantile(known, probability), rel=1e-12, abs=1e-300)
+    else:
+        assert np.isnan(found.quantile(probability))
+
+
+@pytest.mark.usefixtures("short")
+def test_common_rows_and_present_values() -> None:
+    rng = np.random.default_rng(3)
+    first, second = (np.unique(rng.integers(0, 2000, 1200)) for _ in range(2))
+    pairs = [(i, j) for rows, columns in common_rows(first, second) for i, j in zip(rows, columns)]
+    _, i, j = np.intersect1d(first, second, return_indices=True)
+    assert pairs == list(zip(i, j))
+    values = np.where(rng.random(1000) < 0.1, np.nan, rng.standard_normal(1000))
+    assert np.array_equal(present(values), values[~np.isnan(values)])
+
+
+@pytest.mark.parametrize("lags", [1, 7, 64, 5000])
+def test_autocorrelation_by_blocks(monkeypatch: pytest.MonkeyPatch, lags: int) -> None:
+    x = np.random.default_rng(4).standard_normal(500).cumsum()
+    monkeypatch.setattr(confidence, "LAGS", lags)
+    found = np.concatenate([products for _, products in confidence._autocorrelation(x)])
+    assert np.allclose(found, np.correlate(x, x, "full")[len(x) - 1 :], rtol=0, atol=1e-9 * (x @ x))
+
+
+def damaged(folder: Path) -> Path:
+    """Gaps, repeated and late stamps, NaN, a camera at another rate."""
+    rng, n = np.random.default_rng(5), 6000
+    stamps = 10**9 + 10**6 * np.arange(n)
+    keep = np.sort(rng.choice(n, n - 60, replace=False))
+    keep[700], keep[900:902] = keep[699], keep[900:902][::-1]
+    los = 1e-8 * rng.standard_normal((n, 2))
+    los[1234] = np.nan
+    signals = {"truth/los": los[keep], "los_estimate": los, "fsm/strain_gauge": los, "fsm/command": los}
+    return write_bag(
+        folder / "bag", signals, stamps={"truth/los": stamps[keep]}, start=10**9, parameters={"loop": "fsm"}
+    )
+
+
+def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    bag = damaged(tmp_path)
+    whole = Run.open(bag)
+    before, page = summarise(whole, transient=1.0), render([whole], transient=1.0)
+    request.getfixturevalue("short")
+    split = Run.open(bag)
+    assert split["truth/los"].integrity == whole["truth/los"].integrity
+    assert split["truth/los"].integrity.duplicates and split["truth/los"].integrity.out_of_order
+    after = summarise(split, transient=1.0)
+    assert {**after.as_dict(), "requirements": 0} == {**before.as_dict(), "requirements": 0}
+    for one, other in zip(before.verdicts, after.verdicts):
+        assert (one.status, one.exceeding, one.samples, one.missing) == (
+            other.status, other.exceeding, other.samples, other.missing
+        )  # fmt: skip
+        assert other.effective == pytest.approx(one.effective, rel=1e-9)
+    assert len(render([split], transient=1.0)) == pytest.approx(len(page), rel=1e-3)
