@@ -343,8 +343,7 @@ def render(
     drawn = pictures(views, chosen, model)
     rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
     if len(runs) > 1:  # requirements over several runs are judged once, on all of them
-        over_runs = {str(r) for r in chosen if r.across_runs}
-        rows = [row for row in rows if row.text not in over_runs]
+        rows = [row for row in rows if row.text not in {str(r) for r in chosen if r.across_runs}]
         rows += [_row("all runs", judge(r, runs, transient)) for r in chosen if r.across_runs]
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.influence import first_order_index, influences, yield_curve
 from los_testbed.campaign.member import DEPTHS, TIME_METRICS, finished_row
 from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
-from los_testbed.campaign.statistics import first_order_index, influences, yield_curve
 from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop
 from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import solve
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
 FloatArray = NDArray[np.float64]
@@ -61,8 +62,8 @@ def channel_factors(system: UncertainSystem) -> tuple[FloatArray, FloatArray]:
     q = len(system.channels)
     seen = np.hstack([system.C[:q], system.D[:q, q:]])
     driven = np.vstack([system.B[:, :q], system.D[q:, :q]])
-    seen = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
-    driven = driven / np.maximum(np.linalg.norm(driven, axis=1), 1e-300)[:, None]
+    seen = seen / np.maximum(linalg.norm(seen, axis=0), 1e-300)
+    driven = driven / np.maximum(linalg.norm(driven, axis=1), 1e-300)[:, None]
     return _range(seen), _range(driven.T)
 
 
@@ -114,7 +115,7 @@ class MovingModes:
 
     def light(self, W: FloatArray) -> ComplexArray:
         """Lightly damped poles of a member with positive imaginary part [rad/s]."""
-        closed = W @ np.linalg.inv(np.eye(len(self.D)) - self.D @ W)
+        closed = W @ linalg.inv(np.eye(len(self.D)) - self.D @ W, check_finite=False)
         moved = linalg.eigvals(self.A + self.B @ closed @ self.C, overwrite_a=True, check_finite=False)
         poles = np.concatenate([moved, self.fixed])
         return np.asarray(poles[_light(poles) & (poles.imag > LOWEST)])
@@ -191,7 +192,7 @@ class ModelLoop:
         N = self.N[index]
         k, c, b = N.shape
         loop = np.eye(b) - (W @ N.view(float)).view(complex)
-        rows = np.linalg.solve(loop.swapaxes(1, 2), self.R[index].swapaxes(1, 2)).swapaxes(1, 2)
+        rows = solve(loop.swapaxes(1, 2), self.R[index].swapaxes(1, 2)).swapaxes(1, 2)
         through = (rows.reshape(-1, b) @ W).reshape(k, -1, c)
         return np.asarray(self.T11[index] + through @ self.Q[index])
 

@@ -9,9 +9,9 @@ import numpy as np
 from rich.table import Table
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.influence import Influence, influences
 from los_testbed.campaign.member import DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
-from los_testbed.campaign.statistics import Influence, influences
 from los_testbed.campaign.verdict import CampaignVerdict, verdicts
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.influence import yield_curve
 from los_testbed.campaign.overview import RANKED, campaign_summary
 from los_testbed.campaign.sampling import COLUMNS, box
-from los_testbed.campaign.statistics import yield_curve
 from pointing_analysis.atomic_output import write_text
 from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
 
