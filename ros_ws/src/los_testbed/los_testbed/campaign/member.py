@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError
 
 from los_estimator.runtime import LosEstimator
 from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
-from los_testbed.campaign.sampling import COLUMNS, settings
+from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import judged, share_column
 from los_testbed.config import RunConfig
 from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
@@ -90,9 +90,11 @@ class MemberEvaluator:
         """
         metrics, status, reason = dict.fromkeys(DEPTHS[depth], math.nan), "ok", ""
         try:
-            config = replace(self.base, **settings(values))
             with one_thread(), np.errstate(all="ignore"):
-                metrics |= self._simulated(config) if depth == "time" else self._modelled(config)
+                if depth == "time":
+                    metrics |= self._simulated(replace(self.base, **settings(values)))
+                else:
+                    metrics |= self._modelled(values)
             if depth == "model" and not metrics["ape_gain"] < math.inf:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
@@ -148,12 +150,19 @@ class MemberEvaluator:
         k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
         return ModelDepth.of(self.family.control_loop, self.family.parameters, k_fsm, k_pma, self.base.loop)
 
-    def _modelled(self, config: RunConfig) -> dict[str, float]:
-        """Metrics of the sampled loop, from its matrices."""
-        from titop_plant.simulation import parameter_values
+    @cached_property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        return box(self.base.parameters)
 
-        physical = plant_config(replace(config, scenario="design"))
-        return self._model.metrics(parameter_values(physical, self.family.parameters))
+    def _modelled(self, row: Mapping[str, Any]) -> dict[str, float]:
+        """Metrics of the sampled loop, from its matrices."""
+        values = {}
+        for column, name in zip(COLUMNS, DELTA):
+            value, (low, high) = float(row[column]), self._ranges[column]
+            if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
+                raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
+            values[name] = value
+        return self._model.metrics(values)
 
 
 def _samples(error: FloatArray, window_p997: float) -> tuple[float, ...]:

@@ -40,7 +40,7 @@ IndexArray = NDArray[np.intp]
 TURN = 2.0
 """Angle [rad] between neighbouring frequencies above which the return difference is not resolved."""
 
-NEAR_MAXIMUM = 0.7
+NEAR_MAXIMUM = 0.8
 """Share of the largest gain above which a local maximum is followed to its peak."""
 
 CLIMBS = 8
@@ -48,7 +48,7 @@ CLIMBS = 8
 
 _TONES = np.concatenate([np.linspace(0.0, 6.0, 41), np.linspace(6.5, 20.0, 28)])
 
-NEAR_PEAK = 0.5
+NEAR_PEAK = 0.8
 """Share of the largest gain above which gains are exact; below, an upper bound stands in."""
 
 MODEL_METRICS = (
