@@ -4,7 +4,8 @@
     python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/real_time.md
 
 Each loop is four processes: plant, estimator, controller, and the testbed's recorder. `ours` has real-time scheduling,
-`ours_ordinary` is the same without any rights, `ours_hogs` with busy processes beside it. `events_executor` and
+`ours_ordinary` is the same without any rights, `ours_hogs` with busy processes beside it; before and after, bare loops
+(benchmarks/bare_loop.py) show what the machine allows. `events_executor` and
 `single_threaded` are benchmarks/executor_nodes.py: message objects, callbacks, a ROS timer.
 
 Latency: from the plant's wake-up to the arrival of the mirror command of the same tick at the plant's middleware.
@@ -26,8 +27,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from bare_loop import bare_loops, summed_shares
 from los_testbed.config import RunConfig
-from los_testbed.run.runner import Results, Runner
+from los_testbed.run.results import Results
+from los_testbed.run.runner import Runner
 from los_testbed.topics import NODES
 
 HERE = Path(__file__).parent
@@ -56,8 +59,18 @@ def main() -> None:
     args = parser.parse_args()
     loops = [name for name in args.loops if args.hogs or name != "ours_hogs"]
     load = os.getloadavg()[0]
-    runs = {name: fly(name, args.seconds, args.hogs, args.domain) for name in loops}
+    runs, bare = {}, {}
+    for name in loops:
+        before = bare_beside(name, args.hogs, args.seconds)
+        runs[name] = fly(name, args.seconds, args.hogs, args.domain)
+        bare[name] = before + bare_beside(name, args.hogs, args.seconds)
     result: dict[str, Any] = {name: figures(*run) for name, run in runs.items()}
+    for name, found in bare.items():
+        if found:
+            result[name]["bare"] = summed_shares(found)
+            result[name]["miss_rate_to_bare"] = result[name]["miss_rate"] / max(
+                summed_shares(found)["late_300_us"], 1e-9
+            )
     result["seconds"], result["hogs"] = args.seconds, args.hogs
     if "ours" in result:
         result["miss_rate"] = result["ours"]["miss_rate"]
@@ -80,6 +93,27 @@ def write_between(page: Path, name: str, text: str) -> None:
     page.write_text(head + start + text + end + rest.partition(end)[2], "utf-8")
 
 
+def bare_beside(name: str, hogs: int, seconds: float) -> list[list[dict[str, Any]]]:
+    """Bare loops under the same load, a quarter as long, for the runs with real-time scheduling."""
+    if name not in ("ours", "ours_hogs"):
+        return []
+    busy = busy_processes(hogs if name == "ours_hogs" else 0)
+    try:
+        return [bare_loops(seconds / 4)]
+    finally:
+        end_processes(busy)
+
+
+def busy_processes(count: int) -> list[subprocess.Popen[bytes]]:
+    return [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+
+
+def end_processes(busy: list[subprocess.Popen[bytes]]) -> None:
+    for process in busy:
+        process.kill()
+        process.wait()
+
+
 def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dict[str, float]]:
     """One run; what the nodes said, and the processor time of each process in per cent."""
     commands = {}
@@ -89,7 +123,7 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
         commands = {
             node: ["env", *AS_IT_COMES, sys.executable, script, node, kind] for node in NODES if node != "recorder"
         }
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(hogs)] if "hogs" in name else []
+    busy = busy_processes(hogs if "hogs" in name else 0)
     seen: list[tuple[float, dict[str, float]]] = []
 
     def progress(ticks: int) -> None:
@@ -105,9 +139,7 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
             runner = Runner(config, progress, commands)
             results = runner.run()
     finally:
-        for process in busy:
-            process.kill()
-            process.wait()
+        end_processes(busy)
     (start_time, first), (ended, last) = seen[0], seen[-1]
     span = max(ended - start_time, 1e-9)
     return results, {node: round(100 * (last[node] - first[node]) / span, 1) for node in first}
@@ -176,6 +208,7 @@ def table(result: dict[str, Any]) -> str:
             f"| {late['median']:.0f} / {late['p999']:.0f} / {late['max']:.0f} "
             f"| {'/'.join(f'{cpu[node]:.0f}' for node in NODES)} | {run['messages_lost']} of {run['messages']} |"
         )
+    rows += ["", *bare_lines(result)] if any("bare" in result.get(name, {}) for name in LABELS) else []
     m = result["machine"]
     rows += [
         "",
@@ -185,6 +218,19 @@ def table(result: dict[str, Any]) -> str:
         f"{m['rmw-fastrtps-cpp']}; load average before the first run {m['load_before']:.1f}.",
     ]
     return "\n".join(rows) + "\n"
+
+
+def bare_lines(result: dict[str, Any]) -> list[str]:
+    """What the machine allowed before and after the runs with real-time scheduling."""
+    found = [
+        f"{LABELS[name]}: bare loops, one per processor, before and after: late by more than 0.3 ms in "
+        f"{100 * run['bare']['late_300_us']:.3g} % of the ticks (summed over the processors), by more than 1 ms in "
+        f"{100 * run['bare']['late_1000_us']:.3g} %, {run['bare']['largest_us'] / 1000:.1f} ms at most; missed ticks "
+        f"are {run['miss_rate_to_bare']:.2g} times the first share."
+        for name in LABELS
+        if (run := result.get(name, {})).get("bare")
+    ]
+    return ["\n\n".join(line[0].upper() + line[1:] for line in found)]
 
 
 def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit" / "pointing_analysis"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from headless_browser import Page, browser
 
 WIDTH, HEIGHT = 1280, 2230

@@ -36,11 +36,24 @@ MAY_IMPORT: dict[str, set[str]] = {
     "los_design": set(FOLDERS) - {"los_testbed"},
     "los_testbed": set(FOLDERS),
 }
-LAYERS = ("config", "topics", "run_start", "variants", "factories", "bags", "loop", "run", "campaign", "nodes", "cli")
+LAYERS = (
+    "config",
+    "topics",
+    "run_start",
+    "variants",
+    "factories",
+    "bags",
+    "loop",
+    "run",
+    "live",
+    "campaign",
+    "nodes",
+    "cli",
+)
 """Modules and subpackages of los_testbed: each imports of the package only itself and what stands before it."""
 ROS = {
     "rclpy", "ament_index_python", "launch", "launch_ros", "rcl_interfaces", "std_msgs", "sensor_msgs", "geometry_msgs",
-    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs",
+    "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs", "std_srvs",
 }  # fmt: skip
 STACKS = {
     "lti/batched_linalg.py", "los_design/sampled_loop.py",

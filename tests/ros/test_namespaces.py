@@ -2,6 +2,7 @@
 
 import threading
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -9,10 +10,12 @@ from bystander import Bystander
 from los_testbed.config import RunConfig
 from los_testbed.run.domains import domain_lock, free_domain
 from los_testbed.run.runner import Runner
+from los_testbed.run.summary import summarise_runs
 from mcap.reader import make_reader
 from ros_faults import diagnostics
 from ros_runs import PLANT, config_for, span_of
 
+from pointing_analysis.errors import RAD_PER_ARCSEC
 from pointing_analysis.read import Run
 
 pytestmark = pytest.mark.ros
@@ -20,14 +23,13 @@ SEEDS = {"/foo": 3, "/foo/bar": 4}
 TICKS = {"/foo": 3000, "/foo/bar": 4000}
 
 
-@pytest.fixture(scope="module")
-def both(tmp_path_factory):
+def run_both(tmp_path_factory, ticks):
     """Results of two runs at the same time."""
     found = {}
 
     def run(namespace):
         folder = tmp_path_factory.mktemp("run")
-        values = {"namespace": namespace, "seed": SEEDS[namespace], "duration": TICKS[namespace] / 1000}
+        values = {"namespace": namespace, "seed": SEEDS[namespace], "duration": ticks[namespace] / 1000}
         found[namespace] = Runner(config_for(folder, **values), commands={"plant": PLANT}).run()
 
     threads = [threading.Thread(target=run, args=(namespace,)) for namespace in SEEDS]
@@ -37,6 +39,31 @@ def both(tmp_path_factory):
         thread.join()
     assert set(found) == set(SEEDS)
     return found
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    return run_both(tmp_path_factory, TICKS)
+
+
+@pytest.mark.slow
+def test_two_testbeds_for_20_s_have_each_a_verdict_of_its_own(tmp_path_factory):
+    found = run_both(tmp_path_factory, dict.fromkeys(SEEDS, 20_000))
+    quantiles = set()
+    for results in found.values():
+        assert not results.failures
+        summary, plant = summarise_runs([results.bag], None).runs[0], results.statistics["plant"]
+        assert plant["ticks"] == "20000"
+        assert summary["missed_ticks"] == int(plant["missed_ticks"]) <= summary["periods"]
+        assert summary["periods"] == 20_000 + int(plant["skipped_periods"])
+        truth = Run.open(results.bag)["truth/los"]
+        kept = truth.values[truth.stamp - truth.stamp[0] >= summary["transient_s"] * 1e9, :2]
+        largest = np.hypot(*kept.T).max() / RAD_PER_ARCSEC
+        assert summary["ape_arcsec"]["max"] == pytest.approx(largest, rel=1e-4), (
+            "the verdict is on its own line of sight"
+        )
+        quantiles.add(tuple(verdict["quantile"] for verdict in summary["requirements"]))
+    assert len(quantiles) == 2
 
 
 @pytest.mark.parametrize("namespace", SEEDS)

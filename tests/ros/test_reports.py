@@ -28,7 +28,9 @@ def report(count=2):
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_reports_are_read_as_the_middleware_writes_them(count):
-    assert read_diagnostics(report(count)) == ("0a1b", [(f"telescope: {i}", VALUES) for i in range(count)])
+    frame, found = read_diagnostics(report(count))
+    assert frame == "0a1b"
+    assert [(status.name, status.values) for status in found] == [(f"telescope: {i}", VALUES) for i in range(count)]
 
 
 def test_a_report_cut_anywhere_is_refused():

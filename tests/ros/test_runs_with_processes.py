@@ -11,7 +11,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.runner import RunError, Runner, environment, node_command, parameter_file
+from los_testbed.run.results import RunError
+from los_testbed.run.runner import Runner, environment, node_command, parameter_file
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of, topic_hashes
 from simple_telescope import SimpleTelescope
 
@@ -125,7 +126,7 @@ def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path):
     def meanwhile(ticks):
         if ticks > 200 and not outcome:
             outcome.append(
-                subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=30)
+                subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=240)
             )
             raise KeyboardInterrupt
 

@@ -9,8 +9,11 @@ pytest.importorskip("rclpy")
 from bystander import Bystander
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import codec_for
-from los_testbed.run.runner import RunError, Runner
+from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.run.results import RunError
+from los_testbed.run.runner import Runner
 from los_testbed.topics import FSM_COMMAND, TOPICS, TRUTH_LOS
+from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 from ros_faults import diagnostics, run_with_fault
 from ros_runs import PLANT, assert_plant_is_recorded, config_for, span_of
@@ -110,6 +113,36 @@ def test_false_reports_do_not_change_the_statistics_of_the_run(results):
     reports = list(diagnostics(results.bag, "plant"))
     assert reports[-1][2] in ("finished", *(text for *_, text in reports if "ticks missed" in text))
     assert any("second publisher on" in text for _, level, text in diagnostics(results.bag, "recorder") if level == 2)
+
+
+def reports_of_the_plant(bag):
+    """Its states in the bag, in order."""
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(topics=["/diagnostics"]):
+            yield from (s for s in read_diagnostics(message.data)[1] if s.name == "telescope: plant")
+
+
+def test_a_second_publisher_is_reported_within_50_ms_of_its_first_message(tmp_path):
+    """One message in each tick that it hears, from the moment it appears: at the report there are at most 50."""
+    counts = []
+
+    def follow(runner):
+        fsm = codec_for(FSM_COMMAND)
+        rogue = Bystander(runner.domain, (FSM_COMMAND,), [TRUTH_LOS], wait=False, pause=0.0)
+        end = time.monotonic() + 60.0
+        try:
+            while not runner.results.failures or len(counts) < 200:
+                assert time.monotonic() < end, "not reported"
+                now = rogue.next(TRUTH_LOS)
+                rogue.send(FSM_COMMAND, fsm.encode(now, np.zeros(2)))
+                counts.append(now)
+        finally:
+            rogue.close()
+
+    found = run_with_fault(tmp_path, 300, follow, after=100)
+    reports = [s for s in reports_of_the_plant(found.bag) if "second publisher on /telescope/fsm/command" in s.message]
+    assert int(reports[0].values.get("foreign_/telescope/fsm/command", 0)) <= 50
+    assert int(found.statistics["plant"]["foreign_/telescope/fsm/command"]) > 50
 
 
 def test_a_run_does_not_begin_with_two_senders_of_commands(tmp_path):

@@ -42,7 +42,12 @@ class Bystander:
     """Node with publishers on `sends` and subscriptions on `hears`; with `wait`, matched with the run's nodes."""
 
     def __init__(
-        self, domain: int, sends: Sequence[Topic] = (), hears: Sequence[Topic] = (), wait: bool = True
+        self,
+        domain: int,
+        sends: Sequence[Topic] = (),
+        hears: Sequence[Topic] = (),
+        wait: bool = True,
+        pause: float = 0.3,
     ) -> None:
         with middleware():
             self.context = Context()
@@ -54,7 +59,7 @@ class Bystander:
         end = time.monotonic() + (10.0 if wait else 0.0)
         while not self._matched() and time.monotonic() < end:
             time.sleep(0.05)
-        time.sleep(0.3)  # the other side may see the match a little later
+        time.sleep(pause)  # the other side may see the match a little later
 
     def _matched(self) -> bool:
         node, topics = self.node, [*self._outputs, *self._inputs]

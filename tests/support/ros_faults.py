@@ -27,7 +27,7 @@ def run_with_fault(folder, at, fault, duration=None, after=500, **values):
         if over and ticks - state.setdefault("end", ticks) >= after:
             raise KeyboardInterrupt
 
-    runner = Runner(config_for(folder, duration=duration or 60.0, **values), progress, {"plant": PLANT})
+    runner = Runner(config_for(folder, duration=duration or 240.0, **values), progress, {"plant": PLANT})
     try:
         return runner.run()
     finally:

@@ -12,6 +12,8 @@ REMEDIES = {
     "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'rclpy": "install the extra: pip install 'los-testbed[ros]'",
+    "could not import 'std_srvs": "install the extra: pip install 'los-testbed[ros]'",
+    "could not import 'foxglove": "install the extra: pip install 'los-testbed[live]'",
     "could not import 'rosbags": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'mcap_ros2": "install the extra: pip install 'los-testbed[dev]'",
     "extra nastran": "install the extra: pip install 'los-testbed[nastran]'",

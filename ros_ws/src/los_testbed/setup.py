@@ -18,7 +18,7 @@ setup(
     name=NAME,
     version=VERSION,
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["profiles/*.xml", "*.yaml", "campaign/*.html.j2", "py.typed"]},
+    package_data={NAME: ["profiles/*.xml", "*.yaml", "campaign/*.html.j2", "py.typed", "live/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -35,7 +35,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"{node} = {NAME}.nodes.{node}:main" for node in ("plant", "estimator", "controller", "recorder")
+            f"{node} = {NAME}.nodes.{node}:main" for node in ("plant", "estimator", "controller", "recorder", "live")
         ]
         + [f"los-testbed = {NAME}.cli.app:main"],
     },

@@ -98,6 +98,12 @@ def test_mistakes_are_errors(launched, given, reason):
         actions(launched, **given)
 
 
+def test_viewers_are_served_on_request_and_without_a_part_in_the_end_of_the_run(launched):
+    nodes, ends = actions(launched, live="true")
+    assert set(nodes) - set(ends) == {"live"}
+    assert nodes["live"].package == "los_testbed" and nodes["live"].namespace == "/telescope"
+
+
 def test_a_run_without_failures_ends_with_the_plant(launched):
     _, ends = actions(launched)
     (over,) = ends["plant"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=False))

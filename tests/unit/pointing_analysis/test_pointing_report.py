@@ -8,9 +8,9 @@ import re
 import shutil
 from pathlib import Path
 
-import headless_browser
 import numpy as np
 import pytest
+from support import headless_browser
 
 from pointing_analysis import requirements
 from pointing_analysis.prediction import Prediction, ToneComparison

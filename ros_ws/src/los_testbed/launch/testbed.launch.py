@@ -26,7 +26,7 @@ ARGUMENTS = {
     "scenario": ("", "disturbance scenario"),
     "output": ("", "folder of the bag; it must be new"),
     "record": ("true", "whether a recorder takes part"),
-    "live": ("false", "whether to start foxglove_bridge on 127.0.0.1, if it is installed"),
+    "live": ("false", "whether to serve viewers on 127.0.0.1: Foxglove's protocol on port 8765, a page on 8766"),
     "respawn": ("true", "in real time: whether a node that dies is started again, at most three times"),
 }
 """Arguments with defaults and descriptions; an empty one leaves the value of the parameter file."""
@@ -83,8 +83,16 @@ def start(context):
         RegisterEventHandler(OnProcessExit(target_action=node, on_exit=end.handler(name)))
         for name, node in nodes.items()
     ]
-    bridge = {"address": "127.0.0.1"}
-    live = [Node(package="foxglove_bridge", executable="foxglove_bridge", parameters=[bridge])]
+    parameters = [str(file), values]
+    live = [
+        Node(
+            package="los_testbed",
+            executable="live",
+            namespace=given["namespace"],
+            parameters=parameters,
+            output="screen",
+        )
+    ]
     return [*handlers, *nodes.values(), *(live if given["live"].lower() == "true" else [])]
 
 

@@ -102,6 +102,7 @@ class RunConfig:
     priority: bool = _parameter(True, "ask for real-time scheduling and locked memory")
     pin: bool = _parameter(True, "keep each node on one processor, if real-time scheduling is permitted")
     wait_for_recorder: bool = _parameter(False, "begin only when a recorder sees every topic")
+    wait_for_start: bool = _parameter(False, "begin only when the service plant/start is called")
     start_timeout: float = _parameter(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
 
     def __post_init__(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
 
 from los_testbed.bags.cdr import CodecError
 from pointing_analysis.cdr import ENCAPSULATION
@@ -39,12 +40,24 @@ class _Reader:
                 "encoding", f"text at byte {self.at - length} must be UTF-8, got {raw[:8].hex()}"
             ) from None
 
-    def byte(self) -> None:
+    def byte(self) -> int:
         self.at += 1
+        if self.at > len(self.data):
+            raise CodecError("size", f"message must go on after byte {self.at - 1}, got {len(self.data)} bytes")
+        return self.data[self.at - 1]
 
 
-def read_diagnostics(data: bytes) -> tuple[str, list[tuple[str, dict[str, str]]]]:
-    """Frame of a serialised message, and name and values of each status.
+class Status(NamedTuple):
+    """State of a node: level (0 OK, 1 WARN, 2 ERROR, 3 STALE), name, message, values."""
+
+    level: int
+    name: str
+    message: str
+    values: dict[str, str]
+
+
+def read_diagnostics(data: bytes) -> tuple[str, list[Status]]:
+    """Frame of a serialised message, and its states.
 
     Raises
     ------
@@ -56,8 +69,8 @@ def read_diagnostics(data: bytes) -> tuple[str, list[tuple[str, dict[str, str]]]
     reader = _Reader(data)
     frame, found = reader.text(), []
     for _ in range(reader.number()):
-        reader.byte()
-        name = reader.text()
-        reader.text(), reader.text()
-        found.append((name, {reader.text(): reader.text() for _ in range(reader.number())}))
+        level, name, message = reader.byte(), reader.text(), reader.text()
+        reader.text()
+        values = {reader.text(): reader.text() for _ in range(reader.number())}
+        found.append(Status(level, name, message, values))
     return frame, found

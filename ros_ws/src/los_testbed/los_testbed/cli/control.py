@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from los_testbed.nodes.remote_control import RemoteControl
 
 control_app = typer.Typer(
-    help="Change a run of this machine while it goes on: stage, noise, disturbance, authority, camera, life cycle.",
+    help="Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
     no_args_is_help=True,
 )
 
@@ -65,10 +65,30 @@ def fault(
 
 
 @control_app.command()
+def start(domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+    """Begin a run that waits for its start (run --set wait_for_start=true)."""
+    with _remote(domain, namespace, timeout) as remote:
+        remote.trigger("start")
+
+
+def _end(name: str, at: float | None, domain: int, namespace: str, timeout: float) -> None:
+    with _remote(domain, namespace, timeout) as remote:
+        if at is None:
+            remote.trigger(name)
+        else:
+            remote.change(name, True, at)
+
+
+@control_app.command()
 def stop(at: At = None, domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
     """End the run at one tick; its bag is complete."""
-    with _remote(domain, namespace, timeout) as remote:
-        remote.change("stop", True, at)
+    _end("stop", at, domain, namespace, timeout)
+
+
+@control_app.command()
+def reset(at: At = None, domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+    """End the run at one tick and begin it again, with the settings of the start and another bag (NAME-2)."""
+    _end("reset", at, domain, namespace, timeout)
 
 
 def _turn(node: str, transition: str, domain: int, namespace: str, timeout: float) -> None:

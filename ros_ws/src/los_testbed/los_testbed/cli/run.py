@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +18,7 @@ from los_testbed.cli.output import Json, print_json
 from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
-from los_testbed.run.runner import Results, RunError
+from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import say
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
@@ -24,11 +26,17 @@ from lti.progress import Progress
 RESTARTED = 3
 """Exit code of a run that was finished although a node died and had to be started again."""
 
+LIVE_PORT = 8765
+MAX_PORT = 65534
+"""Largest port of ``--live``: the page has the next one."""
+
 RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
 **Examples**
 
     los-testbed run                                    # 10 s on ROS 2 in real time, all loops closed
+
+    los-testbed run --duration 600 --live              # to watch in Foxglove or a browser, and to control
 
     los-testbed run --loop isolator --seed 3           # the same telescope without control
 
@@ -98,6 +106,14 @@ def run(
             help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder."
         ),
     ] = None,
+    live: Annotated[
+        int | None,
+        typer.Option(
+            metavar="[PORT]",
+            help=f"Serve viewers: Foxglove's protocol on PORT ({LIVE_PORT}), a page for browsers on the next one.",
+        ),
+    ] = None,
+    live_host: Annotated[str, typer.Option(metavar="ADDRESS", help="Where --live listens.")] = "127.0.0.1",
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
     json_: Json = False,
 ) -> None:
@@ -121,7 +137,7 @@ def run(
 
         raise typer.Exit(run_alone(only, chosen))
     console = Console(stderr=json_)
-    bag, results = execute(chosen)
+    bag, results = execute(chosen, live=live, live_host=live_host)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
@@ -207,9 +223,45 @@ def telescope_differences(config: RunConfig) -> list[str]:
     return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
 
 
-def execute(config: RunConfig) -> tuple[Path, Results]:
-    """Run, with a progress bar; the bag and what happened."""
+def with_live_port(arguments: Sequence[str]) -> list[str]:
+    """The command line with the port of ``--live`` where it has none.
+
+    >>> with_live_port(["run", "--live", "--seed", "3"]), with_live_port(["run", "--live", "9000"])
+    (['run', '--live=8765', '--seed', '3'], ['run', '--live', '9000'])
+    """
+    following = [*arguments[1:], ""]
+    return [
+        f"--live={LIVE_PORT}" if a == "--live" and not b.lstrip("+-").isdigit() else a
+        for a, b in zip(arguments, following)
+    ]
+
+
+def check_live(config: RunConfig, port: int) -> None:
+    """Refuse viewers where they cannot be served.
+
+    Raises
+    ------
+    ValueError
+        No such port, a mode without nodes, or the packages missing.
+    """
+    if not 0 <= port <= MAX_PORT:
+        raise ValueError(f"--live must be a port from 0 to {MAX_PORT}, got {port}")
+    if config.mode == "inprocess":
+        raise ValueError("mode must be realtime or lockstep with --live, got inprocess")
+    for package in ("foxglove", "tornado"):
+        if importlib.util.find_spec(package) is None:
+            raise ValueError(f"{package} must be installed for --live: pip install 'los-testbed[live]'")
+
+
+def _tell_addresses(foxglove: str, page: str) -> None:
+    sys.stderr.write(f"Foxglove: {foxglove}\npage: {page}\n")
+
+
+def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.0.1") -> tuple[Path, Results]:
+    """Run, with a progress bar and, if `live` names a port, a server for viewers; the bag and what happened."""
     warnings = check(config)
+    if live is not None:
+        check_live(config, live)
     for warning in warnings:
         sys.stderr.write(f"warning: {warning}\n")
     for line in telescope_differences(config):
@@ -232,9 +284,10 @@ def execute(config: RunConfig) -> tuple[Path, Results]:
             except KeyboardInterrupt:
                 raise RunError(f"interrupted{recorded(path)}", 130) from None
             return path, Results(bag=path)
-        from los_testbed.run.runner import Runner
+        from los_testbed.run.runner import Live, Runner
 
-        results = Runner(replace(config, wait_for_recorder=True), progress).run()
+        served = None if live is None else Live(live_host, live, _tell_addresses)
+        results = Runner(replace(config, wait_for_recorder=True), progress, live=served).run()
     if results.bag is None:
         raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]

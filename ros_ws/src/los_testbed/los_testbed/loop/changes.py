@@ -16,7 +16,7 @@ MAX_KEPT = 100
 """Changes that are kept for the record; the first ones stay."""
 
 NAMES = {
-    "plant": ("noise", "disturbance", "camera_dropout", "stop"),
+    "plant": ("noise", "disturbance", "camera_dropout", "stop", "reset"),
     "controller": ("loop", "fsm_authority", "pma_authority"),
 }
 """Settings that may change during a run, by the node that applies them."""
@@ -25,6 +25,9 @@ ALIASES = {"stage": "loop"}
 
 STOP = "stop"
 """Change that ends the run."""
+
+RESET = "reset"
+"""Change that ends the run and begins it again, with the settings of the start."""
 
 ACTIVE = "active"
 """Change that lets the output of a node fade to zero or in again."""
@@ -93,6 +96,8 @@ class Changes:
     told: list[tuple[str, Any]] = field(default_factory=list)
     _pending: list[tuple[int, str, Any]] = field(default_factory=list)
     _applied: list[tuple[int, str, Any]] = field(default_factory=list)
+    _changed: set[str] = field(default_factory=set)
+    _initial: list[tuple[int, str, Any]] = field(default_factory=list)
 
     def check(self, name: str, value: Any, at: float | None = None) -> Any:
         """The value as the setting takes it.
@@ -105,7 +110,7 @@ class Changes:
         if name not in self.appliers:
             known = ", ".join(sorted(self.appliers)) or "nothing"
             raise ValueError(f"name must be a setting that this node can change ({known}), got {name!r}")
-        if name == STOP:
+        if name in (STOP, RESET):
             checked: Any = True
         else:
             checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
@@ -125,6 +130,8 @@ class Changes:
     def enqueue(self, name: str, value: Any, due: int = 0) -> None:
         """Apply a checked value `due` [ns] after the first tick; 0: at the next tick."""
         self._pending.append((due, name, value))
+        if self.now < 0 and name != ACTIVE:
+            self._initial.append((due, name, value))
         self._pending.sort(key=lambda change: change[0])
         self.due = self._pending[0][0]
 
@@ -140,8 +147,24 @@ class Changes:
             self.due = self._pending[0][0] if self._pending else NEVER
             self.appliers[name](value)
             self.told.append((name, value))
+            self._changed.add(name)
             if len(self._applied) < MAX_KEPT:
                 self._applied.append((since_start // TICK_NS, name, value))
+
+    def restore(self) -> None:
+        """Another run begins: the settings of the start, and the changes that were requested before it, once more.
+
+        A node that is inactive stays so.
+        """
+        for name in sorted(self._changed - {STOP, RESET, ACTIVE}):
+            value = getattr(self.config, name)
+            self.appliers[name](self.limits.get(name, value))
+            self.told.append((name, value))
+        self._changed.clear()
+        self._applied.clear()
+        self._pending = sorted(self._initial, key=lambda change: change[0])
+        self.due = self._pending[0][0] if self._pending else NEVER
+        self.now = -1
 
     def record(self) -> dict[str, str]:
         """The changes so far as a value of the statistics; nothing where there were none."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes, run_start
-from los_testbed.loop.changes import NAMES, STOP, Apply
+from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
@@ -26,6 +26,7 @@ from los_testbed.nodes.support.handshake import refuse_second_plant, wait_for_fo
 from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
+from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
@@ -76,6 +77,22 @@ class PlantLoop:
         self.plant = plant
         self._first_command = first_command
         self.io = PlantIo(context)
+        self._pacer = LockstepPacer(context, self.io) if context.config.mode == "lockstep" else None
+        self._begin_counts()
+        self._woke = [0] * RING
+        self._command = np.zeros(COMMANDS)
+        self._measurement = np.zeros(MEASUREMENTS)
+        self._truth = np.zeros(TRUTH)
+        change = getattr(plant, "change", None)
+        appliers: dict[str, Apply] = {STOP: context.end, RESET: self._ask_again}
+        if change is not None:
+            appliers.update({name: partial(change, name) for name in NAMES["plant"] if name not in appliers})
+        self.changes = context.allow_changes(appliers)
+        self.services = RunServices(context.node, self.changes, context.config.wait_for_start)
+        self._again = False
+
+    def _begin_counts(self) -> None:
+        """Counts and times of a run."""
         self.ticks = 0
         self.held = 0
         self.clock = TickClock(TICK_NS)
@@ -83,28 +100,46 @@ class PlantLoop:
         self.latency = LatencyHistogram()
         self.execution = LatencyHistogram()
         self.period = LatencyHistogram()
-        self.health = LoopHealth(context.config.mode == "realtime")
-        self._woke = [0] * RING
-        self._command = np.zeros(COMMANDS)
-        self._measurement = np.zeros(MEASUREMENTS)
-        self._truth = np.zeros(TRUTH)
+        self.health = LoopHealth(self.context.config.mode == "realtime")
         self._reported: tuple[int, int] = (0, 0)
-        change = getattr(plant, "change", None)
-        appliers: dict[str, Apply] = {STOP: context.end}
-        if change is not None:
-            appliers.update({name: partial(change, name) for name in NAMES["plant"] if name != STOP})
-        self.changes = context.allow_changes(appliers)
         self._faded = False
         self._second = ""
 
     def run(self) -> int:
-        """Handshake, the ticks of the run, the last report."""
-        context, config = self.context, self.context.config
+        """Run, and once more after every reset."""
+        context = self.context
         context.become_real_time()
-        wait_for_followers(context, self.io)
-        if context.stop:
-            context.event("done", statistics={})
-            return 0
+        while True:
+            wait_for_followers(context, self.io, lambda: self.services.may_begin)
+            if context.stop:
+                context.event("done", statistics={})
+                return 0
+            self.services.begin()
+            self._run_once()
+            if not self._again or context.stop:
+                break
+            context.event("reset")
+            self._again, self.services.state = False, WAITING
+            self.changes.restore()
+            self._begin_counts()
+            self.io.forget()
+        self.services.state = OVER
+        context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
+        if not np.isfinite(self._truth).all():
+            raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
+        return 0
+
+    def _ask_again(self, value: bool) -> None:
+        self._again = True
+
+    @property
+    def _ended(self) -> bool:
+        """Whether the run is to end before its time."""
+        return self.context.stop or self._again
+
+    def _run_once(self) -> None:
+        """The ticks of a run and the last report."""
+        context, config = self.context, self.context.config
         self.plant.reset()
         if config.mode == "lockstep":
             start = aligned_start(SIMULATED_START_NS, config.frame_ticks)
@@ -113,16 +148,12 @@ class PlantLoop:
             self.clock.begin(time.monotonic_ns() + start - time.time_ns())
         self.io.begin(start, self._first_command)
         context.event("running", start_ns=start)
-        if config.mode == "lockstep":
-            self._lockstep(start)
+        if self._pacer is not None:
+            self._lockstep(start, self._pacer)
         else:
             self._real_time(start)
         self.io.settle()
         self._report(start + self.ticks * TICK_NS, last=True)
-        context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
-        if not np.isfinite(self._truth).all():
-            raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
-        return 0
 
     @property
     def missed(self) -> int:
@@ -141,7 +172,7 @@ class PlantLoop:
             last = start_time
             self._woke[k % RING] = time.time_ns()
             self._take_commands(now)
-            if k == total or context.stop:  # one more wake-up, for the commands of the last tick
+            if k == total or self._ended:  # one more wake-up, for the commands of the last tick
                 break
             self._tick(now)
             self.execution.add(time.monotonic_ns() - start_time)
@@ -190,21 +221,21 @@ class PlantLoop:
         elif k % RATE == 0:
             self._report(now)
 
-    def _lockstep(self, start: int) -> None:
+    def _lockstep(self, start: int, pacer: LockstepPacer) -> None:
         context, total = self.context, self.context.config.ticks
-        pacer = LockstepPacer(context, self.io)
+        pacer.begin()
         for k in range(total):
             now = start + k * TICK_NS
             if k % CLOCK_TICKS == 0:
                 pacer.clock(now)
             start_time = time.monotonic_ns()
             self._tick(now)
-            if not pacer.wait(now):
+            if not pacer.wait(now) or self._again:
                 break
             self.latency.add(time.monotonic_ns() - start_time)
             if k % 20 == 0:
                 context.report_second_publishers(self.io.watch.look(time.monotonic_ns()))
-            if k % 500 == 0:
+            if k % 100 == 0:
                 context.event("progress", tick=self.ticks)
                 context.service()
         if self.ticks:

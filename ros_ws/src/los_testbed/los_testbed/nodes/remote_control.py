@@ -87,6 +87,22 @@ class RemoteControl:
             state = {"activate": "inactive", "deactivate": "active"}[transition]
             raise ValueError(f"{node} must be {state} for the transition {transition}, got another state")
 
+    def trigger(self, name: str) -> None:
+        """Start, stop or reset the run.
+
+        Raises
+        ------
+        ValueError
+            Refused: the run is in another state.
+        NoAnswerError
+            The plant does not answer.
+        """
+        from std_srvs.srv import Trigger
+
+        response = self._call(Trigger, f"plant/{name}", Trigger.Request())
+        if not response.success:
+            raise ValueError(response.message)
+
     def _call(self, kind: Any, name: str, request: Any) -> Any:
         service = f"{self._namespace}/{name}"
         client = self._node.create_client(kind, service)

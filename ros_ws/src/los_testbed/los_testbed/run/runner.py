@@ -10,7 +10,7 @@ import selectors
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
 from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_process import NodeProcess
+from los_testbed.run.results import Results, RunError
 from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
 from pointing_analysis.atomic_output import write_text
@@ -31,40 +32,21 @@ from titop_plant.interface import RATE
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
+LIVE = "live"
+"""Name of the node that serves viewers."""
+
 STOP_S = 10.0
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
-class RunError(RuntimeError):
-    """A node failed; `code` is the exit code that fits."""
+@dataclass(frozen=True)
+class Live:
+    """Server for viewers beside a run: where it listens, and whom to tell its addresses (Foxglove's, the page's)."""
 
-    def __init__(self, message: str, code: int = 1) -> None:
-        super().__init__(message)
-        self.code = code
-
-
-@dataclass
-class Results:
-    """What the nodes reported at the end.
-
-    Attributes
-    ----------
-    statistics : last statistics of each node
-    bag : folder of the bag; None if nothing was recorded
-    warnings, failures : what was not permitted; which nodes ended unexpectedly, one line each
-    latency : histogram of the plant's latencies, microseconds to counts
-    earlier : bags of the same run from before its plant was started again
-    interrupted : whether the run was ended before its time
-    """
-
-    statistics: dict[str, dict[str, str]] = field(default_factory=dict)
-    bag: Path | None = None
-    warnings: list[str] = field(default_factory=list)
-    failures: list[str] = field(default_factory=list)
-    latency: dict[int, int] = field(default_factory=dict)
-    earlier: list[Path] = field(default_factory=list)
-    interrupted: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8765
+    tell: Callable[[str, str], None] = lambda foxglove, page: None
 
 
 def node_command(name: str) -> list[str]:
@@ -155,6 +137,8 @@ class Runner:
         Called with the number of ticks done.
     commands : mapping, optional
         Commands for nodes that are not the package's own (another plant, another controller).
+    live : Live, optional
+        Serves viewers; without it nobody does.
     """
 
     def __init__(
@@ -162,15 +146,20 @@ class Runner:
         config: RunConfig,
         progress: Callable[[int], None] = lambda ticks: None,
         commands: Mapping[str, Sequence[str]] | None = None,
+        live: Live | None = None,
     ) -> None:
+        self._live = live
         self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
         self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
+        if live is not None:
+            self._commands[LIVE] = [*node_command(LIVE), "--host", live.host, "--port", str(live.port)]
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
         self._errors: list[tuple[str, str]] = []
         self._restarts = 0
+        self._resets = 0
         self._ticks_done = 0
         self._before = 0
         self._parameters: MemoryFile | None = None
@@ -223,10 +212,13 @@ class Runner:
     def _perform(self) -> None:
         try:
             self._start("plant")
+            if self._live is not None:
+                self._start(LIVE)
+                self._until(LIVE, "ready", 120.0)
             self._until("plant", "alone", 30.0)
             for name in NODES[1:]:
                 self._start(name)
-            self._until("plant", "running", self._config.start_timeout + 120.0)
+            self._until("plant", "running", None if self._config.wait_for_start else self._config.start_timeout + 120.0)
             self._until("plant", "done", None)
         except KeyboardInterrupt:
             self.results.interrupted = True
@@ -238,12 +230,13 @@ class Runner:
 
     def _finish(self) -> None:
         """Followers first, so that their last samples reach the recorder; then the recorder."""
-        for name in ("estimator", "controller"):
+        served = [LIVE] if LIVE in self._nodes else []
+        for name in ("estimator", "controller", *served):
             self._nodes[name].interrupt()
         self._await_exit(("plant", "estimator", "controller"))
         self._nodes["recorder"].interrupt()
         self._until("recorder", "done", 60.0)
-        self._await_exit(("recorder",))
+        self._await_exit(("recorder", *served))
         for name in NODES:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
         histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
@@ -251,8 +244,10 @@ class Runner:
         bag = self._seen[("recorder", "done")].get("bag")
         bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
         self.results.bag = bags[-1] if bags else None
-        for path in bags[:-1]:
-            self.results.failures.append(f"what came before the plant was started again is in {path}")
+        restarted = len(bags) - 1 > self._resets
+        lines = self.results.failures if restarted else self.results.warnings
+        what = "the plant was started again" if restarted else "the reset"
+        lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
 
     def _start(self, name: str) -> None:
         assert self._parameters is not None
@@ -313,6 +308,11 @@ class Runner:
             message = f"{event['topic']} had a second publisher (node {event['publisher']}): its messages were not used"
             if message not in self.results.failures:
                 self.results.failures.append(message)
+        elif kind == "reset":
+            self._resets += 1
+            self._ticks_done = self._before
+        elif kind == "live" and self._live is not None:
+            self._live.tell(str(event["foxglove"]), str(event["page"]))
         elif kind == "bag":
             self.results.earlier.append(Path(event["path"]))
         elif kind == "error":
@@ -327,6 +327,11 @@ class Runner:
                 continue
             self._poll(0.1)
             told = [message for name, message in self._errors if name == node.name]
+            if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run does without
+                node.asked_to_stop = True
+                how = [f"code {code}", *told][-1]
+                self.results.warnings.append(f"the server for viewers ended unexpectedly: {how}")
+                continue
             if told:
                 before_work = not {(node.name, "ready"), (node.name, "alone")} & self._seen.keys()
                 raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)

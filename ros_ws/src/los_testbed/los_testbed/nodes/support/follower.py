@@ -21,6 +21,9 @@ WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000
 """Time between looks at the graph while a topic has messages of a publisher that is not yet decided on."""
 
+CHANGE_REPORT_NS = 5_000_000
+"""A change is reported this long after it was applied, in another tick than the answer to the request."""
+
 HORIZON_NS = 50_000_000
 """A stamp may be this much ahead of the plant's clock."""
 
@@ -94,6 +97,8 @@ class Follower:
                 next_decision = before + DECISION_NS
                 for subscription in self._subscriptions:
                     subscription.decide(before)
+            if self._changes.told and next_report > before + CHANGE_REPORT_NS:
+                next_service, next_report = before, before + CHANGE_REPORT_NS
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 context.service()
@@ -137,7 +142,8 @@ class Follower:
             return False
         stamp, changes = synchronizer.stamp, self._changes
         if stamp == HOLD_STAMP:
-            self._start = 0
+            if self._start:
+                self._begin_again()
         else:
             self._start = self._start or stamp
             changes.now = stamp - self._start
@@ -149,6 +155,16 @@ class Follower:
         else:  # another run begins, on another clock
             self._ahead = 0
         return True
+
+    def _begin_again(self) -> None:
+        """The plant holds after a run: the next one has the settings of the start and counts of its own."""
+        self._report()
+        self._start = self.ticks = 0
+        self._changes.restore()
+        self._execution, self._period = LatencyHistogram(), LatencyHistogram()
+        self._health = LoopHealth(self._context.config.mode == "realtime")
+        self._synchronizer.gaps, self._troubles = 0, (0, 0)
+        self._synchronizer.rejected.clear()
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""

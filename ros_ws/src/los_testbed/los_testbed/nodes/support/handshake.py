@@ -8,6 +8,7 @@ and, if a recorder takes part, until it says that it sees every topic.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -53,8 +54,8 @@ def refuse_second_plant(context: NodeContext) -> None:
         listener.close()
 
 
-def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
-    """Send hold ticks until estimator, controller and, if asked for, recorder answer.
+def wait_for_followers(context: NodeContext, io: PlantIo, may_begin: Callable[[], bool] = lambda: True) -> None:
+    """Send hold ticks until estimator, controller and, if asked for, recorder answer and the run `may_begin`.
 
     Raises
     ------
@@ -74,11 +75,14 @@ def wait_for_followers(context: NodeContext, io: PlantIo) -> None:
                 if ours and len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
                     waiting_for.pop(name, None)
             subscription.decide(time.monotonic_ns())
-        if not waiting_for:
+        context.service()
+        if not waiting_for and not may_begin():
+            start_time = time.monotonic()
+        elif not waiting_for:
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
             _refuse_second_commander(context, io)
             return
-        if time.monotonic() - start_time > context.config.start_timeout:
+        elif time.monotonic() - start_time > context.config.start_timeout:
             _refuse_second_commander(context, io)
             missing = ", ".join(subscription.name for subscription in waiting_for.values())
             raise ValueError(

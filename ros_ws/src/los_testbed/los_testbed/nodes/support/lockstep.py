@@ -30,6 +30,10 @@ class LockstepPacer:
         self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
         self._message = Clock()
 
+    def begin(self) -> None:
+        """A run begins: the recorder has nothing of it."""
+        self._recorded = 0
+
     def clock(self, now: int) -> None:
         """Publish simulated time."""
         stamp = self._message.clock

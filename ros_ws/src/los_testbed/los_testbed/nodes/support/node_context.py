@@ -192,6 +192,8 @@ def _log_line(kind: str, content: Mapping[str, Any]) -> str:
         return f"run begins at {content['start_ns'] / 1e9:.3f} s"
     if kind == "bag":
         return f"bag closed: {content['path']}"
+    if kind == "live":
+        return f"viewers: Foxglove {content['foxglove']}, page {content['page']}"
     if kind != "done":
         return ""
     shown = ("ticks", "missed_ticks", "skipped_periods", "latency_median_us", "gap_ticks", "messages", "samples_lost")

@@ -67,6 +67,11 @@ class PlantIo:
         self.fsm_gate.begin(start, None if command is None else command[MIRROR])
         self.pma_gate.begin(start, None if command is None else command[FORCES])
 
+    def forget(self) -> None:
+        """The next run counts its own rejected commands."""
+        for gate in (self.fsm_gate, self.pma_gate):
+            gate.rejected.clear()
+
     def fading(self) -> bool:
         """Whether an actuator is being brought to zero for want of commands."""
         return self.fsm_gate.fading or self.pma_gate.fading

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
-from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.bags.diagnostics import Status, read_diagnostics
 from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.raw_topics import RawSubscription
@@ -125,18 +125,23 @@ class Track:
 
 
 class ReportTrack(Track):
-    """Diagnostics of one node, on the topic of its own; `statistics` are the values of the last one.
+    """Diagnostics of one node, on the topic of its own; `status` is the last one.
 
     A report names its publisher (``header.frame_id``), and the graph must know that as one of the node's.
     """
 
     def __init__(self, subscription: RawSubscription) -> None:
         super().__init__(subscription.name, subscription, 0)
-        self.statistics: dict[str, str] = {}
+        self.status: Status | None = None
         self._refused = 0
         self._undecided: list[tuple[int, str, Taken]] = []
         self._known: set[str] = set()
         subscription.guard.node = subscription.guard.expected
+
+    @property
+    def statistics(self) -> dict[str, str]:
+        """Values of the last report."""
+        return self.status.values if self.status is not None else {}
 
     @property
     def foreign(self) -> int:
@@ -172,7 +177,7 @@ class ReportTrack(Track):
         for since, publisher, taken in self._undecided:
             if publisher in self._known:
                 self._keep(taken)
-                self.statistics = dict(*(values for _, values in read_diagnostics(taken[0])[1][-1:]))
+                self.status = next(iter(read_diagnostics(taken[0])[1][-1:]), None)
             elif publisher in unknown and now_ns - since < UNKNOWN_NS:
                 waiting.append((since, publisher, taken))
             else:

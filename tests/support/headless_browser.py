@@ -114,14 +114,14 @@ class Page:
         """Call a method of the debugging protocol."""
         return self._send(method, parameters, self._session)
 
-    def open(self, path: Path, width: int, height: int = 900, *, phone: bool = False) -> None:
-        """Open a file at a width in CSS pixels and wait until it is loaded."""
+    def open(self, page: Path | str, width: int, height: int = 900, *, phone: bool = False) -> None:
+        """Open a file or an address at a width in CSS pixels and wait until it is loaded."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=phone)
-        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         deadline = time.monotonic() + LIMIT
         while self.value("document.readyState") != "complete" or self.value("location.href") == "about:blank":
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{path} did not load within {LIMIT:g} s")
+                raise TimeoutError(f"{page} did not load within {LIMIT:g} s")
             time.sleep(0.02)
 
     def value(self, expression: str) -> Any:

@@ -1,0 +1,108 @@
+"""Frames of the page: what a viewer has not yet seen of a run."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from los_testbed.bags.diagnostics import Status
+from los_testbed.config import RunConfig
+from los_testbed.live.history import URAD, History, indices, limits
+
+COMPUTED_S = 0.5
+"""Time from one computation of indices and spectrum to the next."""
+
+CHANGING = {"loop": "controller", "noise": "plant", "disturbance": "plant", "camera_dropout": "plant"}
+"""Settings that the page shows, and the node whose report names their changes."""
+
+
+class Frames:
+    """What is known of a run, and the part of it that a viewer gets next.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The run.
+    authority : sequence of float
+        Largest mirror angle [rad] and force [N].
+    """
+
+    def __init__(self, config: RunConfig, authority: Sequence[float]) -> None:
+        self._config = config
+        self._limits = limits()
+        self.history = History()
+        self.over = False
+        self._run = 1
+        self._nodes: dict[str, dict[str, Any]] = {}
+        self._reports = 0
+        self._computed = 0
+        self._next = 0.0
+        self._indices: list[dict[str, Any]] = []
+        self._spectrum: dict[str, list[float]] | None = None
+        self._fixed = {
+            "namespace": config.namespace,
+            "mode": config.mode,
+            "scenario": config.scenario,
+            "duration": config.duration,
+            "authority": {"fsm": authority[0] / URAD, "pma": authority[1]},
+        }
+
+    def clear(self) -> None:
+        """Another run begins: the plant was reset or started again."""
+        self.history.clear()
+        self._run += 1
+        self._indices, self._spectrum, self._next = [], None, 0.0
+
+    def note(self, name: str, status: Status) -> None:
+        """Report of a node."""
+        self._nodes[name] = {"level": status.level, "message": status.message, "values": status.values}
+        self._reports += 1
+
+    def settings(self) -> dict[str, Any]:
+        """Settings in force: those of the start and the changes that the nodes report."""
+        found = {name: getattr(self._config, name) for name in CHANGING}
+        for name, node in CHANGING.items():
+            changes = self._nodes.get(node, {}).get("values", {}).get("changes", "[]")
+            for change in json.loads(changes):
+                if change["name"] == name:
+                    found[name] = change["value"]
+        return found
+
+    def next(self, seen: dict[str, int]) -> dict[str, Any]:
+        """Frame of a viewer that has `seen` what this function noted in it; empty at first."""
+        self._compute()
+        settings = self.settings()
+        if seen.get("run") != self._run:
+            seen.update(run=self._run, tick=-1, computed=-1)
+        frame: dict[str, Any] = {
+            "run": self._run,
+            "start": str(self.history.start),
+            "tick": self.history.tick,
+            "over": self.over,
+            "stage": settings.pop("loop"),
+            "settings": settings,
+            "samples": self.history.samples(seen["tick"]),
+        }
+        seen["tick"] = self.history.tick
+        if seen.get("computed") != self._computed:
+            seen["computed"] = self._computed
+            frame.update(indices=self._indices, spectrum=self._spectrum)
+        if seen.get("reports") != self._reports:
+            seen["reports"] = self._reports
+            frame["nodes"] = self._nodes
+        if "fixed" not in seen:
+            seen["fixed"] = 1
+            frame["fixed"] = self._fixed
+        return frame
+
+    def _compute(self) -> None:
+        """Indices and spectrum, when some viewer asks for a frame and the last ones are old."""
+        now = time.monotonic()
+        if now < self._next or self.history.tick < 0:
+            return
+        self._next = now + COMPUTED_S
+        self._computed += 1
+        self._indices = indices(self.history.recent(), str(self.settings()["loop"]), self._limits)
+        self._spectrum = self.history.spectrum()

@@ -1,0 +1,218 @@
+"use strict";
+// Shows the frames of the server (live/frames.py) and posts actions. The token is the fragment of the address.
+(() => {
+  const SPAN_S = 5, HISTORY_S = 300, LEVELS = ["OK", "WARN", "ERROR", "STALE"];
+  const COLOURS = ["#0b5d8a", "#b45309", "#1b6b32", "#a3001b"];
+  const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
+  const at = (id) => document.getElementById(id);
+  const show = (id, value) => { at(id).textContent = value; };
+  const digits = (value) => Number(value).toPrecision(4);
+
+  let fixed = { authority: { fsm: 1, pma: 1 } }, run = 0, over = false, lastTicks = 0, lastMissed = 0;
+  const recent = { t: [], x: [], y: [], fsm: [], pma: [] };
+  const rpe = { t: [], largest: [] }, loop = { t: [], median: [], p999: [], missed: [] };
+  let limits = [];
+
+  function chart(id, names, options = {}) {
+    const box = at(id);
+    const series = names.map((label, i) => ({ label, stroke: COLOURS[i % COLOURS.length], width: 1, ...(options.each || {}) }));
+    const plot = new uPlot({
+      width: Math.max(box.clientWidth, 200), height: 220, cursor: { drag: { x: false, y: false } },
+      scales: { x: { time: false, ...(options.x || {}) }, y: options.y || {} },
+      axes: [{ label: options.xlabel || "time [s]" }, { size: 64 }],
+      series: [{ label: options.xlabel || "time [s]" }, ...series],
+    }, [[], ...names.map(() => [])], box);
+    new ResizeObserver(() => plot.setSize({ width: Math.max(box.clientWidth, 200), height: 220 })).observe(box);
+    return plot;
+  }
+
+  let charts = null, rpeNames = "";
+  function makeCharts() {
+    charts = {
+      los: chart("plot-los", ["x", "y"]),
+      spectrum: chart("plot-spectrum", ["both axes"], { xlabel: "frequency [Hz]", x: { distr: 3 }, y: { distr: 3 } }),
+      latency: chart("plot-latency", ["median", "99.9 %"]),
+      missed: chart("plot-missed", ["missed ticks"]),
+      actuators: chart("plot-actuators", ["mirror", "force"]),
+    };
+  }
+
+  function rpeChart(shown) {
+    const names = ["largest", ...shown.map((l) => `limit: ${l.name}`)];
+    if (charts.rpe && rpeNames === names.join()) return;
+    if (charts.rpe) charts.rpe.destroy();
+    rpeNames = names.join();
+    charts.rpe = chart("plot-rpe", names);
+  }
+
+  function clear() {
+    for (const group of [recent, rpe, loop]) for (const key of Object.keys(group)) group[key] = [];
+    lastTicks = lastMissed = 0;
+  }
+
+  function largest(columns, i) {
+    let most = null;
+    for (const column of columns) if (column[i] !== null) most = Math.max(most === null ? 0 : most, Math.abs(column[i]));
+    return most;
+  }
+
+  function addSamples(samples) {
+    const share = (value, authority) => (value === null ? null : (100 * value) / authority);
+    samples.ticks.forEach((tick, i) => {
+      recent.t.push(tick / 1000);
+      recent.x.push(samples.los[0][i]);
+      recent.y.push(samples.los[1][i]);
+      recent.fsm.push(share(largest(samples.fsm, i), fixed.authority.fsm));
+      recent.pma.push(share(largest(samples.pma, i), fixed.authority.pma));
+    });
+    if (!recent.t.length) return;
+    const from = recent.t[recent.t.length - 1] - SPAN_S;
+    const old = recent.t.findIndex((t) => t >= from);
+    if (old > 0) for (const key of Object.keys(recent)) recent[key].splice(0, old);
+    for (let i = samples.ticks.length - 1; i >= 0; i--) {
+      if (samples.los[0][i] === null) continue;
+      show("los-x", digits(samples.los[0][i]));
+      show("los-y", digits(samples.los[1][i]));
+      show("time", (samples.ticks[i] / 1000).toFixed(3));
+      document.body.dataset.tick = samples.ticks[i];
+      break;
+    }
+  }
+
+  function drawCloud() {
+    const canvas = at("cloud"), scale = window.devicePixelRatio || 1;
+    const w = canvas.clientWidth, h = canvas.clientHeight;
+    if (canvas.width !== Math.round(w * scale)) { canvas.width = Math.round(w * scale); canvas.height = Math.round(h * scale); }
+    const pen = canvas.getContext("2d");
+    pen.setTransform(scale, 0, 0, scale, 0, 0);
+    pen.clearRect(0, 0, w, h);
+    let reach = 1e-9;
+    recent.x.forEach((x, i) => { if (x !== null) reach = Math.max(reach, Math.abs(x), Math.abs(recent.y[i])); });
+    const circles = limits.filter((l) => l.limit < 20 * reach);
+    for (const c of circles) reach = Math.max(reach, c.limit);
+    const unit = (0.46 * Math.min(w, h)) / reach, cx = w / 2, cy = h / 2;
+    pen.fillStyle = COLOURS[0];
+    recent.x.forEach((x, i) => { if (x !== null) pen.fillRect(cx + x * unit - 1, cy - recent.y[i] * unit - 1, 2, 2); });
+    pen.strokeStyle = COLOURS[3];
+    for (const c of circles) { pen.beginPath(); pen.arc(cx, cy, c.limit * unit, 0, 2 * Math.PI); pen.stroke(); }
+    show("cloud-legend", `circles: ${circles.map((c) => `${c.name} ${c.limit} mas`).join(", ") || "none in range"}; half height ${digits(reach)} mas`);
+  }
+
+  function addIndices(indices) {
+    const list = at("indices");
+    list.replaceChildren(...indices.flatMap((index) => {
+      const name = document.createElement("dt"), value = document.createElement("dd");
+      name.textContent = index.name;
+      name.title = index.text;
+      value.textContent = `${digits(index.largest)} of ${index.limit} mas`;
+      value.className = index.largest < index.limit ? "ok" : "bad";
+      return [name, value];
+    }));
+    const ours = indices.filter((index) => index.index === "RPE");
+    limits = indices;
+    if (!ours.length || !recent.t.length) return;
+    rpe.t.push(recent.t[recent.t.length - 1]);
+    rpe.largest.push(ours[0].largest);
+    while (rpe.t[0] < rpe.t[rpe.t.length - 1] - HISTORY_S) { rpe.t.shift(); rpe.largest.shift(); }
+    rpeChart(ours);
+    charts.rpe.setData([rpe.t, rpe.largest, ...ours.map((l) => rpe.t.map(() => l.limit))]);
+  }
+
+  function addNodes(nodes) {
+    at("nodes").replaceChildren(...Object.entries(nodes).map(([name, node]) => {
+      const row = document.createElement("tr");
+      for (const text of [name, LEVELS[node.level] || "?", node.message]) {
+        const cell = document.createElement("td");
+        cell.textContent = text;
+        row.append(cell);
+      }
+      row.children[1].className = node.level === 0 ? "status ok" : node.level === 2 ? "status bad" : "status";
+      return row;
+    }));
+    const plant = nodes.plant && nodes.plant.values;
+    if (!plant || plant.ticks === undefined) return;
+    const ticks = Number(plant.ticks), missed = Number(plant.missed_ticks);
+    const kind = plant.latency_median_us === undefined ? "turnaround" : "latency";
+    show("missed", plant.missed_ticks);
+    show("ticks", plant.ticks);
+    show("latency-median", plant[`${kind}_median_us`]);
+    show("latency-p999", plant[`${kind}_p999_us`]);
+    if (ticks <= lastTicks) return;
+    loop.t.push(ticks / 1000);
+    loop.median.push(Number(plant[`${kind}_median_us`]));
+    loop.p999.push(Number(plant[`${kind}_p999_us`]));
+    loop.missed.push(missed - lastMissed);
+    [lastTicks, lastMissed] = [ticks, missed];
+    if (loop.t.length > HISTORY_S) for (const key of Object.keys(loop)) loop[key].shift();
+    charts.latency.setData([loop.t, loop.median, loop.p999]);
+    charts.missed.setData([loop.t, loop.missed]);
+  }
+
+  function press(frame) {
+    const now = { stage: frame.stage, ...frame.settings };
+    for (const button of document.querySelectorAll("button[data-name]")) {
+      if (!(button.dataset.name in now)) continue;
+      button.setAttribute("aria-pressed", String(JSON.parse(button.dataset.value) === now[button.dataset.name]));
+    }
+  }
+
+  function connection(text, kind) {
+    at("connection").textContent = text;
+    at("connection").className = `status ${kind}`;
+  }
+
+  function take(frame) {
+    if (frame.fixed) {
+      fixed = frame.fixed;
+      show("run", `${fixed.namespace}, ${fixed.mode}, scenario ${fixed.scenario}, ${fixed.duration} s`);
+    }
+    if (frame.run !== run) { run = frame.run; clear(); }
+    over = frame.over;
+    document.body.dataset.start = frame.start;
+    if (at("stage").textContent !== frame.stage) {
+      show("stage", frame.stage);
+      document.body.dataset.stageTick = frame.tick;
+    }
+    press(frame);
+    addSamples(frame.samples);
+    if (frame.nodes) addNodes(frame.nodes);
+    if (frame.indices) addIndices(frame.indices);
+    if (frame.spectrum) charts.spectrum.setData([frame.spectrum.frequency, frame.spectrum.density]);
+    charts.los.setData([recent.t, recent.x, recent.y]);
+    charts.actuators.setData([recent.t, recent.fsm, recent.pma]);
+    drawCloud();
+    connection(over ? "run over" : frame.tick < 0 ? "waiting for the run" : "running", over ? "" : "ok");
+  }
+
+  function connect() {
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/data`);
+    socket.onmessage = (message) => take(JSON.parse(message.data));
+    socket.onclose = () => {
+      if (over) return;
+      connection("connection lost", "bad");
+      setTimeout(connect, 2000);
+    };
+  }
+
+  async function act(button) {
+    const answer = at("answer");
+    answer.className = "";
+    show("answer", "asked");
+    try {
+      const response = await fetch("/action", {
+        method: "POST", headers: { "X-Token": token },
+        body: JSON.stringify({ name: button.dataset.name, value: JSON.parse(button.dataset.value) }),
+      });
+      const { error } = await response.json();
+      answer.className = error ? "bad" : "";
+      show("answer", error || `${button.dataset.name} ${button.textContent}: accepted`);
+    } catch (error) {
+      answer.className = "bad";
+      show("answer", "no answer from the server");
+    }
+  }
+
+  makeCharts();
+  for (const button of document.querySelectorAll("button[data-name]")) button.addEventListener("click", () => act(button));
+  connect();
+})();

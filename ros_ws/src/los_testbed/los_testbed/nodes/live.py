@@ -1,0 +1,166 @@
+"""Live node: the topics of a run for viewers, by Foxglove's protocol and as a page, at ordinary priority.
+
+In real time it reads best effort: a viewer, or this node, that is slow does not make the others send anything again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import concurrent.futures
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from los_testbed.bags.cdr import codec_for, stamp_of
+from los_testbed.factories import telescope_basis
+from los_testbed.live.foxglove_server import FoxgloveServer
+from los_testbed.live.frames import Frames
+from los_testbed.live.page_server import PageServer
+from los_testbed.nodes.remote_control import RemoteControl
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS
+from titop_plant.interface import TICK_NS
+
+DEPTH = 1000
+PERIOD_S = 0.02
+SERVICE_S = 0.5
+LOOK_NS = 20_000_000
+LIFE_CYCLE = ("activate", "deactivate")
+TRIGGERS = ("start", "stop", "reset")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    parser = argparse.ArgumentParser(prog="live", description=__doc__)
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=int, default=8765, help="port of Foxglove's protocol; the page has the next one")
+    own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
+
+    async def serve(context: NodeContext) -> int:
+        return await LiveNode(context, own.host, own.port).run()
+
+    return run_node("live", given, lambda context: asyncio.run(serve(context)))
+
+
+class LiveNode:
+    """Takes what came every 20 ms and hands it to the servers; made inside the event loop.
+
+    Parameters
+    ----------
+    context : NodeContext
+        The node.
+    host, port : str, int
+        Where to listen; port 0 takes two free ones.
+    """
+
+    def __init__(self, context: NodeContext, host: str, port: int) -> None:
+        config, node = context.config, context.node
+        self.context = context
+        self.tracks = [
+            Track(
+                topic.path_in(config.namespace),
+                RawSubscription(node, topic.name, topic.type_name, DEPTH, config.mode == "lockstep", topic.publisher),
+                config.frame_ticks * TICK_NS if topic.rate == "camera" else TICK_NS,
+                codec_for(topic),
+            )
+            for topic in TOPICS
+        ]
+        self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
+        self.reports = {
+            name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
+            for name in NODES
+        }
+        self._simulated = config.mode == "lockstep"
+        self._next_look = 0
+        channels = {track.path: topic.type_name for track, topic in zip(self.tracks, TOPICS)}
+        self.frames = Frames(config, telescope_basis(config).authority)
+        self.foxglove = FoxgloveServer({**channels, DIAGNOSTICS_TOPIC: DIAGNOSTICS}, host, port)
+        self.page = PageServer(host, port and port + 1, self.frames.next, self._act)
+        # one request at a time, by a node of its own: this one's executor answers requests to it
+        self._user = Node(f"live_control_{os.getpid()}", context=node.context)
+        self._remote = RemoteControl(self._user, config.namespace)
+        self._worker = concurrent.futures.ThreadPoolExecutor(1)
+        address = f"[{host}]" if ":" in host else host
+        context.event(
+            "live",
+            foxglove=f"ws://{address}:{self.foxglove.port}",
+            page=f"http://{address}:{self.page.port}/#token={self.page.token}",
+        )
+
+    async def run(self) -> int:
+        """Serve until a signal comes."""
+        context, next_service = self.context, 0.0
+        asyncio.get_running_loop().set_default_executor(self._worker)
+        context.event("ready")
+        while not context.stop:
+            self._drain()
+            if (now := time.monotonic()) >= next_service:
+                next_service = now + SERVICE_S
+                context.service()
+            await asyncio.sleep(PERIOD_S)
+        await asyncio.sleep(PERIOD_S)
+        self._drain()
+        self.frames.over = True
+        await self.page.stop()
+        self.foxglove.stop()
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        self._user.destroy_node()
+        lost = {track.path: str(track.lost(track.first, track.last)) for track in self.tracks if track.first}
+        context.event("done", statistics={f"lost_{path}": count for path, count in lost.items()})
+        return 0
+
+    def _drain(self) -> None:
+        """Take everything that waits."""
+        tracks, now = self.tracks, time.monotonic_ns()
+        for track in (*tracks, *self.reports.values()):
+            track.drain()
+        if now >= self._next_look or any(track.waiting for track in tracks):
+            self._next_look = now + LOOK_NS
+            for track in tracks:
+                track.subscription.decide(now)
+        if any(track.first for track in tracks) and all(track.held for track in self._from_plant):
+            for track in tracks:
+                track.begin_again()
+                track.data, track.received, track.sent = [], [], []
+            self.frames.clear()
+        for track, topic in zip(tracks, TOPICS):
+            for data, received in zip(track.data, track.received):
+                self.foxglove.send(track.path, data, stamp_of(data) if self._simulated else received)
+                self.frames.history.put(topic.name, data)
+            track.data, track.received, track.sent = [], [], []
+        self._take_reports()
+
+    def _take_reports(self) -> None:
+        statuses = {name: report.status for name, report in self.reports.items() if report.data}
+        merged = merge(list(self.reports.values()))
+        for data, received in zip(merged.data, merged.received):
+            self.foxglove.send(DIAGNOSTICS_TOPIC, data, received)
+        for name, status in statuses.items():
+            if status is not None:
+                self.frames.note(name, status)
+
+    def _act(self, name: str, value: Any) -> None:
+        """An action of the page; in the worker's thread."""
+        if name in LIFE_CYCLE:
+            if value not in ("estimator", "controller"):
+                raise ValueError(f"node must be estimator or controller, got {value!r}")
+            self._remote.turn(str(value), name)
+        elif name in TRIGGERS:
+            self._remote.trigger(name)
+        else:
+            self._remote.change(name, value)
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        sys.exit(main())

@@ -1,0 +1,79 @@
+"""Services of the plant: start, stop and reset of the run (``std_srvs/srv/Trigger``)."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any
+
+from rclpy.node import Node
+
+from los_testbed.loop.changes import RESET, STOP, Changes
+
+WAITING, RUNNING, OVER = "waiting for its start", "running", "over"
+
+
+class RunServices:
+    """Answers ``plant/start``, ``plant/stop`` and ``plant/reset``; a request in the wrong state is refused.
+
+    Without the package ``std_srvs`` there are no services; the parameter ``fault`` stops and resets as well.
+
+    Parameters
+    ----------
+    node : Node
+        The plant's.
+    changes : Changes
+        Stop and reset are changes: they apply at one tick and are recorded.
+    waits : bool
+        Whether a run begins only when it is started.
+
+    Raises
+    ------
+    ValueError
+        A run that waits, without ``std_srvs``.
+    """
+
+    def __init__(self, node: Node, changes: Changes, waits: bool) -> None:
+        self._changes = changes
+        self._waits = waits
+        self._asked = False
+        self.state = WAITING
+        if importlib.util.find_spec("std_srvs") is None:
+            if waits:
+                raise ValueError("std_srvs must be installed for wait_for_start, got no such package")
+            node.get_logger().warning("std_srvs must be installed for the services start, stop and reset")
+            return
+        from std_srvs.srv import Trigger
+
+        for name, answer in (("start", self._start), (STOP, self._end(STOP)), (RESET, self._end(RESET))):
+            node.create_service(Trigger, f"~/{name}", answer)
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether the run may begin."""
+        return self._asked or not self._waits
+
+    def begin(self) -> None:
+        """The run begins; another one after it has to be started anew."""
+        self.state, self._asked = RUNNING, False
+
+    def _start(self, request: Any, response: Any) -> Any:
+        if self.state != WAITING or self.may_begin:
+            return _refuse(response, "start", WAITING, self.state if self.state != WAITING else "starting")
+        self._asked = response.success = True
+        response.message = "the run begins when all nodes answer"
+        return response
+
+    def _end(self, name: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            if self.state != RUNNING:
+                return _refuse(response, name, RUNNING, self.state)
+            self._changes.request(name, True)
+            response.success, response.message = True, "at the next tick"
+            return response
+
+        return answer
+
+
+def _refuse(response: Any, name: str, expected: str, state: str) -> Any:
+    response.success, response.message = False, f"the run must be {expected} for {name}, got {state}"
+    return response

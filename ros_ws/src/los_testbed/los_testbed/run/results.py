@@ -1,0 +1,37 @@
+"""Outcome of a run with processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+class RunError(RuntimeError):
+    """A node failed; `code` is the exit code that fits."""
+
+    def __init__(self, message: str, code: int = 1) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass
+class Results:
+    """What the nodes reported at the end.
+
+    Attributes
+    ----------
+    statistics : last statistics of each node
+    bag : folder of the bag; None if nothing was recorded
+    warnings, failures : what was not permitted; which nodes ended unexpectedly, one line each
+    latency : histogram of the plant's latencies, microseconds to counts
+    earlier : bags of the same run from before its plant was started again
+    interrupted : whether the run was ended before its time
+    """
+
+    statistics: dict[str, dict[str, str]] = field(default_factory=dict)
+    bag: Path | None = None
+    warnings: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    latency: dict[int, int] = field(default_factory=dict)
+    earlier: list[Path] = field(default_factory=list)
+    interrupted: bool = False

@@ -1,0 +1,150 @@
+"""Start, stop and reset of a run by the clients of ROS, in lockstep, where the bits tell what was done."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("std_srvs")
+from los_testbed.run.runner import Runner
+from ros_runs import PLANT, config_for, topic_hashes
+from std_srvs.srv import Trigger
+from user_node import UserNode
+
+from pointing_analysis.read import Run
+from titop_plant.interface import TICK_NS
+
+pytestmark = pytest.mark.ros
+PLAIN_TICKS = 1500
+SERVICES = ("start", "stop", "reset")
+
+
+def ask(user, name):
+    """Answer of a service of the plant."""
+    answer = user.remote._call(Trigger, f"plant/{name}", Trigger.Request())
+    return answer.success, answer.message
+
+
+def control(words, runner):
+    """Exit code and error output of `los-testbed control`."""
+    command = [sys.executable, "-m", "los_testbed.cli.app", "control", *words, "--domain", str(runner.domain)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    return done.returncode, done.stderr
+
+
+def await_ticks(runner, condition, timeout=120.0):
+    end = time.monotonic() + timeout
+    while not condition(runner.ticks_done):
+        assert time.monotonic() < end, f"{runner.ticks_done} ticks after {timeout:g} s"
+        time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Bytes of a run that nobody touches."""
+    folder = tmp_path_factory.mktemp("plain")
+    config = config_for(folder, mode="lockstep", duration=PLAIN_TICKS / 1000)
+    return Run.open(Runner(config, commands={"plant": PLANT}).run().bag)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """A run that waits for its start; its stage changes, it is reset, started again, and stopped."""
+    folder = tmp_path_factory.mktemp("served")
+    config = config_for(folder, mode="lockstep", duration=3600.0, wait_for_start=True)
+    runner = Runner(config, commands={"plant": PLANT})
+    found, errors = {}, []
+
+    def use():
+        user = UserNode(runner.domain)
+        try:
+            found["waiting"] = {name: ask(user, name) for name in ("stop", "reset")}
+            found["ticks before the start"] = runner.ticks_done
+            found["start"] = ask(user, "start")
+            await_ticks(runner, lambda ticks: ticks >= 500)
+            found["running"] = ask(user, "start")
+            found["commands"] = [control(name, runner) for name in (["start"], ["reset", "--at", "0.001"])]
+            user.remote.change("stage", "isolator")
+            user.remote.change("noise", False)
+            ticks = runner.ticks_done
+            await_ticks(runner, lambda done: done >= ticks + 600)
+            found["reset"] = ask(user, "reset")
+            await_ticks(runner, lambda done: done == 0)
+            found["start again"] = ask(user, "start")
+            await_ticks(runner, lambda ticks: ticks >= PLAIN_TICKS + 200)
+            found["stage after the reset"] = user.dump("controller")["loop"]
+            found["stop"] = ask(user, "stop")
+        except BaseException as error:
+            errors.append(error)
+            raise KeyboardInterrupt from error
+        finally:
+            user.close()
+
+    thread = threading.Thread(target=use)
+    thread.start()
+    results = runner.run()
+    thread.join()
+    assert not errors, errors
+    return found, results
+
+
+def test_a_run_that_waits_begins_when_it_is_started(served):
+    found, _ = served
+    assert found["ticks before the start"] == 0
+    assert found["start"][0] and found["start again"][0] and found["reset"][0] and found["stop"][0]
+
+
+def test_a_request_in_the_wrong_state_is_refused_with_the_reason(served):
+    found, _ = served
+    for name in ("stop", "reset"):
+        assert found["waiting"][name] == (False, f"the run must be running for {name}, got waiting for its start")
+    assert found["running"] == (False, "the run must be waiting for its start for start, got running")
+    (code, told), (late, reason) = found["commands"]
+    assert (code, told) == (2, "los-testbed: the run must be waiting for its start for start, got running\n")
+    assert late == 2 and reason.startswith("los-testbed: at must be later than") and reason.count("\n") == 1
+
+
+def test_after_a_reset_the_run_has_the_same_bits_as_one_that_nobody_touched(served, plain):
+    """Plant, estimator and controller are as new, the stage and the noise those of the start, in a bag of its own."""
+    found, results = served
+    assert found["stage after the reset"] == "fsm+pma"
+    assert results.bag.name == "bag-2" and not results.failures and not results.interrupted
+    again = Run.open(results.bag)
+    for topic in plain.topics:
+        n = len(plain[topic])
+        assert np.array_equal(plain[topic].stamp, again[topic].stamp[:n]), topic
+        assert np.array_equal(plain[topic].values, again[topic].values[:n], equal_nan=True), topic
+
+
+def test_the_bag_from_before_the_reset_is_whole_and_names_the_changes(served, plain):
+    (earlier,) = served[1].earlier
+    assert served[1].warnings[-1] == f"what came before the reset is in {earlier}"
+    run = Run.open(earlier)
+    statistics = run.parameters["statistics"]["plant"]
+    ticks = int(statistics["ticks"])
+    assert len(run["truth/los"]) == ticks
+    names = [change["name"] for change in json.loads(statistics["changes"])]
+    assert names == ["noise", "reset"]
+    assert np.array_equal(run["truth/los"].values[:500], plain["truth/los"].values[:500])
+    assert not np.array_equal(run["truth/los"].values[:ticks], plain["truth/los"].values[:ticks])
+
+
+def test_statistics_after_a_reset_are_those_of_the_second_run(served):
+    run = Run.open(served[1].bag)
+    ticks = (run["truth/los"].stamp[-1] - run["truth/los"].stamp[0]) // TICK_NS + 1
+    for node in ("plant", "estimator", "controller"):
+        assert int(served[1].statistics[node]["ticks"]) == ticks, node
+    changes = json.loads(served[1].statistics["plant"]["changes"])
+    assert [change["name"] for change in changes] == ["stop"]
+    assert "changes" not in served[1].statistics["controller"]
+
+
+def test_topics_of_a_second_run_hold_every_tick(served):
+    counts = {topic: count for topic, (count, _) in topic_hashes(served[1].bag).items()}
+    per_tick = {count for topic, count in counts.items() if not topic.endswith("camera/los")}
+    assert len(per_tick) == 1

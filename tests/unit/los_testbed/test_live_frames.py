@@ -1,0 +1,130 @@
+"""What a viewer gets: recent samples, decimated where it is behind, indices as the report computes them, settings."""
+
+import json
+
+import numpy as np
+import pytest
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.diagnostics import Status
+from los_testbed.cli.run import check_live, with_live_port
+from los_testbed.config import RunConfig
+from los_testbed.live.frames import Frames
+from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices, limits
+from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
+
+from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.metrics import rpe_rms
+from titop_plant.interface import TICK_NS
+
+START = 1_700_000_000 * 10**9
+
+
+def feed(history, ticks, topic=TRUTH_LOS, value=lambda tick: tick):
+    codec = codec_for(topic)
+    for tick in ticks:
+        values = np.full(topic.size, float(value(tick))) * (RAD_PER_MAS if topic is TRUTH_LOS else 1.0)
+        history.put(topic.name, bytes(codec.encode(START + tick * TICK_NS, values)))
+
+
+def frames(**values):
+    return Frames(RunConfig(**values), (5.3e-3, 31.6))
+
+
+def test_a_viewer_that_keeps_up_gets_every_tick_once():
+    view, seen = frames(), {}
+    got = []
+    for begin in range(0, 300, 50):
+        feed(view.history, range(begin, begin + 50))
+        samples = view.next(seen)["samples"]
+        assert samples["stride"] == 1
+        got += list(zip(samples["ticks"], samples["los"][0]))
+    assert got == [(tick, pytest.approx(tick, rel=1e-6)) for tick in range(300)]
+
+
+@pytest.mark.parametrize("behind", [101, 999, 16_000, 40_000])
+def test_a_viewer_that_is_behind_gets_samples_at_equal_distances_with_their_own_values(behind):
+    view = frames()
+    feed(view.history, range(behind))
+    samples = view.next({})["samples"]
+    assert len(samples["ticks"]) <= MAX_POINTS
+    assert set(np.diff(samples["ticks"])) == {samples["stride"]}
+    assert samples["ticks"][0] > behind - 1 - CAPACITY
+    assert samples["los"][1] == pytest.approx(samples["ticks"], rel=1e-6)
+
+
+def test_samples_that_are_missing_or_late_are_at_their_tick():
+    history = History()
+    feed(history, [0, 1, 5, 3])
+    feed(history, range(6), FSM_COMMAND, lambda tick: 1e-6 * tick)
+    samples = history.samples(-1)
+    assert samples["los"][0] == [0.0, 1.0, None, 3.0, None, 5.0]
+    assert samples["fsm"][0] == pytest.approx(range(6))
+    assert samples["pma"] == [[None] * 6] * PMA_COMMAND.size
+    history.put("m1/accel", b"")
+    feed(history, [100_000])
+    assert history.samples(99_999)["los"][0] == [100_000.0]
+
+
+def test_indices_equal_those_of_the_analysis():
+    rng = np.random.default_rng(1)
+    error = 30.0 * rng.standard_normal((SPAN_TICKS, 2))
+    found = {index["name"]: index for index in indices(error, "fsm+pma", limits())}
+    assert set(found) == {"APE", "RPE, fine", "RPE, finest"}
+    assert found["RPE, fine"]["rms"] == pytest.approx(np.linalg.norm(rpe_rms(error, 1e-3, 0.02)), rel=1e-5)
+    assert found["APE"]["largest"] == pytest.approx(np.hypot(*error.T).max(), rel=1e-5)
+    assert (found["RPE, fine"]["limit"], found["RPE, finest"]["limit"]) == (100.0, 40.0)
+    assert "RPE, finest" not in {index["name"] for index in indices(error, "fsm", limits())}
+
+
+def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report():
+    view = frames(camera_dropout=0.1)
+    changes = [{"tick": 5, "name": "loop", "value": "isolator"}, {"tick": 9, "name": "loop", "value": "fsm"}]
+    view.note("controller", Status(0, "telescope: controller", "running", {"changes": json.dumps(changes)}))
+    # a node may report only what it changes itself
+    stray = [{"tick": 1, "name": "noise", "value": False}]
+    view.note("estimator", Status(0, "telescope: estimator", "running", {"changes": json.dumps(stray)}))
+    frame = view.next({})
+    assert frame["stage"] == "fsm"
+    assert frame["settings"] == {"noise": True, "disturbance": True, "camera_dropout": 0.1}
+    assert set(frame["nodes"]) == {"controller", "estimator"}
+
+
+def test_reports_and_figures_are_sent_once_and_again_after_a_reset():
+    view, seen = frames(), {}
+    feed(view.history, range(2000))
+    view.note("plant", Status(0, "telescope: plant", "running", {}))
+    first = view.next(seen)
+    assert {"fixed", "nodes", "indices", "spectrum"} <= set(first) and first["spectrum"] is not None
+    assert not {"fixed", "nodes"} & set(view.next(seen))
+    view.clear()
+    again = view.next(seen)
+    assert (again["run"], again["tick"], again["samples"]["ticks"]) == (2, -1, [])
+    feed(view.history, range(3))
+    assert view.next(seen)["samples"]["ticks"] == [0, 1, 2]
+    assert json.loads(json.dumps(first, allow_nan=False)) == first
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["run", "--live"], ["run", "--live=8765"]),
+        (["run", "--live", "--seed", "3"], ["run", "--live=8765", "--seed", "3"]),
+        (["run", "--live", "0", "--seed", "3"], ["run", "--live", "0", "--seed", "3"]),
+        (["run", "--live", "-1"], ["run", "--live", "-1"]),
+        (["run", "--live=9"], ["run", "--live=9"]),
+        ([], []),
+    ],
+)
+def test_the_port_of_viewers_may_be_left_out(given, expected):
+    assert with_live_port(given) == expected
+
+
+@pytest.mark.parametrize("port", [-1, 65535, 70000])
+def test_a_port_out_of_range_is_refused(port):
+    with pytest.raises(ValueError, match=f"--live must be a port from 0 to 65534, got {port}"):
+        check_live(RunConfig(), port)
+
+
+def test_viewers_need_nodes():
+    with pytest.raises(ValueError, match="mode must be realtime or lockstep with --live, got inprocess"):
+        check_live(RunConfig(mode="inprocess"), 8765)
