@@ -25,6 +25,7 @@ from titop_plant.disturbances import (
 )
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
 from titop_plant.plant_config import PlantConfig, motion, parameter_values, values_along
+from titop_plant.profiles import PROFILES
 from titop_plant.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
@@ -299,8 +300,11 @@ def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
 
 
 def _hash(config: PlantConfig, parameters: Parameters) -> str:
-    content: list[Any] = [parameters_hash(parameters), asdict(config)]
-    if config.ramps:
+    settings = asdict(config)
+    if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
+        del settings["profile"]
+    content: list[Any] = [parameters_hash(parameters), settings]
+    if config.profile not in PROFILES:
         content.append(motion(config, parameters).table())
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]

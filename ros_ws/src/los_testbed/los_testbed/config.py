@@ -208,6 +208,8 @@ def parse_value(name: str, text: str) -> Any:
 def physical_hash(config: RunConfig) -> str:
     """SHA-256 of the settings that the plant is built from."""
     values = {name: config.to_mapping()[name] for name in PHYSICAL}
+    if values["profile"] == FIELDS["profile"].default:  # bags from before there were profiles keep their hash
+        del values["profile"]
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
