@@ -9,7 +9,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs lock clean
+.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -21,6 +21,7 @@ help:
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
+	@echo "make site       build/site: the documentation with its API reference, links checked"
 	@echo "make lint       style and types alone"
 	@echo "make lock       new requirements.lock (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
@@ -85,6 +86,10 @@ docs: $(READY)
 	    && $(BIN)/python docs/fill_tables.py worst_case < $$folder/stages/stages.md \
 	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --no-report --output $$folder/run > $$folder/run.txt \
 	    && $(BIN)/python docs/fill_tables.py run < $$folder/run.txt && rm -r $$folder
+
+site: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/python docs/site/check_links.py build/site
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lti.interconnection import Connection, close, connect, invert, parallel, series, star, transform
     from lti.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lti.parameters import RealParameter
+    from lti.plots import bode_band, pole_map, sigma_plot
     from lti.ports import Port
     from lti.sampled_system import SampledSystem
     from lti.sampling import sampled
@@ -30,6 +31,7 @@ __all__ = [
     "SampledSystem",
     "StateSpace",
     "UncertainSystem",
+    "bode_band",
     "cascade",
     "close",
     "close_loop",
@@ -42,8 +44,10 @@ __all__ = [
     "invert",
     "pade_delay",
     "parallel",
+    "pole_map",
     "sampled",
     "series",
+    "sigma_plot",
     "spectral_abscissa",
     "star",
     "state_space",
@@ -59,6 +63,7 @@ _MODULES = {
     "interconnection": ("Connection", "close", "connect", "invert", "parallel", "series", "star", "transform"),
     "norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
     "parameters": ("RealParameter",),
+    "plots": ("bode_band", "pole_map", "sigma_plot"),
     "ports": ("Port",),
     "sampled_system": ("SampledSystem",),
     "sampling": ("sampled",),

@@ -15,6 +15,7 @@ from scipy import linalg
 from lti.parameters import RealParameter, checked_values, parameter_table
 from lti.ports import FloatArray, Port, port_indices
 from lti.state_space_model import StateSpace
+from lti.system_summary import html, one_line, text
 
 if TYPE_CHECKING:
     import control
@@ -77,6 +78,16 @@ class UncertainSystem:
             raise ValueError(f"every Delta channel must have a RealParameter, got none for {missing[0]!r}")
         used = tuple(p for p in dict.fromkeys(self.parameters) if p.name in set(self.channels))
         object.__setattr__(self, "parameters", used)
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        return html(self)
+
+    def summary(self) -> str:
+        """Order, ports with sizes and units, parameters with ranges and occurrences, as text of several lines."""
+        return text(self)
 
     @property
     def order(self) -> int:

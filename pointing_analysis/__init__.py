@@ -7,7 +7,8 @@
 `confidence`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
 `requirements`     the verdict on requirements, `requirement_text` their form; `budget`: error budgets
 `tone_budget`      noise, slow and fast tones of the relative error beside their allowances
-`summary`          the metrics of a run; `report`: the HTML page, `figures` and `prediction`: its parts
+`summary`          the metrics of a run; `report`: the HTML page, `report_cards`,
+                   `figures`, `cumulative_figure`, `inline_svg` and `prediction`: its parts
 `replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks
 `series`           any arrays; `los_source`: any file; `external_bag`, `ros_definitions`, `tables`: their formats
 `budget_file`      budgets as a tree of `budget_sources`; `budget_total`: totals; `budget_page`: their page

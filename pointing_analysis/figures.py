@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from pointing_analysis import metrics, weights
+from pointing_analysis import metrics
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
 from pointing_analysis.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.recording import Recording
@@ -117,8 +117,8 @@ def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
 
 
 def _stroke(i: int, runs: int) -> dict[str, Any]:
-    """Colour and width of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
-    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i)}
+    """Colour, width, gid of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
+    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i), "gid": f"run-{i}"}
 
 
 def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
@@ -144,7 +144,8 @@ def time_history(views: Sequence[RunView]) -> Picture:
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), sharex=True)
-        for axis, view in zip(axes, views):
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
             arcsec = by_parts(lambda rows: rows / RAD_PER_ARCSEC, view.series.values)
             for i, name in enumerate(metrics.AXES):
                 t, y = envelope(view.series.time, arcsec[:, i])
@@ -165,7 +166,8 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), columns=min(2, len(views)))
-        for axis, view in zip(axes, views):
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
             arcsec = _largest(view) / RAD_PER_ARCSEC
             unit, scale = ("arcsec", RAD_PER_ARCSEC) if arcsec >= 0.1 else ("mas", RAD_PER_MAS)
             step = max(1, len(view.series.values) // 3000)
@@ -219,31 +221,6 @@ def density(views: Sequence[RunView]) -> Picture:
     return picture("psd", "Power spectral density", alt, 3.8, draw)
 
 
-def cumulative(views: Sequence[RunView]) -> Picture:
-    """Cumulative RMS of the error and of its RPE part."""
-
-    def draw(figure: Figure) -> None:
-        axis = _panels(figure, 1)[0]
-        for i, view in enumerate(views):
-            s = view.spectrum
-            if s is None:
-                continue
-            stroke = _stroke(i, len(views))
-            weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
-            axis.loglog(s.frequency[1:], s.cumulative_rms()[1:] / RAD_PER_MAS, label=view.label, **stroke)
-            rpe = s.cumulative_rms(weight)[1:] / RAD_PER_MAS
-            axis.loglog(s.frequency[1:], rpe, ls="--", **stroke)
-        axis.set_ylim(bottom=max(axis.get_ylim()[0], axis.get_ylim()[1] * 1e-5))
-        axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
-        _mark_tones(axis, views)
-        axis.set_xlabel("frequency [Hz]")
-        axis.set_ylabel("RMS below frequency [mas]")
-        _legend(figure, axis)
-
-    alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
-    return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
-
-
 def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]) -> Picture | None:
     """LOS rms at each disturbance line, run by run, with what the model says where it was given."""
     shown = [v for v in views if v.tones]
@@ -256,10 +233,27 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
             found = sorted(view.tones, key=lambda line: line.omega)
             hertz = [line.omega / (2 * np.pi) for line in found]
             rms = [line.rms / RAD_PER_MAS for line in found]
-            axis.loglog(hertz, rms, "os^Dvx"[i % 6], ms=7 - i % 4, mfc="none", color=COLOURS[i % 6], label=view.label)
+            axis.loglog(
+                hertz,
+                rms,
+                "os^Dvx"[i % 6],
+                ms=7 - i % 4,
+                mfc="none",
+                color=COLOURS[i % 6],
+                label=view.label,
+                gid=f"run-{i}",
+            )
             if view.label in model:
                 omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
-                axis.loglog(omega / (2 * np.pi), expected / RAD_PER_MAS, "+", ms=11, mew=0.9, color=COLOURS[i % 6])
+                axis.loglog(
+                    omega / (2 * np.pi),
+                    expected / RAD_PER_MAS,
+                    "+",
+                    ms=11,
+                    mew=0.9,
+                    color=COLOURS[i % 6],
+                    gid=f"run-{i}",
+                )
         if model:
             axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
         axis.set_xlabel("frequency [Hz]")

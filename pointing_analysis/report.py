@@ -5,8 +5,6 @@ The page depends on the bags alone: the same bags give the same page byte for by
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -20,24 +18,23 @@ from numpy.typing import NDArray
 
 from pointing_analysis import figures, spectra
 from pointing_analysis.atomic_output import check_output, write_text
+from pointing_analysis.cumulative_figure import cumulative
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.figures import Picture, RunView
+from pointing_analysis.inline_svg import inline
 from pointing_analysis.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.metrics import is_whole
 from pointing_analysis.moving_tones import motion_of, moving_pictures
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.recording import Recording
+from pointing_analysis.report_cards import css_class, digits, run_card, shown_status
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
-from pointing_analysis.summary import WINDOW, Summary, summarise_all
+from pointing_analysis.summary import WINDOW, summarise_all
 from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 #: topic -> largest value that its actuator can do, a name of `telescope_value`
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
-HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
-LINES_SHOWN = 12
-KEEPS = "keeps its limits"
-"""Shown for a run that keeps a limit and is too short to prove it."""
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
@@ -59,19 +56,6 @@ class Row:
     note: str
 
 
-def digits(value: float, places: int = 3) -> str:
-    """Number for a table: a few significant digits, a dash where there is none."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "no bound yet"
-    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1000 else f"{value:.{places}g}"
-
-
-def _css(status: str) -> str:
-    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
-
-
 def _row(label: str, v: Verdict) -> Row:
     scale, unit = v.requirement.scale, v.requirement.unit
     needed = ""
@@ -85,8 +69,8 @@ def _row(label: str, v: Verdict) -> Row:
         run=label,
         name=v.requirement.name,
         text=str(v.requirement),
-        status=_shown(v),
-        css=_css(_shown(v)),
+        status=shown_status(v),
+        css=css_class(shown_status(v)),
         value=f"{digits(v.quantile.value / scale)} {unit}",
         bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
         exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
@@ -94,20 +78,6 @@ def _row(label: str, v: Verdict) -> Row:
         needed=needed,
         note=v.note if v.status == "not judged" else f". {v.note}" if v.note and needed else v.note,
     )
-
-
-def _shown(v: Verdict) -> str:
-    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
-    return KEEPS if v.status == "not enough data" and v.keeps else v.status
-
-
-def overall(verdicts: Sequence[Verdict]) -> str:
-    """One word for several verdicts: the worst of them."""
-    found = {_shown(v) for v in verdicts}
-    for status in ("not compliant", "not enough data", "not judged", KEEPS):
-        if status in found:
-            return status
-    return "compliant" if found else "not judged"
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -182,7 +152,7 @@ def pictures(
         figures.time_history(views),
         figures.trajectory(views, ape),
         figures.density(views) if any(v.spectrum for v in views) else None,
-        figures.cumulative(views) if any(v.spectrum for v in views) else None,
+        cumulative(views) if any(v.spectrum for v in views) else None,
         *moving_pictures(views, limits["RPE"]),
         figures.by_line(views, model or {}),
         figures.exceedance(views, "APE", limits["APE"]),
@@ -198,55 +168,6 @@ def pictures(
 
 def _has_windows(v: RunView) -> bool:
     return v.series.duration > WINDOW and is_whole(WINDOW, v.series.dt)
-
-
-def _digest(run: Recording) -> str:
-    if not run.path.exists():
-        return "no file"
-    files = sorted(run.path.glob("*.mcap*")) if run.path.is_dir() else [run.path]
-    if sum(f.stat().st_size for f in files) > HASH_LIMIT:
-        return "not computed (large bag)"
-    total = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                total.update(block)
-    return total.hexdigest()
-
-
-def _flat(key: str, value: Any) -> list[tuple[str, str]]:
-    """A parameter as table rows; a dictionary becomes one row per group of plain values."""
-    if isinstance(value, dict):
-        plain = {k: v for k, v in value.items() if not isinstance(v, dict)}
-        rows = [(key, ", ".join(f"{k} {v}" for k, v in plain.items()))] if plain else []
-        return rows + [row for k, v in value.items() if isinstance(v, dict) for row in _flat(f"{key}: {k}", v)]
-    if isinstance(value, list):
-        return [(key, ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value) or "none given")]
-    return [(key, str(value) if value != "" else "none given")]
-
-
-def _provenance(run: Recording) -> list[tuple[str, str]]:
-    rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
-    for key in sorted(run.parameters):
-        rows += _flat(key, run.parameters[key])
-    for name, data in sorted(run.attachments.items()):
-        rows.append((f"attachment {name}", f"{len(data)} bytes, SHA-256 {hashlib.sha256(data).hexdigest()[:16]}…"))
-    return rows
-
-
-def _line_rows(v: RunView) -> list[dict[str, str]]:
-    total = math.fsum(line.rpe**2 for line in v.tones)
-    return [
-        {
-            "omega": f"{line.omega:.2f}" + (f" ({line.merged} lines)" if line.merged > 1 else ""),
-            "hertz": f"{line.omega / (2 * math.pi):.3f}",
-            "x": digits(float(line.amplitude[0]) / RAD_PER_MAS),
-            "y": digits(float(line.amplitude[1]) / RAD_PER_MAS),
-            "rpe": digits(line.rpe / RAD_PER_MAS),
-            "share": f"{100 * line.rpe**2 / total:.1f} %" if total else "–",
-        }
-        for line in v.tones[:LINES_SHOWN]
-    ]
 
 
 def _ratio(tone: ToneComparison) -> str:
@@ -269,38 +190,6 @@ def _prediction(label: str, found: Prediction) -> dict[str, Any]:
     ]
     part = f"{digits(found.start, 6)} s to {digits(found.stop, 6)} s"
     return {"label": label, "rows": rows, "part": part, "note": found.note}
-
-
-def _run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -> dict[str, Any]:
-    status = overall(s.verdicts)
-    return {
-        "label": label,
-        "status": status,
-        "css": _css(status),
-        "scenario": s.scenario,
-        "mode": s.mode,
-        "figures": [
-            ("APE max", f"{digits(s.ape_max)} arcsec"),
-            ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
-            ("RPE rms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 % of windows", f"{digits(s.rpe_windows_p997)} mas"),
-            ("RPE 99.7 % of instants", f"{digits(s.rpe_p997)} mas"),
-        ],
-        "knowledge": s.knowledge
-        and [
-            ("AKE 99.7 %", f"{digits(s.knowledge.ake_p997_arcsec)} arcsec"),
-            ("RKE rms", f"{digits(s.knowledge.rke_rms_mas)} mas"),
-        ],
-        "data": (
-            f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "
-            f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"
-        ),
-        "problems": s.problems,
-        "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
-        "lines": _line_rows(v),
-        "line_count": len(v.tones),
-        "provenance": _provenance(v.run),
-    }
 
 
 def render(
@@ -350,16 +239,17 @@ def render(
     )
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
-        title=" / ".join(names) if len(names) > 1 else names[0],
+        title=" / ".join(names),
+        bags=list(dict.fromkeys(run.path.name for run in runs)),
+        names=names,
         several=len(runs) > 1,
         rows=rows,
-        cards=[_run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
+        cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
         pictures=[
             {
                 "id": p.name,
                 "title": p.title,
-                "alt": p.alt,
-                "data": "data:image/svg+xml;base64," + base64.b64encode(p.svg).decode(),
+                "svg": inline(p),
             }
             for p in drawn
         ],

@@ -41,6 +41,7 @@ LAYERS = (
     "topics",
     "run_start",
     "variants",
+    "plugins",
     "factories",
     "bags",
     "loop",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.loop.contract import ContractError, RunFailedError, check_plant
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
@@ -110,3 +111,70 @@ def test_a_run_that_fails_before_its_first_tick_leaves_nothing(tmp_path: Path) -
         run_in_process(config, tmp_path / "bag", plant)
     assert not (tmp_path / "bag").exists()
     run_in_process(config, tmp_path / "bag", SimpleTelescope())  # the name is free
+
+
+MODULE = """
+from simple_telescope import SimpleTelescope
+
+class Plain(SimpleTelescope):
+    def __init__(self):
+        super().__init__()
+
+class Configured(SimpleTelescope):
+    def __init__(self, config):
+        super().__init__(seed=config.seed)
+
+class Silent(Plain):
+    def step(self, command, measurement, truth):
+        measurement[:] = 0.0
+"""
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module in the working folder, of a name of its own, with two plants and a broken one."""
+    name = f"plants_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    return name
+
+
+@pytest.mark.parametrize("plant", ["Plain", "Configured"])
+def test_a_plant_is_named_on_the_command_line(plant: str, module: str) -> None:
+    files = write_controllers(Path.cwd())
+    line = ["run", "--plant", f"{module}:{plant}", "--mode", "inprocess", "--duration", "2", "--loop", "fsm"]
+    line += ["--k-fsm", files["k_fsm"], "--k-pma", files["k_pma"], "--no-report", "--output", "bag"]
+    assert app.main(line) == 0
+    run = Run.open("bag")
+    assert run.parameters["plant"] == f"{module}:{plant}"
+    assert run.parameters["start"] == "rest"
+    direct = SimpleTelescope()
+    run_in_process(RunConfig(duration=2.0, loop="fsm", mode="inprocess", **files), Path("direct"), plant=direct)
+    np.testing.assert_array_equal(run["truth/los"].values, Run.open("direct")["truth/los"].values)
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        ("{}:Silent", "must write all of truth"),
+        ("{}:NoSuch", "no attribute 'NoSuch'"),
+        ("no_such_module:Plant", "No module named 'no_such_module'"),
+        ("math:pi", "must be a class or a function that makes one, got float"),
+        ("short_name", "entry point of los_testbed.plants, got 'short_name' (LookupError: known are none)"),
+    ],
+)
+def test_a_plant_that_cannot_be_used_is_an_error_of_the_user(
+    plant: str, words: str, module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["run", "--plant", plant.format(module), "--mode", "inprocess", "--duration", "1", "--output", "bag"]
+    with pytest.raises(SystemExit) as caught:
+        app.main(line)
+    assert caught.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert words in error and len(error.splitlines()) == 1
+    assert not Path("bag").exists()
+
+
+def test_a_named_plant_starts_at_rest() -> None:
+    with pytest.raises(ValueError, match="start must be rest with a plant of your own, got steady"):
+        RunConfig(plant="my_module:Plant")

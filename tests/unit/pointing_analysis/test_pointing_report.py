@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html.parser
 import re
 import shutil
@@ -13,9 +12,11 @@ import pytest
 from support import headless_browser
 
 from pointing_analysis import requirements
+from pointing_analysis.cumulative_figure import cumulative
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.read import Run
-from pointing_analysis.report import KEEPS, labels, latency_us, overall, render, write_report
+from pointing_analysis.report import labels, latency_us, render, view, write_report
+from pointing_analysis.report_cards import KEEPS, limit_row, overall
 from pointing_analysis.summary import summarise
 from pointing_analysis.synthetic import write_bag
 
@@ -74,7 +75,7 @@ class Outline(html.parser.HTMLParser):
         self.ids: list[str] = []
         self.links: list[str] = []
         self.sources: list[str] = []
-        self.alts: list[str | None] = []
+        self.pictures: list[str | None] = []
         self.headings: list[int] = []
         self.open: list[str] = []
         self.text: list[str] = []
@@ -86,11 +87,11 @@ class Outline(html.parser.HTMLParser):
         for key in ("src", "href"):
             if key in found:
                 (self.links if str(found[key]).startswith("#") else self.sources).append(str(found[key]))
-        if tag == "img":
-            self.alts.append(found.get("alt"))
+        if tag == "svg":
+            self.pictures.append(found.get("aria-label"))
         if re.fullmatch("h[1-6]", tag):
             self.headings.append(int(tag[1]))
-        if tag not in ("meta", "link", "img", "br"):
+        if tag not in ("meta", "link", "img", "br", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -123,14 +124,41 @@ def test_nothing_comes_from_outside(page) -> None:
 
 def test_pictures_have_texts_and_are_svg(page) -> None:
     found = outline(page)
-    pictures = [s for s in found.sources if len(s) > 10]
-    assert len(pictures) == len(found.alts) == 8
-    assert all(alt and len(alt) > 20 for alt in found.alts)
-    for source in pictures:
-        svg = base64.b64decode(source.split(",", 1)[1])
-        assert svg.startswith(b"<?xml")
-        assert b"<date>" not in svg.lower()
-        assert b"dc:date" not in svg
+    assert len(found.pictures) == 8
+    assert all(label and len(label) > 20 for label in found.pictures)
+    text = page.read_text().lower()
+    assert "<img" not in text and "<date>" not in text and "dc:date" not in text
+    for run in range(len(STAGES)):  # every run has curves that can be hidden
+        assert text.count(f'<g class="run-{run}">') > 5
+
+
+def test_page_of_one_run_is_small(stages) -> None:
+    assert len(render([Run.open(stages[3])]).encode()) < 1_000_000
+
+
+def test_the_card_shows_limit_and_margin(stages) -> None:
+    """Margin: limit minus quantile of the requirement, with its sign."""
+    run = Run.open(stages[0])
+    page = render([run])
+    for verdict in summarise(run).verdicts:
+        r = verdict.requirement
+        margin = r.limit - verdict.quantile.value
+        row = limit_row(verdict)
+        assert row["css"] == ("ok" if margin >= 0 else "bad")
+        assert f"of {r.limit / r.scale:.3g} {r.unit}" in row["value"]
+        assert f"({abs(100 * margin / r.limit):.0f} %)" in row["margin"] and row["margin"] in page
+
+
+def test_the_cumulative_rms_steps_up_by_the_tone(stages) -> None:
+    """Each tone of amplitude a in quadrature on both axes adds a^2 to the mean square, at its frequency."""
+    seen = view(Run.open(stages[0]), "none")
+    assert seen.spectrum is not None
+    power = (seen.spectrum.cumulative_rms() / MAS) ** 2
+    for w in (88.0, 210.0):
+        below, above = np.interp(np.array([-2, 2]) + w / (2 * np.pi), seen.spectrum.frequency, power)
+        assert above - below == pytest.approx(STAGES["none"] ** 2, rel=0.05)
+    picture = cumulative([seen])
+    assert picture.svg.count(b'id="run-0"') == 4  # two curves, two named steps
 
 
 def test_headings_ids_and_links(page) -> None:
@@ -144,7 +172,7 @@ def test_headings_ids_and_links(page) -> None:
 def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
     text = page.read_text()
     assert text.index('class="status') < text.index('id="requirements"')
-    cards = re.findall(r'<article class="card (\w+)">\s*<h3>([^<]*)</h3>', text)
+    cards = re.findall(r'<article class="card (\w+)[^"]*">\s*<h2 class="name">([^<]*)</h2>', text)
     assert [name for _, name in cards] == [*STAGES]
     for bag, (css, _) in zip(stages, cards):
         status = overall(summarise(Run.open(bag)).verdicts)
@@ -281,7 +309,7 @@ def test_nothing_overlaps_or_leaves_its_box(chromium, page) -> None:
 def test_keyboard_reaches_links_tables_and_details(chromium, page) -> None:
     chromium.open(page, 1280)
     seen = []
-    for _ in range(25):
+    for _ in range(40):
         chromium.press("Tab", 9)
         seen.append(chromium.value("document.activeElement.tagName + '.' + document.activeElement.className"))
         if not seen[-1].startswith("BODY"):  # whoever has the focus shows it

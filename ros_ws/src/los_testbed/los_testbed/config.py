@@ -92,6 +92,8 @@ class RunConfig:
     parameters: str = _parameter("", "parameter file of the telescope; empty for the reference")
     fsm_authority: float = _parameter(0.0, "largest mirror angle per axis; 0 for the telescope's own", "rad", 0.0, 1.0)
     pma_authority: float = _parameter(0.0, "largest force of one actuator; 0 for the telescope's own", "N", 0.0, 1e6)
+    nonlinear: bool = _parameter(False, "stroke and rate limits, quantised sensors, anti-alias filters")
+    plant: str = _parameter("", "plant of your own, MODULE:NAME or entry point; empty for the telescope")
     k_fsm: str = _parameter("", "observer file; empty for the stored design")
     k_pma: str = _parameter("", "proof-mass controller file; empty for the stored design")
     hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
@@ -114,6 +116,8 @@ class RunConfig:
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
         if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace, re.ASCII):
             raise ValueError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
+        if self.plant and self.start != "rest":
+            raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
         if self.tau and self.theta:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise ValueError(f"one of theta or tau = tan(theta/4) must be 0, got both: {both}")
@@ -173,6 +177,10 @@ PHYSICAL = (
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
 
 
+CHANGED = ("plant", "nonlinear")
+"""Fields that change the plant itself; part of its hash where they are set."""
+
+
 def unknown(name: str) -> str:
     """Message about a name that is not a parameter."""
     near = difflib.get_close_matches(name, FIELDS, 1)
@@ -207,7 +215,7 @@ def parse_value(name: str, text: str) -> Any:
 
 def physical_hash(config: RunConfig) -> str:
     """SHA-256 of the settings that the plant is built from."""
-    values = {name: config.to_mapping()[name] for name in PHYSICAL}
+    values = {name: config.to_mapping()[name] for name in (*PHYSICAL, *(n for n in CHANGED if getattr(config, n)))}
     if values["profile"] == FIELDS["profile"].default:  # bags from before there were profiles keep their hash
         del values["profile"]
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig
+from los_testbed.plugins import make_plant
 from los_testbed.run_start import RunStart, find_run_start, with_tones
 from los_testbed.variants import check_ranges
 from lti.sampled_system import SampledSystem
@@ -197,21 +198,30 @@ def assemble_controller(
 
 
 def build_plant(config: RunConfig) -> Plant:
-    """Telescope of the configuration, sampled at the tick rate, in the state in which the run starts.
+    """Telescope of the configuration, sampled at the tick rate, in the state in which the run starts; or its own plant.
 
     Raises
     ------
     ValueError
-        A parameter outside its range; the message names both. A file that is no controller.
+        A parameter outside its range; the message names both. A file that is no controller. A plant that cannot be
+        made.
     """
+    if config.plant:
+        own: Plant = make_plant(config)
+        return own
     from titop_plant import simulation
 
     start = run_start(config)
     physical = plant_config(config, start)
     with one_thread():
         state = np.zeros(simulation.plant_order(physical)) if start.states is None else start.states.plant
-        plant: Plant = simulation.build_plant(physical, state)
-    return plant
+        plant = simulation.build_plant(physical, state)
+    if not config.nonlinear:
+        return plant
+    from titop_plant.nonlinear_plant import DeviceLimits, NonlinearPlant
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    return NonlinearPlant(plant, DeviceLimits(), load_parameters(config.parameters or REFERENCE)["pma"])
 
 
 def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> RunStart:
@@ -228,6 +238,8 @@ def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None
     ValueError
         A telescope outside its family, a file that is missing or no controller.
     """
+    if config.plant:
+        return RunStart()
     chosen = load_controllers(config) if controllers is None else controllers
     return find_run_start(config, _physical(config), chosen, telescope_basis(config).authority)
 
@@ -303,7 +315,7 @@ def plant_notes(plant: Plant) -> dict[str, str]:
     tones = getattr(plant, "tones", None)
     if tones is not None:
         notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
-    motion = getattr(plant, "motion", None)
+    motion = getattr(getattr(plant, "plant", plant), "motion", None)  # of the telescope behind its devices
     if motion is not None:
         notes["motion"] = json.dumps(motion)
     parameters_hash = getattr(plant, "parameters_hash", None)

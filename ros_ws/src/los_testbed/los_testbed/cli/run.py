@@ -48,6 +48,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
     los-testbed run --case worst                       # a named telescope of the family; or --sample 7, a random one
 
+    los-testbed run --plant my_module:MyPlant          # a plant of your own, checked before the run
+
     los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
 """
 
@@ -68,6 +70,9 @@ def run(
     ] = None,
     camera_rate: Annotated[
         str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
+    ] = None,
+    plant: Annotated[
+        str | None, typer.Option(metavar="MODULE:NAME", help="Plant of your own, or the name of an entry point.")
     ] = None,
     k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
     k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
@@ -124,7 +129,7 @@ def run(
     given = {
         "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "worst_of": worst_of, "start": start,
         "seed": seed, "noise": noise,
-        "disturbance": disturbance, "camera_rate": camera_rate, "k_fsm": k_fsm, "k_pma": k_pma,
+        "disturbance": disturbance, "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
         "ramp_duration": ramp_duration, "profile": profile, "parameters": parameters, "namespace": namespace,
@@ -177,7 +182,10 @@ def configure(
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
     settings_given = layered(first, named, drawn, stated, options)
-    chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
+    if settings_given.get("plant"):  # what is steady, and a worst member, are known of the telescope only
+        chosen = RunConfig.from_mapping({"start": "rest", **settings_given})
+    else:
+        chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
     if not chosen.output:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
@@ -197,10 +205,16 @@ def check(config: RunConfig) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        A bag that exists, a telescope outside the family, a file that is no controller, ROS missing.
+        A bag that exists, a telescope outside the family, a file that is no controller, a plant that breaks the
+        contract, ROS missing.
     """
     check_new_bag(Path(config.output))
     check_ranges(config)
+    if config.plant:
+        from los_testbed.factories import build_plant
+        from los_testbed.loop.contract import check_plant
+
+        check_plant(build_plant(config))
     warnings = check_controllers(config)
     if config.mode != "inprocess":
         from los_testbed.run.runner import check_ros

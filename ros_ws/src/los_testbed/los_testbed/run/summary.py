@@ -18,7 +18,8 @@ from pointing_analysis.atomic_output import check_output
 from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
 from pointing_analysis.recording import Recording
-from pointing_analysis.report import digits, write_report
+from pointing_analysis.report import write_report
+from pointing_analysis.report_cards import digits
 from pointing_analysis.requirements import Requirement, Verdict
 from pointing_analysis.summary import Summary, summarise
 

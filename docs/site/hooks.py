@@ -1,0 +1,159 @@
+"""Hooks of MkDocs: pages from outside docs/, an API page for each public module, mathematics as MathML.
+
+Pages outside docs/ keep their paths, so that links between pages work in the repository and on the site. Mathematics
+is written in blocks ``math`` (LaTeX), which are translated when the site is built; browsers draw MathML themselves.
+"""
+
+from __future__ import annotations
+
+import ast
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+ROOT = Path(__file__).parents[2]
+OUTSIDE = ("CONTRIBUTING.md", "CHANGELOG.md", "bags/README.md", "ros_ws/README.md")
+"""Pages of the repository that are part of the site."""
+PACKAGES = {
+    name: ROOT / name
+    for name in (
+        "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
+    )
+} | {"los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed"}  # fmt: skip
+LINK = re.compile(r"(\]\()([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?\))")
+ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")
+
+
+def public_names(path: Path) -> list[str]:
+    """Names of the functions and classes that a module defines for others, and of its documented constants."""
+    body = ast.parse(path.read_text("utf-8")).body
+    names = [
+        node.name
+        for node in body
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) and not node.name.startswith("_")
+    ]
+    targets = [t for node in body if isinstance(node, ast.Assign) for t in node.targets]
+    targets += [node.target for node in body if isinstance(node, ast.AnnAssign)]
+    return names + [t.id for t in targets if isinstance(t, ast.Name) and not t.id.startswith("_")]
+
+
+def exported(path: Path) -> dict[str, str]:
+    """Names that ``__init__.py`` of a package passes on, with the modules that define them."""
+    if path.name != "__init__.py":
+        return {}
+    imports = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ImportFrom)]
+    own = [node for node in imports if str(node.module).split(".")[0] in PACKAGES]
+    return {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in own for alias in node.names}
+
+
+def modules() -> dict[str, Path]:
+    """Every module with something public to show, by its dotted name."""
+    found = {}
+    for package, folder in PACKAGES.items():
+        for path in sorted(folder.rglob("*.py")):
+            parts = [package, *path.relative_to(folder).with_suffix("").parts]
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            if not any(part.startswith("_") for part in name.split(".")) and (public_names(path) or exported(path)):
+                found[name] = path
+    return found
+
+
+def api_page(name: str, path: Path) -> str:
+    """Markdown of the page of one module."""
+    text = f"::: {name}\n"
+    if names := exported(path):
+        text += "    options: {members: false}\n\n| name | defined in |\n|---|---|\n"
+        text += "".join(
+            f"| [`{short}`][{full}] | `{full.rpartition('.')[0]}` |\n" for short, full in sorted(names.items())
+        )
+    return text
+
+
+def api_nav() -> list[Any]:
+    """Navigation of the API reference: packages, then their modules."""
+    groups: dict[str, list[Any]] = {}
+    for name in modules():
+        groups.setdefault(name.split(".")[0], []).append({name: f"api/{name}.md"})
+    return [{package: pages} for package, pages in groups.items()]
+
+
+def on_config(config: Any) -> Any:
+    """Add the API reference to the navigation, and the translations to the Markdown extensions."""
+    config.nav.insert(4, {"API": api_nav()})
+    config.markdown_extensions.append(_roles())
+    config.mdx_configs.setdefault("pymdownx.superfences", {})["custom_fences"] = [
+        {"name": "math", "class": "math", "format": mathml}
+    ]
+    return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages outside docs/ and those of the API."""
+    from mkdocs.structure.files import File
+
+    for page in OUTSIDE:
+        files.append(File.generated(config, page, content=(ROOT / page).read_text("utf-8")))
+    for name, path in modules().items():
+        files.append(File.generated(config, f"api/{name}.md", content=api_page(name, path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Links between docs/ and the other folders of the repository become links of the site."""
+    source = page.file.src_uri
+    if source.startswith("api/"):
+        return markdown
+    return LINK.sub(lambda match: match[1] + site_link(source, match[2]) + match[3], markdown)
+
+
+def site_link(source: str, target: str) -> str:
+    """Link on a page of the site for one that is written relative to the page's place in the repository.
+
+    Examples
+    --------
+    >>> site_link("real_time.md", "../ros_ws/README.md"), site_link("ros_ws/README.md", "../docs/glossary.md")
+    ('ros_ws/README.md', '../glossary.md')
+    >>> site_link("index.md", "../README.md"), site_link("real_time.md", "glossary.md")
+    ('index.md', 'glossary.md')
+    """
+    folder = posixpath.dirname(source if source in OUTSIDE else f"docs/{source}")
+    place = posixpath.normpath(posixpath.join(folder, target))
+    place = "index.md" if place == "README.md" else place.removeprefix("docs/")
+    return posixpath.relpath(place, posixpath.dirname(source) or ".")
+
+
+def mathml(source: str, language: str, css_class: str, options: Any, md: Any, **_: Any) -> str:
+    """Block of LaTeX as MathML.
+
+    Raises
+    ------
+    ValueError
+        An environment that the translation does not know.
+    """
+    from latex2mathml.converter import convert
+
+    if "{aligned}" in source or "{gathered}" in source:
+        raise ValueError(f"block of mathematics must use split or align*, got {source!r}")
+    return f'<div class="{css_class}">{convert(source, display="block")}</div>'
+
+
+def _roles() -> Any:
+    """Markdown extension: cross-references of docstrings (``:func:`name```) become links."""
+    from markdown.extensions import Extension
+    from markdown.inlinepatterns import InlineProcessor
+
+    class Role(InlineProcessor):
+        def handleMatch(self, m: Any, data: str) -> tuple[Element, int, int]:  # type: ignore[override]
+            element = Element("autoref", {"identifier": m[2], "optional": ""})
+            code = Element("code")
+            code.text = m[2].rpartition(".")[2] if m[1] else m[2]
+            element.append(code)
+            return element, m.start(0), m.end(0)
+
+    class Roles(Extension):
+        def extendMarkdown(self, md: Any) -> None:
+            md.inlinePatterns.register(Role(ROLE.pattern, md), "role", 195)
+
+    return Roles()

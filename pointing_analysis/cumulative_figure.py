@@ -1,0 +1,77 @@
+"""Cumulative RMS over frequency, with the steps at the disturbance lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pointing_analysis import weights
+from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.figures import (
+    COLOURS,
+    Floats,
+    Picture,
+    RunView,
+    _legend,
+    _mark_tones,
+    _panels,
+    _stroke,
+    picture,
+)  # fmt: skip
+
+
+def cumulative(views: Sequence[RunView]) -> Picture:
+    """Cumulative RMS of the error and of its RPE part, which steps up at each line; the largest steps are named.
+
+    One run has a linear axis from zero; several have a logarithmic one that ends at a thirtieth of the smallest total.
+    """
+    curves: list[tuple[int, RunView, Floats, Floats, Floats]] = []
+    for i, view in enumerate(views):
+        if (s := view.spectrum) is not None:
+            weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
+            whole, part = s.cumulative_rms() / RAD_PER_MAS, s.cumulative_rms(weight) / RAD_PER_MAS
+            curves.append((i, view, s.frequency[1:], whole[1:], part[1:]))
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        axis.set_xscale("log")
+        for i, view, frequency, whole, part in curves:
+            axis.step(frequency, whole, where="post", label=view.label, **_stroke(i, len(views)))
+            axis.step(frequency, part, where="post", ls="--", **_stroke(i, len(views)))
+        totals = [float(min(whole[-1], part[-1])) for *_, whole, part in curves]
+        if len(curves) > 1 and min(totals) > 0:
+            axis.set_yscale("log")
+            axis.set_ylim(bottom=min(totals) / 30)
+        else:
+            axis.set_ylim(bottom=0.0)
+        axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
+        _mark_tones(axis, views)
+        _name_steps(axis, curves)
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("RMS below frequency [mas]")
+        _legend(figure, axis)
+
+    alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
+    return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
+
+
+def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, Floats, Floats, Floats]]) -> None:
+    """Frequencies of the largest lines of each run, at the height of its curve behind them."""
+    for i, view, frequency, whole, _ in curves:
+        strongest = sorted(view.tones, key=lambda line: -line.rms)[: 3 if len(curves) == 1 else 1]
+        for line in strongest:
+            hertz = line.omega / (2 * np.pi)
+            height = float(np.interp(1.05 * hertz, frequency, whole))
+            axis.annotate(
+                f"{hertz:.3g} Hz",
+                (hertz, height),
+                xytext=(-3, 3),
+                textcoords="offset points",
+                ha="right",
+                fontsize=7.5,
+                color=COLOURS[i % 6],
+                gid=f"run-{i}",
+            )

@@ -1,0 +1,126 @@
+"""Every Python block of the documentation runs, every TOML block is read."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import create_autospec
+
+import numpy as np
+import pytest
+from support.uncertain_examples import two_mass_benchmark
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
+WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md"}
+"""Run by test_tutorials.py, which compares the output as well."""
+Names = dict[str, Any]
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def a_bag(folder: Path, _: pytest.MonkeyPatch) -> Names:
+    (folder / "bags").mkdir()
+    for name in ("reference", "my_run"):
+        (folder / "bags" / name).symlink_to(ROOT / "bags" / "reference")
+    return {}
+
+
+def rows_of_a_campaign(folder: Path, _: pytest.MonkeyPatch) -> Names:
+    arrow = pytest.importorskip("pyarrow")
+    pytest.importorskip("pandas")
+    from pyarrow import parquet
+
+    (folder / "bags/first/rows").mkdir(parents=True)
+    parquet.write_table(arrow.table({"index": [0, 1]}), folder / "bags/first/rows/0.parquet")
+    return {}
+
+
+def an_uncertain_system(_: Path, __: pytest.MonkeyPatch) -> Names:
+    return {"system": two_mass_benchmark(masses=False)}
+
+
+def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Names:
+    """The design takes an hour: its call is checked against the signature, its result is empty."""
+    from los_design import redesign
+
+    (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")
+    check = SimpleNamespace(fsm={}, pma={})
+    summary = redesign.DesignSummary(folder, check, [])
+    monkeypatch.setattr(redesign, "design_all", create_autospec(redesign.design_all, return_value=summary))
+    return {}
+
+
+def the_mass_and_spring(_: Path, __: pytest.MonkeyPatch) -> Names:
+    names = runpy.run_path(str(ROOT / "examples/robust_mass_spring_damper.py"))
+    from robust_design import pid, tune_robust
+
+    return {**names, "pid": pid, "tune_robust": tune_robust}
+
+
+def requirements_of_the_observer(_: Path, __: pytest.MonkeyPatch) -> Names:
+    from los_estimator.problem import DISTURBANCES
+    from lti import StateSpace
+    from robust_design import HinfGain
+
+    unit = StateSpace.static(np.eye(1), [("a", 1)], [("b", 1)])
+    return {"HinfGain": HinfGain, "DISTURBANCES": DISTURBANCES, "expected": unit, "relative": unit}
+
+
+NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
+    "open_a_bag.md": a_bag,
+    "pointing_analysis.md": a_bag,
+    "campaigns.md": rows_of_a_campaign,
+    "certificates.md": an_uncertain_system,
+    "control_design.md": a_design_that_is_only_called,
+    "robust_design.md": the_mass_and_spring,
+    "CONTRIBUTING.md": requirements_of_the_observer,
+}
+"""What the text of a page presupposes."""
+SLOW = {"certificates.md", "robust_design.md"}
+WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.name, marks=[pytest.mark.slow] * (p.name in SLOW)) for p in WITH_PYTHON]
+)
+def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In order, in one session; the output is the one shown, where the page shows one."""
+    monkeypatch.chdir(tmp_path)
+    names = NEEDED[path.name](tmp_path, monkeypatch) if path.name in NEEDED else {}
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        for block in blocks(path, "python"):
+            exec(compile(block, path.name, "exec"), names)
+    for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
+        if path.name == "open_a_bag.md":
+            assert shown in printed.getvalue()
+
+
+@pytest.mark.parametrize("path", [p for p in PAGES if blocks(p, "toml")], ids=lambda p: p.name)
+def test_toml_blocks_are_read(path: Path) -> None:
+    assert all(tomllib.loads(block) for block in blocks(path, "toml"))
+
+
+def test_every_block_has_a_language_that_is_tested() -> None:
+    """Shell blocks are checked by tests/architecture/test_documentation_paths.py; text and mathematics do not run."""
+    found = {
+        language
+        for path in PAGES
+        for language in re.findall(r"^```(\w+)\n.*?^```", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+    }
+    assert found <= {"python", "toml", "sh", "text", "math"}

@@ -1,0 +1,118 @@
+"""The documentation site: navigation, an API page for every public name, links, nothing loaded from elsewhere."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib.util
+import os
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+
+
+def module_of(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"site_{name}", ROOT / "docs" / "site" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    return module_of("hooks")
+
+
+@pytest.fixture(scope="module")
+def links() -> ModuleType:
+    return module_of("check_links")
+
+
+def leaves(node: Any) -> list[str]:
+    if isinstance(node, str):
+        return [node]
+    return [leaf for child in (node.values() if isinstance(node, dict) else node) for leaf in leaves(child)]
+
+
+def test_examples(hooks: ModuleType, links: ModuleType) -> None:
+    for module in (hooks, links):
+        result = doctest.testmod(module)
+        assert result.attempted > 1
+        assert result.failed == 0
+
+
+def test_every_page_is_in_the_navigation_once(hooks: ModuleType) -> None:
+    listed = leaves(yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"])
+    assert sorted(listed) == sorted([path.name for path in (ROOT / "docs").glob("*.md")] + list(hooks.OUTSIDE))
+
+
+def test_the_start_page_leads_to_every_page(hooks: ModuleType) -> None:
+    start = (ROOT / "docs" / "index.md").read_text("utf-8")
+    for path in (ROOT / "docs").glob("*.md"):
+        assert path.name == "index.md" or f"]({path.name})" in start
+    for page in hooks.OUTSIDE:
+        assert f"](../{page})" in start
+
+
+def public_objects() -> set[str]:
+    """Full names of the public functions and classes of all packages."""
+    found = set()
+    packages = ("lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design")
+    folders = [ROOT / name for name in (*packages, "pointing_analysis", "ros_ws/src/los_testbed/los_testbed")]
+    for folder in folders:
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder.parent).with_suffix("").parts
+            name = ".".join(part for part in parts if part != "__init__")
+            kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+            body = [node for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, kinds)]
+            found |= {f"{name}.{node.name}" for node in body if not node.name.startswith("_")}
+    return found
+
+
+def test_every_public_name_has_a_page_of_the_api(hooks: ModuleType) -> None:
+    pages = hooks.modules()
+    assert {name.rpartition(".")[0] for name in public_objects()} <= set(pages)
+    listed = leaves(hooks.api_nav())
+    assert sorted(listed) == sorted(f"api/{name}.md" for name in pages)
+    assert "[`hinf_norm`][lti.norms.hinf_norm]" in hooks.api_page("lti", pages["lti"])
+
+
+def test_broken_links_and_outside_addresses_are_found(links: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(
+        '<a href="b.html">1</a><a href="c.html">2</a><a href="b.html#no">3</a><a href="b.html#yes">4</a>'
+        '<a href="https://example.org/">5</a><script src="https://example.org/x.js"></script>'
+    )
+    (tmp_path / "b.html").write_text('<h1 id="yes">b</h1>')
+    assert links.problems(tmp_path) == [
+        "a.html: no file for c.html",
+        "a.html: no anchor for b.html#no",
+        "a.html: loads https://example.org/x.js",
+    ]
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_warnings(links: ModuleType, tmp_path: Path) -> None:
+    """Strict mode: a warning is an error. Every public object is in the inventory; equations are MathML."""
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocstrings")
+    site = tmp_path / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    assert links.problems(site) == []
+    inventory = zlib.decompress((site / "objects.inv").read_bytes().split(b"zlib.\n", 1)[1]).decode()
+    assert not public_objects() - {line.split()[0] for line in inventory.splitlines()}
+    for name in ("structures", "linear_systems", "certificates", "pointing_analysis"):
+        assert "<math" in (site / f"{name}.html").read_text("utf-8")
+    assert (site / "search" / "search_index.js").stat().st_size > 100_000

@@ -1,0 +1,92 @@
+"""The CubeSat of the examples: low-frequency inertia of the rigid bodies, a wheel that turns the other way."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+from unittest.mock import create_autospec
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def example() -> dict[str, Any]:
+    return runpy.run_path(str(EXAMPLES / "cubesat_boom_and_wheel.py"))
+
+
+def rigid_inertia(example: dict[str, Any]) -> float:
+    """About z through the common centre of mass: hub, tube, tip and the wheel's mass, from their dimensions."""
+    outer, inner = 0.006, 0.006 - 0.0004
+    tube = 2700.0 * np.pi * (outer**2 - inner**2) * 1.0  # [kg], 1 m long
+    masses = np.array([12.0, tube, 0.15, example["WHEEL"].mass])
+    y = np.array([0.0, 0.17 + 0.5, 0.17 + 1.0, 0.0])
+    own = 0.13 + tube * (1.0 / 12.0 + (outer**2 + inner**2) / 4.0) + 2e-5
+    centre = float(masses @ y) / float(masses.sum())
+    return own + float(masses @ (y - centre) ** 2)
+
+
+def test_a_torque_of_the_wheel_turns_hub_and_wheel_in_opposite_senses(example: dict[str, Any]) -> None:
+    """Below the modes the hub has the acceleration u / J, the wheel -u / J_w less that of the hub."""
+    still = example["cubesat"]().data_at({"wheel.speed": 0.0})
+    s = 0.05j
+    gain = (still.C @ np.linalg.solve(s * np.eye(still.A.shape[0]) - still.A, still.B) + still.D).real
+    rows, columns = still.output_indices, still.input_indices
+    hub = gain[rows(["accel_G"])[5], columns(["wheel_torque"])[0]]
+    wheel = gain[rows(["wheel_accel"])[0], columns(["wheel_torque"])[0]]
+    assert hub == pytest.approx(1.0 / rigid_inertia(example), rel=2e-3)
+    assert wheel == pytest.approx(-1.0 / example["WHEEL"].axial_inertia - hub, rel=1e-9)
+
+
+def test_the_first_mode_follows_the_boom(example: dict[str, Any]) -> None:
+    system = example["cubesat"]()
+    nominal = system.parameter("boom.omega_1").nominal
+    first = []
+    for factor in (0.9, 1.0, 1.1):
+        poles = np.abs(system.at({"boom.omega_1": factor * nominal}).poles())
+        first.append(poles[poles > 5.0].min())
+    assert first[0] < first[1] < first[2]
+    assert first[1] > nominal  # a hub that gives way raises the frequency
+
+
+def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    example["main"]()
+    printed = capsys.readouterr().out
+    assert "UncertainSystem(order 14" in printed
+    values = [float(line.split()[-2]) for line in printed.splitlines() if line.startswith("imbalance")]
+    assert len(values) == 4 and max(values) == values[1]  # the largest error is at the resonance
+
+
+def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The drawing itself is that of `los-testbed plant figures`; here, that each script asks for one that exists."""
+    from los_design import plant_figures
+
+    called = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
+    monkeypatch.setattr(plant_figures, "draw_figures", called)
+    monkeypatch.setattr(sys, "argv", ["figure.py", str(tmp_path)])
+    for path in sorted((EXAMPLES / "paper").glob("figure_*.py")):
+        runpy.run_path(str(path))
+    drawn = [call.kwargs["names"] for call in called.call_args_list]
+    assert sorted(drawn) == sorted([name] for name in plant_figures.FIGURES)
+    assert all(call.args == (str(tmp_path),) for call in called.call_args_list)
+
+
+def test_the_stewart_platform_has_the_modes_of_its_legs() -> None:
+    """Poles of the block against energies: the stiffness along any motion is the sum over the legs."""
+    example = runpy.run_path(str(EXAMPLES / "stewart_platform_isolator.py"))
+    J, k = example["leg_matrix"](), example["LEG_STIFFNESS"]
+    motion = np.random.default_rng(0).standard_normal(6)
+    stretch = J.T @ motion  # of each leg
+    system = example["platform"](0.0).data_at({})
+    stored = motion @ system.C[:6, :6] @ motion
+    assert stored == pytest.approx(k * float(stretch @ stretch), rel=1e-12)
+    poles = np.linalg.eigvals(system.A)
+    modes = np.linalg.eigvals(np.linalg.solve(example["PAYLOAD"], k * J @ J.T))
+    np.testing.assert_allclose(np.sort(np.abs(poles))[::2] ** 2, np.sort(modes.real), rtol=1e-9)
+    vertical = k * float(J[2] @ J[2]) / 60.0  # symmetric legs: the mode along z is that of mass and vertical stiffness
+    assert np.abs(np.sort(modes.real) / vertical - 1.0).min() < 1e-9
+    example["main"]()
