@@ -24,11 +24,12 @@ from pointing_analysis.figures import Picture, RunView
 from pointing_analysis.inline_svg import inline
 from pointing_analysis.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.metrics import is_whole
+from pointing_analysis.moving_tones import motion_of, moving_pictures
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.recording import Recording
 from pointing_analysis.report_cards import css_class, digits, run_card, shown_status
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
-from pointing_analysis.summary import WINDOW, summarise
+from pointing_analysis.summary import WINDOW, summarise_all
 from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
@@ -94,9 +95,9 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
 
 
 def tones_of(run: Recording) -> NDArray[np.float64]:
-    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds ``wheel_speed``."""
+    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds where they are constant."""
     found: list[float] = []
-    for key in ("tones_rad_s", "wheel_speed"):
+    for key in ("tones_rad_s",) if motion_of(run) else ("tones_rad_s", "wheel_speed"):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
         found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]
@@ -152,6 +153,7 @@ def pictures(
         figures.trajectory(views, ape),
         figures.density(views) if any(v.spectrum for v in views) else None,
         cumulative(views) if any(v.spectrum for v in views) else None,
+        *moving_pictures(views, limits["RPE"]),
         figures.by_line(views, model or {}),
         figures.exceedance(views, "APE", limits["APE"]),
         figures.exceedance(views, "RPE", limits["RPE"]) if all(map(_has_windows, views)) else None,
@@ -225,15 +227,13 @@ def render(
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
-    summaries = [summarise(run, transient=transient, requirements=chosen) for run in runs]
+    summaries = summarise_all(runs, transient=transient, requirements=chosen)
     views = [view(run, name, transient) for run, name in zip(runs, names)]
     drawn = pictures(views, chosen, model)
     rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
-    # Requirements over several runs are judged once, on all of them.
-    if len(runs) > 1:
-        over_runs = [r for r in chosen if r.across_runs]
-        rows = [row for row in rows if row.text not in {str(r) for r in over_runs}]
-        rows += [_row("all runs", judge(r, runs, transient)) for r in over_runs]
+    if len(runs) > 1:  # requirements over several runs are judged once, on all of them
+        rows = [row for row in rows if row.text not in {str(r) for r in chosen if r.across_runs}]
+        rows += [_row("all runs", judge(r, runs, transient)) for r in chosen if r.across_runs]
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -325,3 +325,21 @@ def summarise(
         losses=run.losses,
         budget=budget,
     )
+
+
+def summarise_all(
+    runs: Sequence[Recording],
+    *,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+) -> list[Summary]:
+    """:func:`summarise` of each run; a requirement over several runs has the verdict on all of them in each summary.
+
+    The arguments are those of :func:`summarise`.
+    """
+    found = [summarise(run, transient=transient, requirements=requirements) for run in runs]
+    if len(runs) < 2:
+        return found
+    chosen = load() if requirements is None else requirements
+    joint = {str(r): judge(r, runs, transient) for r in chosen if r.across_runs}
+    return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in found]

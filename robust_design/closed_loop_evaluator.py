@@ -60,7 +60,8 @@ class ClosedLoopEvaluator:
         """Normalised values and peak frequencies [rad/s] of the requirements; infinite values where unstable."""
         count = len(requirements)
         values, frequencies = np.zeros(count), np.zeros(count)
-        if not all(isinstance(r, H2Gain) for r in requirements) and self.abscissa >= 0.0:
+        unstable = self.abscissa >= 0.0 or self._response.on_axis.size > 0  # to rounding
+        if not all(isinstance(r, H2Gain) for r in requirements) and unstable:
             return np.full(count, np.inf), frequencies
         gains = [i for i, r in enumerate(requirements) if isinstance(r, HinfGain)]
         if gains:

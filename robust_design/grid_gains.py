@@ -13,8 +13,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from lti.batched_linalg import determinants, largest_gains, leading_pairs, solve
-from robust_design.controller_response import Controller
+from lti.batched_linalg import determinants, leading_pairs, smooth_gains, smooth_slopes, solve
+from robust_design.controller_response import Controller, controller_modes
 from robust_design.plant_responses import Arrays, PlantResponses
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +24,7 @@ sl: Any = scipy.linalg
 EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
 """Of the frequencies where every gain is below this fraction of its peak, and every contribution to an H2 norm below
 this fraction of the mean one, only each fourth is kept."""
-MAX_GRAMS = 150  # frequencies in the Gauss-Newton matrix of one requirement and model
+MAX_GRAMS = 64  # frequencies in the Gauss-Newton matrix of one requirement and model
 
 
 @dataclass
@@ -70,11 +70,16 @@ class GridGains:
         self.widths = np.where(np.isfinite(self.arrays.omega), widths, 0.0)
         self._last: tuple[bytes, _Closed] | None = None
 
-    def gains(self, K: FloatArray, *, h2: bool = True) -> tuple[dict[int, FloatArray], dict[int, float]]:
-        """Largest singular values (N,) of the H-infinity requirements, and the H2 norms."""
+    def gains(
+        self, K: FloatArray, *, power: float = np.inf, h2: bool = True
+    ) -> tuple[dict[int, FloatArray], dict[int, float]]:
+        """Singular values (N,) of the H-infinity requirements, largest ones or smooth bounds of them, and H2 norms.
+
+        Of three singular values and more the norm of a `power` of at least this size stands for the largest.
+        """
         T = self._closed(K, self.hinf + (self.h2 if h2 else ())).responses
         norms = {i: self.calibration.get(i, 1.0) * float(np.sqrt(self._square(T[i]) / np.pi)) for i in self.h2 if h2}
-        return {i: largest_gains(T[i]) for i in self.hinf}, norms
+        return {i: smooth_gains(T[i], power) for i in self.hinf}, norms
 
     def essential(self, K: FloatArray, *, h2: bool) -> NDArray[np.bool_]:
         """Mask (N,) of the frequencies at which a gain is not small, and of every fourth of the others."""
@@ -109,8 +114,15 @@ class GridGains:
         s, rows, columns = self._slopes(K, i, index)
         return [(float(s[j, 0]), np.real(np.outer(rows[j], columns[j]))) for j in range(len(index))]
 
-    def weighted_gradient(self, K: FloatArray, i: int, weights: FloatArray, index: NDArray[np.intp]) -> FloatArray:
-        """Gradient of the weighted sum of the largest singular values at the frequencies `index`."""
+    def weighted_gradient(
+        self, K: FloatArray, i: int, weights: FloatArray, index: NDArray[np.intp], power: float = np.inf
+    ) -> FloatArray:
+        """Gradient of the weighted sum of the values of :meth:`gains` at the frequencies `index`."""
+        T = self._closed(K, (i,)).responses[i][index]
+        if power < np.inf and min(T.shape[1:]) > 2:
+            left, right = self._factors(K, i, index)
+            slope = right @ (smooth_slopes(T, power) * weights[:, None, None]).conj().swapaxes(1, 2)
+            return np.asarray(np.real(np.tensordot(left, slope.swapaxes(1, 2), axes=((0, 1), (0, 1)))))
         _, rows, columns = self._slopes(K, i, index)
         return np.asarray(np.real(rows.T @ (weights[:, None] * columns)))
 
@@ -172,6 +184,6 @@ class GridGains:
         """``det(jw - A_K) det(I - K P22)`` at the frequencies of the grid, infinity left out."""
         finite = np.isfinite(self.arrays.omega)
         determinant = determinants(self._closed(K, ()).S[finite])
-        for pole in sl.eigvals(K[: self.order, : self.order]) if self.order else ():
+        for pole in controller_modes(K, self.order)[0] if self.order else ():
             determinant = determinant * (1j * self.arrays.omega[finite] - pole)
         return np.asarray(determinant)

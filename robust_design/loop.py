@@ -7,6 +7,7 @@ A controller of order n_K is a static gain for the plant extended by n_K integra
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,8 +46,24 @@ class ExtendedPlant:
     D21: FloatArray
     D22: FloatArray
 
+    @cached_property
+    def _through(self) -> bool:
+        return bool(self.D22.any())
+
     def closed(self, K: FloatArray) -> ClosedLoop:
         """Closed loop with the gain matrix K (n_K + u, n_K + y)."""
+        if not self._through:
+            left, right = self.B2 @ K, K @ self.C2
+            return ClosedLoop(
+                self.A + left @ self.C2,
+                self.B1 + left @ self.D21,
+                self.C1 + self.D12 @ right,
+                self.D11 + self.D12 @ (K @ self.D21),
+                self.B2,
+                self.D12,
+                self.C2,
+                self.D21,
+            )
         inner = sl.inv(np.eye(K.shape[1]) - self.D22 @ K)
         KS = K @ inner
         left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1

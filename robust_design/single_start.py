@@ -52,7 +52,7 @@ def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) 
     """Stabilise and descend for a short round of the smooth phase."""
     stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
     if stable.result.objective >= -problem.min_decay:
-        return _unstable(stable, steps)
+        return unstable(stable, steps)
     found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
     count = stable.evaluations + found.evaluations
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
@@ -77,7 +77,7 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
     rng = np.random.default_rng(seed)
     stable, steps = stabilise(problem, x0, rng, limits)
     if stable.result.objective >= -problem.min_decay:
-        return _unstable(stable, steps)
+        return unstable(stable, steps)
 
     def oracle(x: FloatArray) -> OracleResult:
         return _oracle_result(problem, problem.evaluate(x, band=band))
@@ -181,7 +181,8 @@ def _random_directions(
     return None, RANDOM_DIRECTIONS
 
 
-def _unstable(stable: Descent, steps: int) -> StartResult:
+def unstable(stable: Descent, steps: int) -> StartResult:
+    """Result of a start that stabilised no loop."""
     status = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}.get(
         stable.reason, TuningStatus.NOT_STABILISED
     )

@@ -152,9 +152,10 @@ class SmoothObjective:
         """
         self.power, self._multiplier, self._penalty, self._restoring = power, multiplier, penalty, restoring
         K = self._problem.structure.gain_matrix(x)
-        _, hard = self._split(self._entries(x, K))
+        _, hard = self._split(self._entries(x, K, power))
         if hard:
-            self._offset = self._log_norm(x, K, hard)[0] - _log_of_largest(hard)
+            largest = self._split(self._entries(x, K, np.inf))[1]
+            self._offset = self._log_norm(x, K, hard)[0] - _log_of_largest(largest)
 
     def _split(self, entries: Sequence[_Entry]) -> tuple[list[_Entry], list[_Entry]]:
         """Soft and hard ones."""
@@ -168,7 +169,7 @@ class SmoothObjective:
         if not self.stable(x):
             return np.inf, gradient
         K = self._problem.structure.gain_matrix(x)
-        soft, hard = self._split(self._entries(x, K))
+        soft, hard = self._split(self._entries(x, K, self.power))
         if hard and _log_of_largest(hard) > self._ceiling:
             return np.inf, gradient
         if soft and not self._restoring:
@@ -193,13 +194,13 @@ class SmoothObjective:
         """Logarithms of the largest soft and of the largest hard value on the grid; infinite where unstable."""
         if not self.stable(x):
             return np.inf, np.inf
-        soft, hard = self._split(self._entries(x, self._problem.structure.gain_matrix(x)))
+        soft, hard = self._split(self._entries(x, self._problem.structure.gain_matrix(x), np.inf))
         return _log_of_largest(soft), _log_of_largest(hard)
 
-    def _entries(self, x: FloatArray, K: FloatArray) -> list[_Entry]:
+    def _entries(self, x: FloatArray, K: FloatArray, power: float) -> list[_Entry]:
         entries = []
         for k, grid in enumerate(self._grids):
-            gains, norms = grid.gains(K, h2=k in self._h2_models)
+            gains, norms = grid.gains(K, power=power, h2=k in self._h2_models)
             entries += [_Entry(self._problem.gain_numbers[i], k, v) for i, v in gains.items()]
             entries += [_Entry(self._problem.gain_numbers[i], k, np.array([v])) for i, v in norms.items()]
         if self._has_poles:
@@ -225,7 +226,7 @@ class SmoothObjective:
             if i in self._h2:
                 slope = weights[0] * grid.h2_gradient(K, i)
             else:
-                slope = grid.weighted_gradient(K, i, weights, index)
+                slope = grid.weighted_gradient(K, i, weights, index, p)
             gradient += structure.pullback(x, slope)
         return top + np.log(total) / p, gradient
 
@@ -233,7 +234,7 @@ class SmoothObjective:
         """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains."""
         structure = self._problem.structure
         K = structure.gain_matrix(x)
-        entries = self._entries(x, K)
+        entries = self._entries(x, K, self.power)
         top = max(float(e.values.max()) for e in entries)
         J = _jacobian(structure, x)
         matrix = np.zeros((K.size, K.size))

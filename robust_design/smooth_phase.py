@@ -8,6 +8,7 @@ the grid had missed are added and the round is repeated from the last point, sho
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,12 +24,13 @@ from robust_design.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective
 FloatArray = NDArray[np.float64]
 
 POWERS = (40.0, 150.0, 600.0)
+WORTH = (1e-2, 3e-3, 1e-3)  # relative decrease by a round at each power that is worth another one
 STEPS, MIN_STEPS = 12, 3  # of a round
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 RESTORING_STEPS = 6  # of a round that lowers hard values alone
 MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
 MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
-TOLERANCE = 1e-3  # decrease of the logarithm that is worth another round
+TOLERANCE = 1e-3  # relative increase by a round that asks for a shorter one
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
 FEASIBLE = 1e-6  # excess over 1 that a hard value may have
 
@@ -72,9 +74,20 @@ class SmoothPhase:
     rounds: int
 
 
-def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> SmoothPhase:
-    """Lower the largest values from the stable point `x` (size,) with at most about this number of evaluations."""
-    rounds = _Rounds(problem, x, evaluations, deadline, target)
+def smooth_phase(
+    problem: Problem,
+    x: FloatArray,
+    evaluations: int,
+    deadline: float,
+    target: float,
+    *,
+    report: Callable[[Point, int], bool] = lambda point, used: True,
+) -> SmoothPhase:
+    """Lower the largest values from the stable point `x` (size,) with at most about this number of evaluations.
+
+    `report` is told the best point and the evaluations after each round on the soft values; False ends the phase.
+    """
+    rounds = _Rounds(problem, x, evaluations, deadline, target, report)
     while not rounds.point.feasible and rounds.left:
         if not rounds.restore():
             break
@@ -86,8 +99,17 @@ def smooth_phase(problem: Problem, x: FloatArray, evaluations: int, deadline: fl
 class _Rounds:
     """The point so far, the frequencies that the grid had missed, and what has been spent."""
 
-    def __init__(self, problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        x: FloatArray,
+        evaluations: int,
+        deadline: float,
+        target: float,
+        report: Callable[[Point, int], bool],
+    ) -> None:
         self._problem, self._evaluations, self._deadline, self._target = problem, evaluations, deadline, target
+        self._report = report
         self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
         self.point = point_at(problem, x)
         self._quick = len(problem.models) > 1 and len(problem.h2) > 0 and same_h2(problem, self.point.found)
@@ -125,14 +147,16 @@ class _Rounds:
                 penalty = penalty * MORE_PENALTY if excess > 0.5 * HARD_MARGIN else penalty
             new = self._restored(new)
             lower = new.better_than(self.point)
-            if lower and new.better_than(self.point, TOLERANCE):
+            if lower and new.better_than(self.point, WORTH[stage]):
                 self.point, steps = new, STEPS
             elif lower:
                 self.point, stage = new, stage + 1
-            elif steps > MIN_STEPS and self.point.better_than(new, TOLERANCE):
+            elif stage == len(POWERS) - 1 and steps > MIN_STEPS and self.point.better_than(new, TOLERANCE):
                 steps = max(MIN_STEPS, steps // 2)
             else:
                 stage, steps = stage + 1, STEPS
+            if not self._report(self.point, self.used):
+                break
 
     def _restored(self, new: Point) -> Point:
         """A stable point that violates hard requirements, brought back to feasible ones if its soft value is lower."""
@@ -159,8 +183,8 @@ class _Rounds:
             start.x,
             objective.metric(start.x),
             steps=steps,
-            tolerance=TOLERANCE / 10.0,
-            floor=float(np.log(HARD_TARGET)) if restoring else -np.inf,
+            tolerance=WORTH[-1] / 10.0,
+            floor=float(np.log(HARD_TARGET if restoring else NEGLIGIBLE * max(start.soft, 1e-290))),
             renewed=objective.metric if power == POWERS[0] else None,
             stop=lambda: time.monotonic() > self._deadline,
         )

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from lti.progress import Progress
 from lti.threads import one_thread
 from robust_design.descent import DescentOptions
+from robust_design.direct_search import direct_polish, direct_screen, negligible_value
+from robust_design.exact_value import ExactValue
 from robust_design.problem import Problem
 from robust_design.single_start import StartResult, screen, tune_from
 from robust_design.starts import Start
@@ -29,6 +31,8 @@ Work = Callable[[Problem, Start, DescentOptions, float], StartResult]
 
 CARRIED = 6  # starts of a batch that are carried on after the screening; no more batches than one with so few starts
 MAX_BATCHES = 20
+VANISHING = 10.0  # times the value that counts as zero: below it the infimum is zero, and only approached
+PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of the best point
 BETTER = 1e-4  # relative decrease that counts as something better
 SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
 
@@ -54,6 +58,7 @@ def run_starts(
     band: float,
     workers: int,
     progress: Progress,
+    batches: int = MAX_BATCHES,
 ) -> Search:
     """The given starts, then batches of others until one finds nothing better.
 
@@ -69,27 +74,54 @@ def run_starts(
     workers : int
         Processes.
     progress : Progress
+    batches : int
+        Most batches.
     """
     runner = _Runner(problem, limits, band, workers, progress)
-    runner.run(_full, given)
-    for number in range(MAX_BATCHES):
+    direct = ExactValue.suits(problem)
+    runner.run(direct_polish if direct and batch(0) else _full, given)
+    for number in range(batches):
         starts = batch(number)
         if not starts or not runner.going_on:
             break
         before = min((r.rank for r in runner.results), default=(3, np.inf))
-        _run_batch(runner, starts)
+        few = len(starts) <= CARRIED
+        if few:
+            runner.run(_full, starts)
+        elif direct:
+            _run_batch(runner, _with_perturbed(starts, runner.results), direct_screen, direct_polish)
+        else:
+            _run_batch(runner, starts, _screened, _full)
         after = min((r.rank for r in runner.results), default=(3, np.inf))
         fruitless = after[0] == before[0] and not after[1] < before[1] - BETTER * abs(before[1])
-        if len(starts) <= CARRIED or (number and fruitless):
+        if few or (number and fruitless):
             break
+    unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
+    if unfinished and batches > 1 and runner.best.soft > VANISHING * negligible_value(problem):
+        runner.run(_full, [Start(0, runner.best.x)])
     return Search(tuple(runner.results), runner.complete)
 
 
-def _run_batch(runner: _Runner, starts: Sequence[Start]) -> None:
-    if len(starts) <= CARRIED:
-        runner.run(_full, starts)
-        return
-    screened = runner.run(_screened, starts)
+def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
+    """The starts of a batch, every second one replaced by a perturbed copy of the best point so far."""
+    best = min(results, key=lambda run: run.rank, default=None)
+    if best is None or best.rank[0] == 2:
+        return list(starts)
+    changed = []
+    for start in starts:
+        if start.number % 2:
+            rng = np.random.default_rng(start.seed)
+            size = np.abs(best.x) + 0.1 * float(np.sqrt(np.mean(best.x**2)))
+            x = best.x + 10.0 ** rng.uniform(*PERTURBATIONS) * size * rng.standard_normal(len(best.x))
+            changed.append(replace(start, x=x))
+        else:
+            changed.append(start)
+    return changed
+
+
+def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Work) -> None:
+    """All starts by the work `first`, the best that differ carried on by `second`."""
+    screened = runner.run(first, starts)
     if not runner.going_on:
         return
     carried: list[Start] = []
@@ -101,7 +133,7 @@ def _run_batch(runner: _Runner, starts: Sequence[Start]) -> None:
         ):
             ranks.append((kind, value))
             carried.append(Start(starts[k].seed, screened[k].x))
-    runner.run(_full, carried)
+    runner.run(second, carried)
 
 
 class _Runner:
@@ -117,6 +149,11 @@ class _Runner:
     def going_on(self) -> bool:
         """Neither was a limit reached nor the run stopped by the user or by its target."""
         return self.complete and not _ended(self.results)
+
+    @property
+    def best(self) -> StartResult:
+        """The best so far; of equal ones the first."""
+        return min(self.results, key=lambda run: run.rank)
 
     def run(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
         """Results of the starts that are begun before the deadline, in order."""

@@ -18,13 +18,15 @@ from lti.state_space_model import StateSpace
 from lti.threads import one_thread
 from robust_design.certificate import Certificate, certify
 from robust_design.descent import DescentOptions
+from robust_design.exact_value import ExactValue
 from robust_design.feasibility import feasibility_runs
+from robust_design.full_order import reduced_starts
 from robust_design.nested_orders import embedded, lower_order
 from robust_design.problem import MIN_DECAY, Problem, worst_values
 from robust_design.requirements import Requirement
 from robust_design.single_start import StartResult, tune_from
 from robust_design.smooth_phase import FEASIBLE
-from robust_design.start_runner import Search, run_starts
+from robust_design.start_runner import MAX_BATCHES, Search, run_starts
 from robust_design.starts import given_starts, random_starts, start_checked
 from robust_design.status import TuningStatus
 from robust_design.structures import AffineStructure, Structure, controller
@@ -32,6 +34,7 @@ from robust_design.structures import AffineStructure, Structure, controller
 FloatArray = NDArray[np.float64]
 
 AGREEMENT = 1e-3  # of tuned values and certificate
+LOWER_BATCHES = 1  # of random starts for the controller of one order less, in problems of few states
 MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
@@ -208,9 +211,17 @@ def tune(
 
 
 def _search(
-    problem: Problem, given: Sequence[FloatArray], options: TuningOptions, deadline: float, progress: Progress
+    problem: Problem,
+    given: Sequence[FloatArray],
+    options: TuningOptions,
+    deadline: float,
+    progress: Progress,
+    batches: int = MAX_BATCHES,
 ) -> Search:
-    """Given starts, the best controller of one order less (found in the same way), batches of random starts."""
+    """Given starts, the best controller of one order less (found in the same way), batches of random starts.
+
+    Beside the one of lower order stand reduced full-order controllers.
+    """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
     first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
@@ -218,8 +229,8 @@ def _search(
     if not options.starts or ended or not first.complete:
         return first
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
-    starts = given_starts(nested, options.seed)
-    rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common)
+    starts = given_starts([*nested, *reduced_starts(problem)], options.seed)
+    rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
     return Search(first.results + rest.results, all_of_it and rest.complete)
 
 
@@ -242,7 +253,8 @@ def _from_lower_order(
     except ValueError:  # an H2 norm that is infinite for every controller of the lower order
         return [], True
     now = time.monotonic()
-    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress)
+    batches = LOWER_BATCHES if ExactValue.suits(smaller) else MAX_BATCHES
+    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches)
     if search.best.rank[0] == 2:
         return [], search.complete
     assert isinstance(problem.structure, AffineStructure)

@@ -169,10 +169,10 @@ class SampledPlant:
         ``measurement[CAMERA]`` holds a camera frame every `frame_ticks` ticks and NaN otherwise, also for
         a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
         """
-        n, segment = self._n, self._segments[self._index]
+        n = self._n
         np.minimum(command, self.limits, out=self._v)  # two ufuncs: np.clip takes five times as long
         np.maximum(self._v, self._lowest, out=self._v)
-        np.matmul(segment.step, self._z, out=self._out)
+        self._propagate()
         row = self.tick % _NOISE_BLOCK
         if row == 0:
             self._noise.standard_normal(out=self._block)
@@ -188,9 +188,17 @@ class SampledPlant:
                 measurement[CAMERA] = np.nan
         self._x[:] = self._out[:n]
         phasor = self._p if self._disturbed else self._phasor
-        np.multiply(phasor, segment.turn, out=phasor)
+        self._turn(phasor)
         self.tick += 1
         self._left -= 1
         if self._left == 0 and self._index + 1 < len(self._segments):
             self._index += 1
             self._left = self._segments[self._index].ticks
+
+    def _propagate(self) -> None:
+        """Next state, measurement and truth from the present state, command and phasors."""
+        np.matmul(self._segments[self._index].step, self._z, out=self._out)
+
+    def _turn(self, phasor: ComplexArray) -> None:
+        """Phasors of the next tick."""
+        np.multiply(phasor, self._segments[self._index].turn, out=phasor)

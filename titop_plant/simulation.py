@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -23,109 +23,17 @@ from titop_plant.disturbances import (
     no_tones,
     sadm_tones,
 )
-from titop_plant.interface import CAMERA_RATE, COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, SCENARIOS, frame_ticks
+from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
+from titop_plant.plant_config import PlantConfig, motion, parameter_values, values_along
+from titop_plant.profiles import PROFILES
+from titop_plant.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 
-RAMP_STEP = 0.25
 SPEED_ROUNDS = 4
-
-
-@dataclass(frozen=True)
-class PlantConfig:
-    """Physical settings of a run.
-
-    Parameters
-    ----------
-    isolated : bool
-        Payload on its isolator, or hard-mounted.
-    theta : float
-        Angle of both solar arrays [rad].
-    wheel_speed : tuple of 4 floats, optional
-        rad/s; default: the parameter file's.
-    omega_1, omega_2 : float, optional
-        Clamped frequencies of the arrays' first modes [rad/s]; default: nominal.
-    theta_rate : float
-        Rate of the arrays [rad/s] during `ramp_duration`.
-    wheel_acceleration : tuple of 4 floats
-        rad/s2 during `ramp_duration`.
-    ramp_duration : float
-        s; 0: everything is constant.
-    camera_rate : float
-        Frames per second; must divide the tick rate.
-    camera_dropout : float
-        Probability that a frame is lost.
-    scenario : {"design", "imbalance", "worst_case"}
-        Disturbance, see :mod:`titop_plant.disturbances`.
-    tones : tuple of tuples of floats
-        The tones of the scenario worst_case, which depend on the loop: :func:`titop_plant.disturbances.given_tones`.
-    noise, disturbance : bool
-        Switches for the two parts of the error.
-    seed : int
-        Phases of the tones and all noise.
-    parameters : str, optional
-        Parameter file; default: the reference telescope.
-
-    Raises
-    ------
-    ValueError
-        A value out of its range.
-    """
-
-    isolated: bool = True
-    theta: float = 0.0
-    wheel_speed: tuple[float, ...] | None = None
-    omega_1: float | None = None
-    omega_2: float | None = None
-    theta_rate: float = 0.0
-    wheel_acceleration: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    ramp_duration: float = 0.0
-    camera_rate: float = CAMERA_RATE
-    camera_dropout: float = 0.0
-    scenario: str = "design"
-    noise: bool = True
-    disturbance: bool = True
-    seed: int = 0
-    parameters: str | None = None
-    tones: tuple[tuple[float, ...], ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.scenario not in SCENARIOS:
-            raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, got {self.scenario!r}")
-        if self.disturbance and (self.scenario == "worst_case") != bool(self.tones):
-            needed = "given" if self.scenario == "worst_case" else "empty"
-            raise ValueError(f"tones must be {needed} in the scenario {self.scenario}, got {len(self.tones)}")
-        if not 0.0 <= self.camera_dropout <= 1.0:
-            raise ValueError(f"camera_dropout must be a probability in [0, 1], got {self.camera_dropout}")
-        if self.seed < 0:
-            raise ValueError(f"seed must not be negative, got {self.seed}")
-        if not (math.isfinite(self.ramp_duration) and self.ramp_duration >= 0.0):
-            raise ValueError(f"ramp_duration must not be negative, got {self.ramp_duration} s")
-        for name in ("wheel_speed", "wheel_acceleration"):
-            values = getattr(self, name)
-            if values is not None and (len(values) != 4 or not all(map(math.isfinite, values))):
-                raise ValueError(f"{name} must be four finite numbers, got {values}")
-        frame_ticks(self.camera_rate)
-
-    @property
-    def ramps(self) -> bool:
-        """Whether anything varies within the run."""
-        return self.ramp_duration > 0.0 and (self.theta_rate != 0.0 or any(self.wheel_acceleration))
-
-
-def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 0.0) -> dict[str, float]:
-    """Values of the telescope's uncertain parameters at a time [s] of the run."""
-    t = min(time, config.ramp_duration)
-    speed = config.wheel_speed or tuple(parameters["reaction_wheel"]["default_speed"])
-    values = {f"wheel_{i}.speed": s + a * t for i, (s, a) in enumerate(zip(speed, config.wheel_acceleration), start=1)}
-    for i, omega in ((1, config.omega_1), (2, config.omega_2)):
-        if omega is not None:
-            values[f"solar_array.omega_{i}"] = omega
-    values["solar_array.tau"] = math.tan((config.theta + config.theta_rate * t) / 4.0)
-    return values
 
 
 @lru_cache(maxsize=4)
@@ -173,27 +81,41 @@ class PlantFamily:
                 f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
                 f"and {config.isolated}"
             )
-        times = [0.0]
+        first = parameter_values(config, self.parameters)
+        number, tones = self.control_loop.data_at(first), _tones(config, self.parameters, first)
+        state = _steady_state(number, tones) if start is None else start
+        if state.shape != (number.A.shape[0],):
+            raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
+        common = state, _sensors(config, self.parameters), _limits(self.parameters)
+        name = _hash(config, self.parameters)
         if config.ramps:
-            times = [RAMP_STEP * i for i in range(math.ceil(config.ramp_duration / RAMP_STEP) + 1)]
-        values = [parameter_values(config, self.parameters, t) for t in times]
-        numbers = [self.control_loop.data_at(v) for v in values]
-        tones = _tones(config, self.parameters, values[0])
-        speeds = np.array([[v[f"wheel_{i}.speed"] for i in range(1, 5)] for v in values])
-        state = _steady_state(numbers[0], tones) if start is None else start
-        if state.shape != (numbers[0].A.shape[0],):
-            raise ValueError(f"start must hold {numbers[0].A.shape[0]} states, got {state.shape}")
-        stretch = round(RAMP_STEP / DT)
-        segments = [sample(data, tones.at_speed(speed, speeds[0]), stretch) for data, speed in zip(numbers, speeds)]
-        return SampledPlant(
-            segments,
-            state,
-            _sensors(config, self.parameters),
-            _limits(self.parameters),
-            dt=DT,
-            tones=np.unique(tones.frequency),
-            parameters_hash=_hash(config, self.parameters),
-        )
+            return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
+        segments = [sample(number, tones, 1)]
+        return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+
+    def nodes(self, config: PlantConfig, dt: float, finer: float = 1.0) -> tuple[list[FloatArray], int, MovingTones]:
+        """Step matrices along the profile of a run, ticks between them, and the tones.
+
+        Parameters
+        ----------
+        config : PlantConfig
+        dt : float
+            Tick [s].
+        finer : float
+            So many times as many nodes as usual.
+        """
+        profile = motion(config, self.parameters)
+        unit = _unit_tones(config, self.parameters)
+        if unit is None:
+            unit = _tones(config, self.parameters, parameter_values(config, self.parameters))
+        tones = MovingTones(profile, unit)
+        interval = node_interval(profile, dt, finer)
+
+        def matrices(time: float) -> FloatArray:
+            data = self.control_loop.data_at(values_along(config, profile, time))
+            return sample(data, tones.at(profile.speeds(time)), 1, dt).step
+
+        return node_matrices(profile, interval, dt, matrices), interval, tones
 
 
 def build_plant(config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
@@ -291,14 +213,28 @@ def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
 def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
     if not config.disturbance:
         return no_tones()
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(99,)))
     if config.scenario == "worst_case":
         return given_tones(config.tones)
+    rng = _phases(config)
+    if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
+        return MovingTones(motion(config, parameters), unit).start()
     if config.scenario == "imbalance":
         speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
         return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
     isolated = telescope(config.parameters, True).system["los_controlled", DISTURBANCES]
     return design_tones(parameters, isolated.data_at(values), rng)
+
+
+def _phases(config: PlantConfig) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(99,)))
+
+
+def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
+    """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
+    if not config.disturbance or config.scenario not in ("imbalance", "ramp"):
+        return None
+    rng = _phases(config)
+    return joined([imbalance_tones(parameters, np.ones(4), rng), sadm_tones(parameters, rng)])
 
 
 def sensor_bias(config: PlantConfig) -> FloatArray:
@@ -364,7 +300,13 @@ def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
 
 
 def _hash(config: PlantConfig, parameters: Parameters) -> str:
-    text = json.dumps([parameters_hash(parameters), asdict(config)], sort_keys=True)
+    settings = asdict(config)
+    if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
+        del settings["profile"]
+    content: list[Any] = [parameters_hash(parameters), settings]
+    if config.profile not in PROFILES:
+        content.append(motion(config, parameters).table())
+    text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

@@ -101,7 +101,7 @@ def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None
         "FRAME_TICKS = 20", "LOOP_DELAY = 1.5e-3", "def f(camera_rate: float = 50.0): pass",
         "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
         "limit = -0.0053", "f(limit=31.6)", "S = ('none', 'isolator', 'fsm', 'fsm+pma')",
-        "S = ['worst_case', 'design', 'imbalance']",
+        "S = ['worst_case', 'design', 'imbalance', 'ramp']",
         "if loop in ('fsm', 'fsm+pma'): pass", "CAMERA = slice(18, 20)", "y[18:20] = 0.0", "y[:, 20:22] = 0.0",
     ],
 )  # fmt: skip

@@ -19,7 +19,7 @@ def main(minutes: float) -> int:
     while time.monotonic() < end:
         rounds += 1
         environment = {**os.environ, "FUZZ_EXAMPLES": str(ROUND)}
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "--timeout=3000", str(folder)]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", "--timeout=3000", str(folder)]
         code = subprocess.run(command, env=environment, check=False).returncode
         if code:
             return code

@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from fuzz.mutations import Content, Key, messages, others_get, records
 from los_testbed.bags.repair import RepairResult, repair_bag
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from support.simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.mcap_records import OP_CHUNK, OP_MANIFEST
 from pointing_analysis.read import Run
@@ -40,14 +43,15 @@ def flips(data: bytes, part: int) -> list[int]:
     return [int(bit) for bit in chosen[part * PART : (part + 1) * PART]]
 
 
-def flipped(data: bytes, bit: int, folder: Path) -> Path:
-    """The bag with one bit changed."""
+def flipped(good: Path, bit: int, folder: Path) -> Path:
+    """A bag with one bit changed."""
     bag = folder / "damaged"
     shutil.rmtree(bag, ignore_errors=True)
-    shutil.copytree(BAG, bag)
-    changed = bytearray(data)
+    shutil.copytree(good, bag)
+    file = next(bag.glob("*.mcap"))
+    changed = bytearray(file.read_bytes())
     changed[bit // 8] ^= 1 << (bit % 8)
-    (bag / "reference_0.mcap").write_bytes(changed)
+    file.write_bytes(changed)
     return bag
 
 
@@ -70,7 +74,7 @@ def check_loss(result: RepairResult, found: dict[Key, Content], original: dict[K
 def test_a_flipped_bit(good: tuple[bytes, dict[Key, Content]], part: int, tmp_path: Path) -> None:
     data, original = good
     for bit in flips(data, part):
-        bag, new = flipped(data, bit, tmp_path), tmp_path / "new"
+        bag, new = flipped(BAG, bit, tmp_path), tmp_path / "new"
         shutil.rmtree(new, ignore_errors=True)
         others = others_get((bag / "reference_0.mcap").read_bytes(), original)
         result = repair_bag(bag, new)
@@ -83,13 +87,16 @@ def test_a_flipped_bit(good: tuple[bytes, dict[Key, Content]], part: int, tmp_pa
         }, bit
 
 
-def test_bits_of_each_kind_of_record(good: tuple[bytes, dict[Key, Content]], tmp_path: Path) -> None:
+def test_bits_of_each_kind_of_record(tmp_path: Path) -> None:
     """Of `make test`: in the first manifest, in head and data of the first chunk, in the summary."""
-    data, original = good
+    config = RunConfig(duration=1.5, mode="inprocess", **write_controllers(tmp_path))
+    run_in_process(config, tmp_path / "bag", SimpleTelescope())
+    data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    original = messages(data)
     chunk = next(begin for begin, _ in records(data) if data[begin] == OP_CHUNK)
     manifest = next(begin for begin, _ in records(data) if data[begin] == OP_MANIFEST)
     for place in (manifest + 50, chunk, chunk + 3, chunk + 20_000, len(data) - 100):
-        bag, new = flipped(data, 8 * place, tmp_path), tmp_path / "new"
+        bag, new = flipped(tmp_path / "bag", 8 * place, tmp_path), tmp_path / "new"
         shutil.rmtree(new, ignore_errors=True)
         result = repair_bag(bag, new)
         check_loss(result, messages((new / "new_0.mcap").read_bytes()), original)

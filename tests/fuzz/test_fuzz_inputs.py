@@ -41,13 +41,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     los = np.random.default_rng(0).standard_normal((1500, 2)) * 1e-8
     write_bag(made / "bag", {"truth/los": los}, parameters={"loop": "fsm"})
     (made / "work").mkdir()
+    (made / "temporary").mkdir()
     return made
 
 
 def called(folder: Path, arguments: list[str]) -> tuple[int, str]:
     """Exit code and error output of a command; it must not leave anything in the temporary folder."""
     # processor time: a busy machine is no hang, and one that waits for ever meets the time limit of the test
-    before, start_time = set(os.listdir(tempfile.gettempdir())), time.process_time()
+    start_time, temporary, tempfile.tempdir = time.process_time(), tempfile.tempdir, str(folder / "temporary")
     out, err, here = io.StringIO(), io.StringIO(), Path.cwd()
     os.chdir(folder / "work")
     try:
@@ -58,9 +59,9 @@ def called(folder: Path, arguments: list[str]) -> tuple[int, str]:
                 code = int(stop.code or 0)
     finally:
         os.chdir(here)
+        tempfile.tempdir = temporary
     assert time.process_time() - start_time < LIMIT_S
-    left = {name for name in set(os.listdir(tempfile.gettempdir())) - before if name.startswith("los_testbed")}
-    assert not left
+    assert not list((folder / "temporary").iterdir())
     return code, err.getvalue()
 
 

@@ -108,7 +108,7 @@ def test_worker_killed_under_a_scheduler_elsewhere(undisturbed: ResultFolder, sc
     ("options", "message"),
     [
         (["--samples", "0"], "samples must be 1 or more, got 0"),
-        (["--sampling", "sobol"], "sampling must be one of uniform, lhs, corners or a CSV file, got sobol"),
+        (["--sampling", "sobol"], "must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
         (["--depth", "deep"], "depth must be one of time, model, got 'deep'"),
         (["--resume"], "--output must be given with --resume, got none"),
         (["--loop", "open"], "loop must be one of"),

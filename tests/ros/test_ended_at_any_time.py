@@ -149,9 +149,11 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     """A recorder that is told to end goes on until its topics are quiet; one that is killed is replaced and told of."""
     wait = random.Random(f"recorder {name} {seed}").uniform(0.0, 9.0)
     process = started(folder, "realtime", 5.0)
-    end = time.monotonic() + 60
     while not (found := nodes_of(folder / "bag", "nodes.recorder")):
-        assert process.poll() is None and time.monotonic() < end
+        if process.poll() is not None:  # a machine so slow that no plant was there in time: no recorder to end
+            told = process.communicate()[1]
+            assert process.returncode == 1 and "did not get to" in told, told
+            return
         time.sleep(0.01)
     time.sleep(wait)
     with contextlib.suppress(ProcessLookupError):  # the run may be over by then
@@ -160,7 +162,8 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     told = f"{name} after {wait:.2f} s: code {process.returncode}\n{out}\n{err}"
     assert process.returncode in (0, 1, 3) and "Traceback" not in err, told
     if process.returncode == 1:
-        assert err.startswith("los-testbed: recorder") and err.count("\n") == 1, told
+        words = ("los-testbed: recorder", "los-testbed: plant did not get to")  # the latter on a slow machine
+        assert err.startswith(words) and err.count("\n") == 1, told
     if process.returncode == 3:
         assert name == "SIGKILL" and "recorder ended unexpectedly (signal 9)" in out, told
     assert not temporary(folder)

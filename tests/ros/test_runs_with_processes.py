@@ -199,6 +199,19 @@ def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")
 
 
+@pytest.mark.slow
+def test_lockstep_of_a_ramp_gives_the_bytes_of_the_run_in_one_process(tmp_path):
+    (tmp_path / "lockstep").mkdir()
+    config = config_for(
+        tmp_path / "lockstep", mode="lockstep", duration=3.0, seed=3, loop="fsm+pma", start="steady", scenario="ramp",
+        wheel_speed=(390.0, -50.0, 20.0, 200.0), wheel_acceleration=(8.0, 40.0, -20.0, 0.0), theta_rate=0.1,
+        ramp_duration=2.0, profile="trapezoidal",
+    )  # fmt: skip
+    Runner(config).run()
+    run_in_process(config, tmp_path / "inprocess")
+    assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")
+
+
 def test_a_loop_of_nodes_started_one_by_one(tmp_path):
     """As over several hosts: each node from its own command, the recorder ended by hand."""
     config = config_for(tmp_path, duration=2.0)

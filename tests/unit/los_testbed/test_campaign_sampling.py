@@ -75,7 +75,7 @@ def test_bad_lists_are_refused(lines: str, message: str, tmp_path: Path) -> None
         (("uniform", 0, 1), "samples must be 1 or more, got 0"),
         (("lhs", -3, 1), "samples must be 1 or more, got -3"),
         (("corners", 129, 1), "samples must be at most 128, the number of corners, got 129"),
-        (("sobol", 5, 1), "sampling must be one of uniform, lhs, corners or a CSV file, got sobol"),
+        (("sobol", 5, 1), "sampling must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
         (("uniform", 5, -1), "seed must not be negative, got -1"),
     ],
 )

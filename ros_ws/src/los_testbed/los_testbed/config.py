@@ -88,6 +88,7 @@ class RunConfig:
         (), "accelerations of the four wheels during the ramp; empty for none", "rad/s2", -100.0, 100.0
     )
     ramp_duration: float = _parameter(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
+    profile: str = _parameter("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
     parameters: str = _parameter("", "parameter file of the telescope; empty for the reference")
     fsm_authority: float = _parameter(0.0, "largest mirror angle per axis; 0 for the telescope's own", "rad", 0.0, 1.0)
     pma_authority: float = _parameter(0.0, "largest force of one actuator; 0 for the telescope's own", "N", 0.0, 1e6)
@@ -171,7 +172,7 @@ FIELDS: dict[str, Field[Any]] = {entry.name: entry for entry in fields(RunConfig
 
 PHYSICAL = (
     "scenario", "worst_of", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
-    "omega_1", "omega_2", "theta_rate", "wheel_acceleration", "ramp_duration", "parameters",
+    "omega_1", "omega_2", "theta_rate", "wheel_acceleration", "ramp_duration", "profile", "parameters",
 )  # fmt: skip
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
 
@@ -215,6 +216,8 @@ def parse_value(name: str, text: str) -> Any:
 def physical_hash(config: RunConfig) -> str:
     """SHA-256 of the settings that the plant is built from."""
     values = {name: config.to_mapping()[name] for name in (*PHYSICAL, *(n for n in CHANGED if getattr(config, n)))}
+    if values["profile"] == FIELDS["profile"].default:  # bags from before there were profiles keep their hash
+        del values["profile"]
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -309,11 +310,14 @@ def tone_model(
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:
-    """Tones and name of the values of a plant, for the metadata of a bag."""
+    """Tones, motion and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)
     if tones is not None:
         notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
+    motion = getattr(getattr(plant, "plant", plant), "motion", None)  # of the telescope behind its devices
+    if motion is not None:
+        notes["motion"] = json.dumps(motion)
     parameters_hash = getattr(plant, "parameters_hash", None)
     if parameters_hash is not None:
         notes["plant_parameters_hash"] = str(parameters_hash)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import RunConfig, read_yaml
+from titop_plant.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
     from lti import RealParameter
@@ -68,6 +69,9 @@ def check_ranges(config: RunConfig) -> None:
         omega = getattr(config, f"omega_{i}")
         if omega:
             _within(f"omega_{i}", table[f"solar_array.omega_{i}"], omega)
+    if config.profile not in PROFILES:
+        _check_profile(config, table)
+        return
     tau, turn = table["solar_array.tau"], config.theta_rate * config.ramp_duration
     if config.tau:
         _within("tau", tau, config.tau)
@@ -80,6 +84,15 @@ def check_ranges(config: RunConfig) -> None:
         for i, (speed, gain) in enumerate(zip(_start_speeds(config), config.wheel_acceleration), start=1):
             end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
+
+
+def _check_profile(config: RunConfig, table: Mapping[str, RealParameter]) -> None:
+    profile, tau = read_profile(Path(config.profile)), table["solar_array.tau"]
+    for time, theta, *speeds in profile.table():
+        when = f" at {time:g} s of {config.profile}"
+        _between("theta", 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper), "rad", theta, when)
+        for i, speed in enumerate(speeds, start=1):
+            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed, when)
 
 
 def _start_speeds(config: RunConfig) -> tuple[float, ...]:

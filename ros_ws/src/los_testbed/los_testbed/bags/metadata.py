@@ -70,7 +70,7 @@ def final_metadata(
     """
     record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
     plant = dict(statistics.get("plant", {}))
-    for name in ("tones_rad_s", "plant_parameters_hash"):
+    for name in ("tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
             record[name] = plant.pop(name)
     record["statistics"] = json.dumps({**statistics, "plant": plant})

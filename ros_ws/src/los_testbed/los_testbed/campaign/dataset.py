@@ -11,17 +11,22 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
+from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
-FORMAT = 1
-CHUNK = {"time": 10, "model": 10}
+FORMAT = 2
+CHUNK = {"time": 10, "model": 100}
 """Members of a chunk, which is what one task computes and one file holds."""
 
 
@@ -43,6 +48,8 @@ class Campaign:
         Of the members' parameters and seeds.
     identity : mapping
         Version of the package, hashes of the parameter file and of the controllers.
+    points : ndarray, shape (samples, 7)
+        Parameters of the members in the order of `COLUMNS`.
     """
 
     base: RunConfig
@@ -52,28 +59,35 @@ class Campaign:
     depth: str
     points_hash: str
     identity: Mapping[str, str]
+    points: NDArray[np.float64] = field(compare=False, repr=False)
 
     @classmethod
     def of(
         cls, base: RunConfig, sampling: str, samples: int, seed: int, depth: str, identity: Mapping[str, str]
     ) -> Campaign:
-        """Campaign with the members that `sampling` gives.
+        """Campaign with the members that `sampling` gives; an adversarial one takes a search of some minutes.
 
         Raises
         ------
         ValueError
-            An unknown depth; what :func:`los_testbed.campaign.sampling.members` refuses.
+            An unknown depth; a camera rate that the depth model does not have; what
+            :func:`los_testbed.campaign.sampling.members` refuses.
         """
         if depth not in DEPTHS:
             raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
-        points = members(sampling, samples, seed, base.parameters)
+        if depth == "model" and base.frame_ticks != FRAME_TICKS:
+            raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
+        if sampling == "adversarial":
+            points = adversarial_members(base, samples, seed)
+        else:
+            points = members(sampling, samples, seed, base.parameters)
         seeds = member_seeds(len(points), seed)
         digest = hashlib.sha256(points.tobytes() + seeds.tobytes()).hexdigest()[:16]
-        return cls(base, sampling, len(points), seed, depth, digest, dict(identity))
+        return cls(base, sampling, len(points), seed, depth, digest, dict(identity), points)
 
     def chunks(self, skip: frozenset[int] = frozenset()) -> Iterator[tuple[int, list[dict[str, Any]]]]:
         """Number of each chunk that is not in `skip`, and its members: index, seed and parameters."""
-        points = members(self.sampling, self.samples, self.seed, self.base.parameters)
+        points = self.points
         seeds = member_seeds(self.samples, self.seed)
         size = CHUNK[self.depth]
         for number in range(self.chunk_count):

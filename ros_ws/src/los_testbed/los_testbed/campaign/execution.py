@@ -120,7 +120,7 @@ def run_campaign(
     ValueError
         Workers with another version of the package, other parameters or controllers.
     RuntimeError
-        The scheduler was lost; what was written stays.
+        The scheduler was lost, or rows cannot be written; what was written stays.
     """
     from distributed import as_completed
 
@@ -144,7 +144,7 @@ def run_campaign(
             if future.status == "cancelled":
                 raise CancelledError("tasks were cancelled")
             rows = future.result() if future.status == "finished" else _one_by_one(client, content, members, campaign)
-            folder.write(number, rows)
+            _written(folder, number, rows)
             progress(len(rows))
             following = submit()
             if following is not None:
@@ -152,6 +152,13 @@ def run_campaign(
     except (CancelledError, TimeoutError, OSError) as error:
         text = " ".join(str(error).split())
         raise RuntimeError(f"the scheduler was lost, the rows so far are kept; go on with --resume ({text})") from None
+
+
+def _written(folder: ResultFolder, number: int, rows: list[dict[str, Any]]) -> None:
+    try:
+        folder.write(number, rows)
+    except OSError as error:
+        raise RuntimeError(f"rows cannot be written to {folder.path}: {error.strerror}; go on with --resume") from None
 
 
 def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from los_estimator.runtime import LosEstimator
-from los_testbed.campaign.sampling import COLUMNS, settings
+from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
+from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
+from los_testbed.campaign.verdict import judged, share_column
 from los_testbed.config import RunConfig
 from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
 from los_testbed.loop.simulate import Block, LoopDivergedError, simulate
@@ -32,14 +35,14 @@ FloatArray = NDArray[np.float64]
 
 TIME_METRICS = (
     "ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas", "ake_p997_arcsec", "rke_rms_mas",
-    "mirror_max_mrad", "force_max_n",
+    "mirror_max_mrad", "force_max_n", "rpe_window_max_mas", "rpe_window_p997_mas", "ape_effective",
+    "rpe_window_effective", *(share_column(r.index, r.limit) for r in judged()),
 )  # fmt: skip
-MODEL_METRICS = (
-    "ape_gain", "rpe_gain", "rpe_fine_gain", "mirror_gain", "force_gain", "noise_ape_arcsec_rms", "noise_rpe_mas_rms",
-    "growth_per_tick", "rpe_peak_rad_s",
-)  # fmt: skip
+"""Metrics of the bag of the run; of the root mean squares in windows of 20 ms the largest and the 99.7 % quantile;
+independent samples that instants and windows weigh; shares of them above the limits."""
+
 DEPTHS = {"time": TIME_METRICS, "model": MODEL_METRICS}
-"""Columns of metrics of a depth; gains as :class:`los_design.sampled_loop_norms.SampledLoopMetrics` has them."""
+"""Columns of metrics of a depth."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +90,12 @@ class MemberEvaluator:
         """
         metrics, status, reason = dict.fromkeys(DEPTHS[depth], math.nan), "ok", ""
         try:
-            config = replace(self.base, **settings(values))
             with one_thread(), np.errstate(all="ignore"):
-                metrics |= self._simulated(config) if depth == "time" else self._modelled(config)
-            if depth == "model" and not metrics["growth_per_tick"] < 1.0:
+                if depth == "time":
+                    metrics |= self._simulated(replace(self.base, **settings(values)))
+                else:
+                    metrics |= self._modelled(values)
+            if depth == "model" and not metrics["ape_gain"] < math.inf:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
             status, reason = "diverged", str(error)
@@ -136,27 +141,47 @@ class MemberEvaluator:
         return dict(zip(TIME_METRICS, (
             performance.ape_max, performance.ape_p997, performance.rpe_rms, performance.rpe_p997,
             knowledge.ake_p997_arcsec, knowledge.rke_rms_mas, 1e3 * float(largest[0]), float(largest[1]),
+            *_samples(record[first:, :2], performance.rpe_windows_p997),
         )))  # fmt: skip
 
-    def _modelled(self, config: RunConfig) -> dict[str, float]:
+    @cached_property
+    def _model(self) -> ModelDepth:
+        """What the members share at depth model: a few seconds, once for a process."""
+        k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
+        return ModelDepth.of(self.family.control_loop, self.family.parameters, k_fsm, k_pma, self.base.loop)
+
+    @cached_property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        return box(self.base.parameters)
+
+    def _modelled(self, row: Mapping[str, Any]) -> dict[str, float]:
         """Metrics of the sampled loop, from its matrices."""
-        from los_design.sampled_loop_norms import sampled_loop_metrics
-        from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-        from titop_plant.simulation import parameter_values
+        values = {}
+        for column, name in zip(COLUMNS, DELTA):
+            value, (low, high) = float(row[column]), self._ranges[column]
+            if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
+                raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
+            values[name] = value
+        return self._model.metrics(values)
 
-        plant = self.family.control_loop.data_at(parameter_values(plant_config(config), self.family.parameters))
-        found = sampled_loop_metrics(
-            plant,
-            self.controllers["k_fsm"],
-            self.controllers["k_pma"],
-            self.family.parameters,
-            loop=config.loop,
-            frame_ticks=config.frame_ticks,
-        )
-        return dict(zip(MODEL_METRICS, (
-            found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape / RAD_PER_ARCSEC,
-            found.noise_rpe / RAD_PER_MAS, found.radius, found.omega_rpe,
-        )))  # fmt: skip
+
+def _samples(error: FloatArray, window_p997: float) -> tuple[float, ...]:
+    """Last columns of a simulated run, from its performance error (n, 2) [rad]."""
+    from pointing_analysis import metrics
+    from pointing_analysis.confidence import effective_number
+    from pointing_analysis.errors import RAD_PER_MAS
+    from pointing_analysis.summary import WINDOW
+
+    instants = metrics.radial(error)
+    windows = metrics.radial(np.sqrt(metrics.windows(error, DT, WINDOW).variance))
+    of = {"APE": instants, "RPE": windows}
+    return (
+        float(windows.max()) / RAD_PER_MAS,
+        window_p997,
+        effective_number(instants),
+        effective_number(windows),
+        *(float(np.mean(of[r.index] >= r.limit)) for r in judged()),
+    )
 
 
 def finished_row(

@@ -9,11 +9,13 @@ import numpy as np
 from rich.table import Table
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.influence import Influence, influences
 from los_testbed.campaign.member import DEPTHS
-from los_testbed.campaign.sampling import command
+from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
+from los_testbed.campaign.verdict import CampaignVerdict, verdicts
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
-RANKED = {"time": "rpe_p997_mas", "model": "rpe_fine_gain"}
+RANKED = {"time": "rpe_p997_mas", "model": "total_mas"}
 """Metric by which the members of a depth are ranked."""
 
 
@@ -50,8 +52,43 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "metrics": metrics,
         "rows_hash": folder.rows_hash(),
         "ranked_by": RANKED[campaign.depth],
+        "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
+        "influence": [_shown(vars(i)) for i in _influences(campaign, table)],
         "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
     }
+
+
+def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
+    if campaign.depth != "time":
+        return []
+    columns = {name: table.column(name).to_numpy() for name in DEPTHS["time"]}
+    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop)
+    return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]
+
+
+def _influences(campaign: Campaign, table: Any) -> list[Influence]:
+    points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
+    return influences(points, table.column(RANKED[campaign.depth]).to_numpy())
+
+
+def _shown(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+
+
+def verdict_table(summary: dict[str, Any]) -> Table:
+    """Verdicts for the screen."""
+    table = Table(title="Requirements (ECSS-E-ST-60-10C)", title_justify="left")
+    for name in ("requirement", "interpretation", "verdict"):
+        table.add_column(name)
+    for name in ("quantile", "limit", "above", "samples"):
+        table.add_column(name, justify="right")
+    for v in summary["verdicts"]:
+        value = "unbounded" if v["value"] is None else f"{v['value']:.4g} {v['unit']}"
+        above = f"{100 * v['exceeding']:.3g} % ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
+        table.add_row(
+            v["requirement"], v["interpretation"], v["status"], value, f"{v['limit']:.4g}", above, str(v["samples"])
+        )
+    return table
 
 
 def _member(row: dict[str, Any], campaign: Campaign) -> dict[str, Any]:

@@ -14,18 +14,23 @@ from numpy.typing import NDArray
 from los_testbed.variants import family
 
 FloatArray = NDArray[np.float64]
-SAMPLINGS = ("uniform", "lhs", "corners")
+SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
+RANDOM = SAMPLINGS[:2]
+"""Samplings whose members are random draws: of these alone is there a probability."""
+
 COLUMNS = ("tau", "wheel_speed_1", "wheel_speed_2", "wheel_speed_3", "wheel_speed_4", "omega_1", "omega_2")
 """Parameters of a member: tan(theta/4), wheel speeds [rad/s], first two frequencies of the arrays [rad/s]."""
 
-_DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")
+DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")
+"""The same as names of the telescope's uncertain parameters."""
+
 _SEEDS = 2**31 - 1
 
 
 def box(parameters: str = "") -> dict[str, tuple[float, float]]:
     """Range of each of `COLUMNS` for a parameter file, or for the reference telescope."""
     table = family(parameters)
-    return {column: (table[name].lower, table[name].upper) for column, name in zip(COLUMNS, _DELTA)}
+    return {column: (table[name].lower, table[name].upper) for column, name in zip(COLUMNS, DELTA)}
 
 
 def members(sampling: str, samples: int, seed: int, parameters: str = "") -> FloatArray:
@@ -35,7 +40,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str = "") -> Flo
     ----------
     sampling : str
         ``uniform``: independent, so that more samples of the same seed continue the list; ``lhs``: Latin hypercube;
-        ``corners``: the corners of the box; else the path of a CSV file with the header `COLUMNS`.
+        ``corners``: the corners of the box; else the path of a CSV file with the header `COLUMNS`. For ``adversarial``
+        see :func:`los_testbed.campaign.adversarial.adversarial_members`, which needs controllers.
     samples : int
         Number of members; 0 for all corners or all lines of a file.
     seed : int
@@ -59,6 +65,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str = "") -> Flo
     (True, (128, 7))
     """
     ranges: FloatArray = np.array(list(box(parameters).values()))
+    if sampling == "adversarial":
+        raise ValueError("sampling must be one that needs no controllers here, got 'adversarial'")
     if sampling not in SAMPLINGS:
         return _listed(Path(sampling), samples, ranges)
     if sampling == "corners":

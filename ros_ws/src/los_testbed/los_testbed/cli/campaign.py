@@ -41,9 +41,11 @@ campaign goes on with --resume.
 def campaign(
     samples: Annotated[int, typer.Option(help="Number of members; 0: all corners, or all lines of a file.")] = 100,
     seed: Annotated[int, typer.Option(help="Seed of the members and of their noise.")] = 1,
-    sampling: Annotated[str, typer.Option(help="uniform, lhs, corners, or a CSV file of members.")] = "uniform",
+    sampling: Annotated[
+        str, typer.Option(help="uniform, lhs, corners, adversarial, or a CSV file of members.")
+    ] = "uniform",
     depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
-    scenario: Annotated[str, typer.Option(help="design or imbalance.")] = "design",
+    scenario: Annotated[str, typer.Option(help="design, imbalance or worst_case.")] = "design",
     loop: Annotated[str, typer.Option(help="none, isolator, fsm or fsm+pma.")] = "fsm+pma",
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
     k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
@@ -59,7 +61,8 @@ def campaign(
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.campaign.execution import cluster, identity, run_campaign
-    from los_testbed.campaign.overview import campaign_summary, metric_table
+    from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
+    from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
 
@@ -88,10 +91,14 @@ def campaign(
             run_campaign(asked, folder, client, done, progress)
     summary = campaign_summary(asked, folder, max(keep, 5))
     summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
+    summary["report"] = str(write_page(asked, folder, folder.path / "report.html", max(keep, 5)))
     console.print(metric_table(summary))
+    if summary["verdicts"]:
+        console.print(verdict_table(summary))
     for member in summary["worst"][:5]:
         console.print(f"{summary['ranked_by']} {member['value']}: {member['command']}", soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)
+    console.print(f"report     {summary['report']}", soft_wrap=True)
     if json_:
         print_json(summary)
 

@@ -56,7 +56,7 @@ def report(
     from pointing_analysis.read import Run
     from pointing_analysis.report import labels, write_report
     from pointing_analysis.requirements import load
-    from pointing_analysis.summary import summarise
+    from pointing_analysis.summary import summarise_all
 
     for option, value in (("--transient", transient), ("--start", start)):
         seconds(option, value)
@@ -67,7 +67,7 @@ def report(
     check_output(target, "--output")
     limit = chunk_limit(max_chunk)
     runs = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
-    found = [summarise(run, transient=transient, requirements=given) for run in runs]
+    found = summarise_all(runs, transient=transient, requirements=given)
     expected = predictions(runs, transient, start, stop)
     write_report(runs, target, transient=transient, requirements=given, predictions=expected)
     console = Console(stderr=json_)

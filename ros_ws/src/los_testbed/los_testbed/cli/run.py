@@ -58,7 +58,7 @@ def run(
     duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
     mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
     loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
-    scenario: Annotated[str | None, typer.Option(help="worst_case, design or imbalance.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="worst_case, design, imbalance or ramp.")] = None,
     worst_of: Annotated[
         str | None, typer.Option(metavar="INDEX", help="Of the scenario worst_case: RPE, APE, slow or fast.")
     ] = None,
@@ -97,6 +97,7 @@ def run(
     ] = None,
     ramp_duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="How long the ramp lasts [s].")] = None,
     sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
+    profile: Annotated[str | None, typer.Option(metavar="KIND", help="linear, trapezoidal, or a CSV file.")] = None,
     case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
     cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
     parameters: Annotated[str | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
@@ -131,7 +132,7 @@ def run(
         "disturbance": disturbance, "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
-        "ramp_duration": ramp_duration, "parameters": parameters, "namespace": namespace,
+        "ramp_duration": ramp_duration, "profile": profile, "parameters": parameters, "namespace": namespace,
     }  # fmt: skip
     from los_testbed.run.summary import print_summary, summarise_runs
 

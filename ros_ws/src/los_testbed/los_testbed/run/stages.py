@@ -38,7 +38,7 @@ WORST = SCENARIOS[0]
 PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, False)}
 """Parts of the error: whether there is noise and whether there is a disturbance."""
 
-COMPARED = tuple(name for name in SCENARIOS if name != "design")
+COMPARED = tuple(name for name in SCENARIOS if name not in ("design", "ramp"))
 """Scenarios of a comparison, where none is named."""
 
 REPORTED = "fast"

@@ -8,7 +8,7 @@
   const show = (id, value) => { at(id).textContent = value; };
   const digits = (value) => Number(value).toPrecision(4);
 
-  let fixed = { authority: { fsm: 1, pma: 1 } }, run = 0, over = false, lastTicks = 0, lastMissed = 0;
+  let fixed = { authority: { fsm: 1, pma: 1 } }, run = 0, over = false, lastTicks = 0, lastMissed = 0, lastTick = -1;
   const recent = { t: [], x: [], y: [], fsm: [], pma: [] };
   const rpe = { t: [], largest: [] }, loop = { t: [], median: [], p999: [], missed: [] };
   let limits = [];
@@ -171,8 +171,9 @@
     document.body.dataset.start = frame.start;
     if (at("stage").textContent !== frame.stage) {
       show("stage", frame.stage);
-      document.body.dataset.stageTick = frame.tick;
+      document.body.dataset.stageBefore = lastTick;
     }
+    lastTick = frame.tick;
     press(frame);
     addSamples(frame.samples);
     if (frame.nodes) addNodes(frame.nodes);

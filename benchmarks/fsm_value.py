@@ -1,0 +1,114 @@
+"""Value of the mirror controller's problem over CPU seconds: eight models, as implemented, from the Kalman observer.
+
+    python benchmarks/fsm_value.py --seconds 60 --json > value.json
+    python benchmarks/fsm_value.py --picture docs/figures/fsm_value.png value.json [value_of_a_longer_run.json]
+
+The models are the stored design's worst ones and corners of the parameter box. A point is the largest soft value of
+the best feasible controller after a round of the smooth phase; ``{"cpu_seconds": [...], "value": [...], "evaluations":
+[...]}``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from los_design.options import DesignOptions
+from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from robust_design.problem import Problem
+from robust_design.smooth_phase import Point, smooth_phase
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters, parameter_corners
+
+DESIGN = Path(__file__).parents[1] / "los_estimator" / "designs" / "k_fsm.json"
+MODELS = 8
+
+
+def problem_and_start() -> tuple[Problem, NDArray[np.float64]]:
+    """The problem and the Kalman observer's parameters."""
+    parameters = load_parameters()
+    telescope, options = build_telescope(parameters), DesignOptions()
+    plant = observer_plant(telescope, parameters, **options.hold_delays)
+    structure = observer_structure(plant, camera_hold=True)
+    points = [dict(p) for p in _active_models(json.loads(DESIGN.read_text())) or [{}]]
+    corners = parameter_corners(parameters)
+    order = np.random.default_rng(0).permutation(len(corners))
+    points = [*points, *(corners[k] for k in order)][:MODELS]
+    models = [plant(p).renamed(f"m{i}") for i, p in enumerate(points)]
+    requirements = observer_requirements(parameters, implemented=True)
+    start = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
+    return Problem(models, requirements, structure, loop_delay=options.delay), start
+
+
+def _active_models(tree: Any) -> list[dict[str, float]]:
+    if isinstance(tree, dict):
+        if "active_models" in tree:
+            return list(tree["active_models"])
+        return next((found for value in tree.values() if (found := _active_models(value))), [])
+    return []
+
+
+def measure(seconds: float) -> dict[str, list[float]]:
+    """Descend for about this many CPU seconds."""
+    problem, x = problem_and_start()
+    rows: dict[str, list[float]] = {"cpu_seconds": [], "value": [], "evaluations": []}
+    begin = time.process_time()
+
+    def report(point: Point, evaluations: int) -> bool:
+        rows["cpu_seconds"].append(time.process_time() - begin)
+        rows["value"].append(point.soft)
+        rows["evaluations"].append(evaluations)
+        return time.process_time() - begin < seconds
+
+    smooth_phase(problem, x, 1_000_000, np.inf, 0.0, report=report)
+    return rows
+
+
+def draw(files: list[Path], output: Path) -> None:
+    """Picture of one or more runs."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for file in files:
+        rows = json.loads(file.read_text())
+        axes.step(rows["cpu_seconds"], rows["value"], where="post", marker=".", label=file.stem)
+    axes.set(xscale="log", yscale="log", xlabel="CPU time [s]", ylabel="largest soft value")
+    axes.grid(visible=True, which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(output, dpi=110)
+
+
+def main() -> None:
+    """Measure, or draw what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="CPU time after which no further round begins")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--picture", type=Path, help="file to draw the measured values of FILE into")
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    if options.picture:
+        draw(options.files, options.picture)
+        return
+    with threadpool_limits(1):
+        rows = measure(options.seconds)
+    if options.json:
+        sys.stdout.write(json.dumps(rows) + "\n")
+    else:
+        for cpu, value, evaluations in zip(rows["cpu_seconds"], rows["value"], rows["evaluations"]):
+            sys.stdout.write(f"{cpu:7.1f} s {value:.5f} ({evaluations:.0f} evaluations)\n")
+
+
+if __name__ == "__main__":
+    main()

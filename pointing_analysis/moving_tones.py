@@ -1,0 +1,193 @@
+"""Pictures of a run whose tones move: waterfall, Campbell diagram, relative error over time.
+
+A bag of such a run names its ``motion``: knots of array angle and wheel speeds over time, the harmonics of the wheels
+and the frequencies of the structure's lightly damped modes at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import signal
+
+from pointing_analysis import metrics
+from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.figures import COLOURS, LIMIT, Picture, RunView, picture
+from pointing_analysis.recording import Recording
+
+Floats = NDArray[np.float64]
+
+SEGMENT = 1024
+"""Samples of a spectrum of the waterfall."""
+
+COLUMNS, DECADES = 300, 4.0
+"""Largest number of spectra in a picture; range of its colours below the largest value, in decades."""
+
+PIECES = 400
+"""Stretches of time whose worst window is drawn."""
+
+HARMONICS = 6
+"""Rays of a Campbell diagram: the lowest harmonics."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves during a run.
+
+    Parameters
+    ----------
+    time : ndarray, shape (k,)
+        s from the start of the run.
+    theta : ndarray, shape (k,)
+        Angle of the arrays [rad].
+    speed : ndarray, shape (k, 4)
+        Wheel speeds [rad/s].
+    harmonics : ndarray
+        Multiples of the speed.
+    modes : ndarray
+        Frequencies of the structure at the start [rad/s].
+    """
+
+    time: Floats
+    theta: Floats
+    speed: Floats
+    harmonics: Floats
+    modes: Floats
+
+    @property
+    def wheel(self) -> int:
+        """Index of the wheel whose speed changes most."""
+        return int(np.argmax(np.ptp(self.speed, axis=0)))
+
+    @property
+    def turns(self) -> bool:
+        """Whether a wheel changes its speed."""
+        return bool(np.ptp(self.speed, axis=0).max() > 0.0)
+
+
+def motion_of(run: Recording) -> Motion | None:
+    """The motion that a recording names; None where nothing moves, or where the entry cannot be read."""
+    found = run.parameters.get("motion")
+    if not isinstance(found, Mapping):
+        return None
+    try:
+        knots = np.array(found["knots"], dtype=float).reshape(-1, 6)
+        lists = [np.array(found[name], dtype=float).ravel() for name in ("harmonics", "modes")]
+    except (KeyError, TypeError, ValueError):
+        return None
+    if not (knots.size and np.isfinite(knots).all() and (np.diff(knots[:, 0]) > 0.0).all()):
+        return None
+    return Motion(knots[:, 0], knots[:, 1], knots[:, 2:], *lists)
+
+
+def moving_pictures(views: Sequence[RunView], limits: Sequence[float]) -> list[Picture]:
+    """Pictures of the runs in which something moves; none where nothing does.
+
+    Parameters
+    ----------
+    views : sequence of RunView
+    limits : sequence of float
+        Of the relative error [rad].
+    """
+    moving = [(view, motion) for view in views if (motion := motion_of(view.run)) is not None]
+    made: list[Picture] = []
+    if moving:
+        made.append(error_over_time([view for view, _ in moving], limits))
+    for k, (view, motion) in enumerate(moving):
+        if len(view.series.values) < 2 * SEGMENT or not np.isfinite(view.series.values).all():
+            continue
+        made.append(waterfall(view, motion, k))
+        if motion.turns:
+            made.append(campbell(view, motion, k))
+    return made
+
+
+def _spectra(view: RunView) -> tuple[Floats, Floats, Floats]:
+    """Frequencies [rad/s], times [s] and amplitude densities [mas/sqrt(Hz)], shape (frequencies, times)."""
+    n = len(view.series.values)
+    step = max(SEGMENT // 4, -(-(n - SEGMENT) // COLUMNS))
+    f, t, power = signal.spectrogram(
+        view.series.values.T, 1.0 / view.series.dt, window="hann", nperseg=SEGMENT, noverlap=max(0, SEGMENT - step)
+    )
+    return 2.0 * np.pi * f[1:], view.series.start + t, np.sqrt(power.sum(axis=0)[1:]) / RAD_PER_MAS
+
+
+def _image(figure: Figure, x: Floats, omega: Floats, values: Floats) -> Any:
+    axis = figure.subplots()
+    floor = values.max() * 10.0**-DECADES
+    shown = np.log10(np.maximum(values, floor))
+    image = axis.pcolormesh(x, omega, shown, shading="nearest", rasterized=True, cmap="viridis")
+    figure.colorbar(image, label="log10 of mas/√Hz", location="bottom", aspect=40)
+    axis.set_ylabel("frequency [rad/s]")
+    axis.set_ylim(0.0, omega[-1])
+    axis.grid(False)
+    return axis
+
+
+def waterfall(view: RunView, motion: Motion, k: int) -> Picture:
+    """Spectrum of the line of sight over time."""
+    omega, time, values = _spectra(view)
+
+    def draw(figure: Figure) -> None:
+        axis = _image(figure, time, omega, values)
+        axis.set_xlabel("time [s]")
+        if motion.turns:
+            speed = np.abs(np.interp(time, motion.time, motion.speed[:, motion.wheel]))
+            axis.plot(time, speed, color="white", linewidth=0.6, linestyle="--")
+
+    title = f"Waterfall: {view.label}"
+    alt = f"Spectrum of the line of sight over time, {view.label}; dashed: speed of wheel {motion.wheel + 1}."
+    return picture(f"waterfall-{k + 1}", title, alt, 4.0, draw)
+
+
+def campbell(view: RunView, motion: Motion, k: int) -> Picture:
+    """Spectrum over the speed of the wheel that changes most, rays of its harmonics, modes of the structure."""
+    omega, time, values = _spectra(view)
+    speed = np.interp(time, motion.time, motion.speed[:, motion.wheel])
+    keep = np.concatenate([[True], np.diff(speed) != 0.0])
+    order = np.argsort(speed[keep], kind="stable")
+    x, shown = speed[keep][order], values[:, keep][:, order]
+    x, first = np.unique(x, return_index=True)
+
+    def draw(figure: Figure) -> None:
+        axis = _image(figure, x, omega, shown[:, first])
+        for harmonic in np.sort(motion.harmonics)[:HARMONICS]:
+            axis.plot(x, harmonic * np.abs(x), color="white", linewidth=0.6, linestyle="--")
+        for mode in motion.modes[motion.modes < omega[-1]]:
+            axis.plot([x[0], x[0] + 0.04 * (x[-1] - x[0])], [mode, mode], color="#ff9d5c", linewidth=1.0)
+        axis.set_xlabel(f"speed of wheel {motion.wheel + 1} [rad/s]")
+        axis.set_ylim(0.0, omega[-1])
+
+    alt = (
+        f"Spectrum of the line of sight over the speed of wheel {motion.wheel + 1}, {view.label}; dashed: harmonics of "
+        f"the speed; marks at the left: modes of the structure."
+    )
+    return picture(f"campbell-{k + 1}", f"Campbell diagram: {view.label}", alt, 4.0, draw)
+
+
+def error_over_time(views: Sequence[RunView], limits: Sequence[float]) -> Picture:
+    """Largest relative error of the windows of each stretch of time, against the limits."""
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        for i, view in enumerate(views):
+            error = metrics.radial(metrics.rpe_instant(view.series.values, view.series.dt, view.window))
+            size = max(1, len(error) // PIECES)
+            count = len(error) // size
+            worst = np.fmax.reduce(error[: count * size].reshape(count, size), axis=1)
+            time = view.series.start + view.series.dt * size * (np.arange(count) + 0.5)
+            axis.semilogy(time, np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS, color=COLOURS[i % 6],
+                          label=view.label)  # fmt: skip
+        for limit in limits:
+            axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", linewidth=0.9)
+        axis.set_xlabel("time [s]")
+        axis.set_ylabel("relative error [mas]")
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.6)
+
+    alt = "Largest relative error within windows of 20 ms over time, one curve a run; dashed: limits."
+    return picture("rpe-over-time", "Relative error over time", alt, 2.8, draw)

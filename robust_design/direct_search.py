@@ -1,0 +1,144 @@
+"""Starts of problems of few states: BFGS on the exact largest value (Lewis and Overton 2013) between smooth phases.
+
+An evaluation costs less than a tenth of one on a grid, so that many starts can be tried. The p-norm of the smooth phase
+passes by local minima in which the exact value is caught; the exact value finishes.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robust_design.descent import DescentOptions
+from robust_design.exact_value import ExactValue
+from robust_design.metric import Metric
+from robust_design.problem import Problem
+from robust_design.quasi_newton import quasi_newton
+from robust_design.single_start import StartResult, stabilise, unstable
+from robust_design.smooth_phase import NEGLIGIBLE, Point, point_at, smooth_phase
+from robust_design.starts import Start
+from robust_design.status import TuningStatus
+
+FloatArray = NDArray[np.float64]
+
+STABILISING_STEPS = 200
+SMOOTH_EVALUATIONS = 120
+SCREENING_STEPS, POLISHING_STEPS = 120, 1000
+SCREENING_TOLERANCE, POLISHING_TOLERANCE = 1e-5, 1e-7  # of the logarithm
+CYCLES, VISIBLE = 4, 1e-4
+SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
+
+
+def direct_screen(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """Stabilise and descend; every second start without a smooth phase."""
+    run = _Direct(problem, limits)
+    stable = run.stabilised(start.parameters(problem), start.seed)
+    if isinstance(stable, StartResult):
+        return stable
+    run.begin(stable)
+    if start.number % 2 == 0:
+        run.smooth()
+    run.descend(SCREENING_STEPS, SCREENING_TOLERANCE)
+    return run.result()
+
+
+def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """Descend to the end: exact value and smooth phase in turn until neither lowers the value."""
+    run = _Direct(problem, limits)
+    stable = run.stabilised(start.parameters(problem), start.seed)
+    if isinstance(stable, StartResult):
+        return stable
+    run.begin(stable)
+    for _ in range(CYCLES):
+        before = run.point
+        run.descend(POLISHING_STEPS, POLISHING_TOLERANCE)
+        if run.late():
+            break
+        run.smooth()
+        if not run.point.better_than(before, VISIBLE):
+            break
+    return run.result()
+
+
+def negligible_value(problem: Problem) -> float:
+    """Value that counts as zero: the infimum is zero and only approached."""
+    parts = [
+        float(np.quantile(np.sqrt(np.sum(np.abs(P11) ** 2, axis=(1, 2))), SCALE))
+        for loop in problem.gains
+        for P11 in loop.grid.P11.values()
+    ]
+    return max(NEGLIGIBLE * max(parts, default=1.0), 1e-290)
+
+
+class _Direct:
+    """The best point of a start, by its exact values."""
+
+    def __init__(self, problem: Problem, limits: DescentOptions) -> None:
+        self._problem, self._limits = problem, limits
+        self._value = ExactValue(problem)
+        size = problem.structure.size
+        self._metric = Metric(np.eye(size), np.eye(size))
+        self.point: Point
+        self._evaluations, self._floor = 0, negligible_value(problem)
+
+    def stabilised(self, x: FloatArray, seed: int) -> FloatArray | StartResult:
+        """A stable point, or the result of a start that found none."""
+        if self._problem.abscissa(x) < -self._problem.min_decay:
+            return x
+        target = -max(1e-3, 2.0 * self._problem.min_decay)
+        found = quasi_newton(
+            self._value.abscissa,
+            x,
+            self._metric,
+            steps=STABILISING_STEPS,
+            tolerance=1e-9,
+            floor=target,
+            stop=self.late,
+        )
+        if self._problem.abscissa(found.x) < -self._problem.min_decay:
+            return found.x
+        stable, steps = stabilise(self._problem, found.x, np.random.default_rng(seed), self._limits)
+        if stable.result.objective >= -self._problem.min_decay:
+            return unstable(stable, steps)
+        return stable.x
+
+    def begin(self, x: FloatArray) -> None:
+        """Start from the stable point `x` (size,)."""
+        self.point = point_at(self._problem, x)
+
+    def smooth(self) -> None:
+        """A smooth phase."""
+        target = max(self._limits.target, self._floor)
+        if self.point.soft <= target:
+            return
+        found = smooth_phase(self._problem, self.point.x, SMOOTH_EVALUATIONS, self._limits.deadline, target)
+        self._evaluations += found.evaluations
+        self._take(found.point)
+
+    def descend(self, steps: int, tolerance: float) -> None:
+        """Quasi-Newton on the exact value."""
+        if not np.isfinite(self._value(self.point.x)[0]):
+            return
+        floor = float(np.log(max(self._limits.target, self._floor)))
+        found = quasi_newton(
+            self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
+        )
+        self._take(point_at(self._problem, found.x))
+
+    def result(self) -> StartResult:
+        """The best point so far."""
+        point, target = self.point, self._limits.target
+        status = TuningStatus.OUT_OF_TIME if self.late() else TuningStatus.ITERATIONS
+        status = TuningStatus.TARGET if point.soft < target else status
+        count = self._evaluations + self._value.evaluations
+        return StartResult(status, point.x, point.soft, point.hard, point.found.abscissa, np.inf, count, 0)
+
+    def _take(self, point: Point) -> None:
+        if point.better_than(self.point):
+            self.point = point
+
+    def late(self) -> bool:
+        """The time is used up."""
+        return time.monotonic() > self._limits.deadline

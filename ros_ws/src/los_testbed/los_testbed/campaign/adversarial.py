@@ -1,0 +1,77 @@
+"""Members that a worst-case search finds, for campaigns that look for the worst and not for the distribution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.campaign.sampling import DELTA, members
+from los_testbed.config import RunConfig
+from los_testbed.factories import load_controllers, plant_config
+from lti.threads import one_thread
+
+FloatArray = NDArray[np.float64]
+
+METRICS = ("slow", "fast")
+"""Metrics that are searched: tones of the relative error."""
+
+APART = 1e-3
+"""Distance, in ranges of the parameters, below which two members are the same."""
+
+MOST_ASCENTS = 200
+"""Ascents of each metric."""
+
+
+@lru_cache(maxsize=1)
+def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[str, float]], ...]:
+    """Value and parameters of the worst point of each band of each metric, worst first."""
+    from los_design.worst_points import Search, SearchOptions
+    from titop_plant.simulation import PlantFamily
+
+    controllers = load_controllers(base)
+    with one_thread():
+        family = PlantFamily.of(plant_config(replace(base, scenario="design")))
+        options = SearchOptions(ascents=ascents, seed=seed)
+        search = Search(
+            family.control_loop, family.parameters, controllers["k_fsm"], controllers["k_pma"], base.loop, options
+        )
+        found = search.run(METRICS)
+    points = [point for band in found.values() for point in band]
+    return tuple((p.gamma, dict(p.parameters)) for p in sorted(points, key=lambda p: -p.gamma))
+
+
+def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
+    """Parameters of the members: worst points of :class:`los_design.worst_points.Search`, then uniform ones.
+
+    The search finds the worst point of each frequency band for slow and for fast tones, some thirty points; the first
+    member is the worst one of all.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Stage, controllers, parameter file.
+    samples : int
+        Number of members.
+    seed : int
+
+    Returns
+    -------
+    ndarray, shape (samples, 7)
+
+    Raises
+    ------
+    ValueError
+        No member is asked for.
+    """
+    uniform = members("uniform", samples, seed, base.parameters)
+    ascents = min(MOST_ASCENTS, 10 * samples)
+    width = np.ptp(members("corners", 0, seed, base.parameters), axis=0)
+    chosen: list[FloatArray] = []
+    for _, values in _worst(base, ascents, seed):
+        point = np.array([values[name] for name in DELTA])
+        if all(np.abs((point - other) / width).max() > APART for other in chosen):
+            chosen.append(point)
+    return np.vstack([*chosen, uniform])[:samples]

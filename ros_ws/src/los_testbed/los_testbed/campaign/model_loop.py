@@ -1,0 +1,242 @@
+"""The implemented loop of many members at chosen frequencies: the LFT is evaluated, no telescope is assembled.
+
+:class:`los_design.implemented_loop.ImplementedLoop` closes the loop of the sampled controllers around the telescope's
+LFT; the response of a member is ``T11 + T12 Delta (I - M Delta)^-1 T21``. The direct part D of M is the same at all
+frequencies, so that with ``W = Delta (I - D Delta)^-1``, real and of order 48, once for each member,
+
+    T = T11 + T12 W (I - (M - D) W)^-1 T21
+
+and M - D, T12 and T21 go through fewer signals than there are Delta channels (23 to 27 for the reference telescope):
+``M - D = U N V'``, ``T12 = R V'``, ``T21 = U Q``. N, R, Q and T11 are computed once, on a grid that is fine wherever a
+lightly damped mode of some member can be; a member then costs one small solution at each frequency it is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from los_design.implemented_loop import HIGHEST, ImplementedLoop
+from lti import SampledSystem, UncertainSystem
+from lti.batched_linalg import solve
+from titop_plant.telescope.parameters import Parameters, parameter_corners
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IndexArray = NDArray[np.intp]
+linalg: Any = scipy.linalg
+
+LOWEST = 1e-2
+COARSE = 1.1
+"""Ratio of neighbouring frequencies away from the modes."""
+
+SPACING = 0.4
+"""Distance of grid points at a mode, in decay rates of the mode."""
+
+WIDTH = 8.0
+"""Half-width of the stretch around a mode that is resolved, in decay rates."""
+
+LIGHT, MODES_END = 0.1, 1600.0
+"""Damping ratio below which, and frequency [rad/s] below which, modes are looked at one by one."""
+
+DRAWS = 300
+"""Random members, beside the corners of the box, that tell where modes can be."""
+
+RANK = 1e-13
+
+BESIDE = np.array([-8, -3, 0, 3, 8])
+"""Points of the grid at which a mode is looked at: fine control may move it by a few decay rates."""
+
+STILL = 0.2
+"""Shift of a pole, in decay rates, that does not count."""
+
+
+def channel_factors(system: UncertainSystem) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal bases U (q, c) and V (q, b) of what Delta sees and of what it drives."""
+    q = len(system.channels)
+    seen = np.hstack([system.C[:q], system.D[:q, q:]])
+    driven = np.vstack([system.B[:, :q], system.D[q:, :q]])
+    seen = seen / np.maximum(linalg.norm(seen, axis=0), 1e-300)
+    driven = driven / np.maximum(linalg.norm(driven, axis=1), 1e-300)[:, None]
+    return _range(seen), _range(driven.T)
+
+
+def _range(matrix: FloatArray) -> FloatArray:
+    U, s, _ = linalg.svd(matrix, full_matrices=False)
+    return np.asarray(U[:, s > RANK * s[0]])
+
+
+@dataclass(frozen=True)
+class MovingModes:
+    """Modes of the telescope below :data:`MODES_END`, for their frequencies: those that parameters move, and others.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        Invariant subspace of the modes that move, with the inputs and outputs of W; the rest by its static gain.
+    fixed : ndarray, complex
+        Poles that no parameter moves by more than :data:`STILL` decay rates [rad/s].
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    fixed: ComplexArray
+
+    @classmethod
+    def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, members: Sequence[FloatArray]) -> MovingModes:
+        """Split the nominal telescope by an ordered Schur form; `members` are values of W."""
+        poles, vectors = linalg.eig(A)
+        left = linalg.inv(vectors)
+        shift = np.max([np.abs(np.einsum("kb,bc,ck->k", left @ B, W, C @ vectors)) for W in members], axis=0)
+        below = np.abs(poles) < MODES_END
+        fixed = poles[below & _light(poles) & (shift < STILL * -poles.real)]
+
+        def moves(real: float, imaginary: float) -> bool:
+            size = np.hypot(real, imaginary)
+            return bool(size < MODES_END) and not bool(
+                np.any(np.hypot(fixed.real - real, np.abs(fixed.imag) - abs(imaginary)) < 1e-9 * size)
+            )
+
+        S, Z, n = linalg.schur(A, output="real", sort=moves)
+        if n == len(S):
+            return cls(A, B, C, np.zeros((C.shape[0], B.shape[1])), fixed)
+        X = linalg.solve_sylvester(S[:n, :n], -S[n:, n:], -S[:n, n:])
+        b, c = Z.T @ B, C @ Z
+        rest = c[:, :n] @ X + c[:, n:]
+        return cls(S[:n, :n], b[:n] - X @ b[n:], c[:, :n], -rest @ linalg.solve(S[n:, n:], b[n:]), fixed)
+
+    def light(self, W: FloatArray) -> ComplexArray:
+        """Lightly damped poles of a member with positive imaginary part [rad/s]."""
+        closed = W @ linalg.inv(np.eye(len(self.D)) - self.D @ W, check_finite=False)
+        moved = linalg.eigvals(self.A + self.B @ closed @ self.C, overwrite_a=True, check_finite=False)
+        poles = np.concatenate([moved, self.fixed])
+        return np.asarray(poles[_light(poles) & (poles.imag > LOWEST)])
+
+
+def _light(poles: ComplexArray) -> NDArray[np.bool_]:
+    return np.asarray(-poles.real < LIGHT * np.abs(poles))
+
+
+@dataclass(frozen=True)
+class ModelLoop:
+    """Responses of the members of one stage on a common grid.
+
+    Parameters
+    ----------
+    loop : ImplementedLoop
+    U, V : ndarray
+        As :func:`channel_factors`.
+    modes : MovingModes
+    omega : ndarray, shape (F,)
+        Grid [rad/s], rising.
+    coarse : ndarray of int
+        Indices of the grid that every member is looked at.
+    N, Q, R, T11, K : ndarray
+        At each frequency of the grid, see the module; K: commands by measurements (8, 22).
+    """
+
+    loop: ImplementedLoop
+    U: FloatArray
+    V: FloatArray
+    modes: MovingModes
+    omega: FloatArray
+    coarse: IndexArray
+    N: ComplexArray
+    Q: ComplexArray
+    R: ComplexArray
+    T11: ComplexArray
+    K: ComplexArray
+
+    @classmethod
+    def of(
+        cls, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+    ) -> ModelLoop:
+        """Evaluate the LFT of the closed loop on the grid; the arguments are those of `ImplementedLoop`."""
+        loop = ImplementedLoop(system, parameters, k_fsm, k_pma, stage)
+        U, V = channel_factors(system)
+        rng = np.random.default_rng(0)
+        members = [*parameter_corners(parameters), *system.sample_values(rng, DRAWS)]
+        chosen = [_reduced(loop, U, V, values) for values in members]
+        q = len(system.channels)
+        modes = MovingModes.of(system.A, system.B[:, :q] @ V, U.T @ system.C[:q], chosen)
+        omega, coarse = _grid(np.concatenate([modes.light(W) for W in chosen]))
+        D = system.D[: len(U), : len(U)]
+        parts: list[tuple[ComplexArray, ...]] = []
+        for w in omega:
+            closed = loop.at(float(w))
+            parts.append(
+                (U.T @ (closed.M - D) @ V, U.T @ closed.T21, closed.T12 @ V, closed.T11, loop.control(float(w)))
+            )
+        return cls(loop, U, V, modes, omega, coarse, *(np.array(table) for table in zip(*parts)))
+
+    def W(self, values: Mapping[str, float]) -> FloatArray:
+        """The real matrix of a member, see the module.
+
+        Raises
+        ------
+        ValueError
+            A loop of the LFT that is singular at these values.
+        """
+        return _reduced(self.loop, self.U, self.V, values)
+
+    def at(self, W: FloatArray, index: IndexArray) -> ComplexArray:
+        """Responses at points of the grid, shape (k, 10, 30): as `ClosedAt.T11` for this member."""
+        N = self.N[index]
+        k, c, b = N.shape
+        loop = np.eye(b) - (W @ N.view(float)).view(complex)
+        rows = solve(loop.swapaxes(1, 2), self.R[index].swapaxes(1, 2)).swapaxes(1, 2)
+        through = (rows.reshape(-1, b) @ W).reshape(k, -1, c)
+        return np.asarray(self.T11[index] + through @ self.Q[index])
+
+    def looked_at(self, W: FloatArray) -> IndexArray:
+        """Points of the grid at and beside the lightly damped modes of a member, and the coarse ones."""
+        near = np.searchsorted(self._middle, self.modes.light(W).imag)
+        beside = (near[:, None] + BESIDE).ravel()
+        return np.asarray(np.unique(np.concatenate([self.coarse, np.clip(beside, 0, self.omega.size - 1)])))
+
+    @cached_property
+    def _middle(self) -> FloatArray:
+        return np.asarray(np.sqrt(self.omega[1:] * self.omega[:-1]))
+
+
+def _reduced(loop: ImplementedLoop, U: FloatArray, V: FloatArray, values: Mapping[str, Any]) -> FloatArray:
+    delta = loop.delta(loop.point(dict(values)))
+    D = loop.system.D[: len(U), : len(U)]
+    M = np.eye(len(U)) - D * delta
+    right = V.T * delta  # V' Delta (I - D Delta)^-1 U
+    W = linalg.solve(M.T, right.T, check_finite=False).T @ U
+    if not np.isfinite(W).all():
+        raise ValueError(f"the LFT must be well posed at {dict(values)}")
+    return np.asarray(W)
+
+
+def _grid(poles: ComplexArray) -> tuple[FloatArray, IndexArray]:
+    """Grid that resolves `poles` of all members, and the indices of its coarse points."""
+    decay = -poles.real
+    coarse = np.geomspace(LOWEST, HIGHEST, round(np.log(HIGHEST / LOWEST) / np.log(COARSE)) + 1)
+    step = np.full(_CELLS, np.inf)
+    edges = np.geomspace(LOWEST, HIGHEST, _CELLS + 1)
+    for w, d in zip(poles.imag, decay):
+        a, b = np.searchsorted(edges, [w - WIDTH * d, w + WIDTH * d])
+        part = slice(max(a - 1, 0), b)
+        step[part] = np.minimum(step[part], SPACING * d)
+    fine = []
+    last = 0.0
+    for k in np.flatnonzero(np.isfinite(step)):
+        at = max(last + step[k], edges[k])
+        while at < edges[k + 1]:
+            fine.append(at)
+            last, at = at, at + step[k]
+    omega = np.unique(np.concatenate([coarse, fine]))
+    return omega, np.searchsorted(omega, coarse)
+
+
+_CELLS = 20000

@@ -1,0 +1,144 @@
+"""HTML page of a campaign; pictures are histograms and maps of fixed size, so the file is as large for any number."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.influence import yield_curve
+from los_testbed.campaign.overview import RANKED, campaign_summary
+from los_testbed.campaign.sampling import COLUMNS, box
+from pointing_analysis.atomic_output import write_text
+from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
+
+FloatArray = NDArray[np.float64]
+TEMPLATE = Path(__file__).with_name("campaign.html.j2")
+BINS, CELLS, LEVELS = 40, 16, 200
+MAPS = 3
+
+
+def write_page(campaign: Campaign, folder: ResultFolder, path: Path, worst: int = 5) -> Path:
+    """Write the page of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    folder : ResultFolder
+        With rows.
+    path : Path
+        An existing file is replaced.
+    worst : int
+        Members that are listed.
+    """
+    summary = campaign_summary(campaign, folder, worst)
+    table = folder.table([*COLUMNS, RANKED[campaign.depth], "status"])
+    metric = table.column(RANKED[campaign.depth]).to_numpy()
+    lost = np.array([s in ("unstable", "diverged") for s in table.column("status").to_pylist()])
+    metric = np.where(lost, np.inf, metric)
+    points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
+    known = ~np.isnan(metric)
+    pictures = _pictures(summary, points[known], metric[known], campaign)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    text = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        summary=summary,
+        manifest=campaign.manifest(),
+        quantiles=("median", "90 %", "99 %", "largest"),
+        pictures=[
+            {
+                "title": p.title,
+                "alt": p.alt,
+                "data": "data:image/svg+xml;base64," + base64.b64encode(p.svg).decode(),
+            }
+            for p in pictures
+        ],
+    )
+    write_text(path, text)
+    return path
+
+
+def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray, campaign: Campaign) -> list[Picture]:
+    finite = metric[np.isfinite(metric)]
+    if not finite.size:
+        return []
+    name = summary["ranked_by"]
+    limits = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
+    ranges = box(campaign.base.parameters)
+    first = [entry["parameter"] for entry in summary["influence"]] or list(COLUMNS)
+    pairs = [(first[0], first[1]), (first[0], first[2]), (first[1], first[2])][:MAPS]
+    return [
+        _distribution(name, finite, limits),
+        _yield(name, metric, limits),
+        *(_map(name, pair, points, metric, ranges, k) for k, pair in enumerate(pairs)),
+    ]
+
+
+def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.hist(metric, bins=BINS, color=COLOURS[0])
+        for limit in limits:
+            axis.axvline(limit, color=LIMIT, linestyle="--", linewidth=0.9)
+        axis.set_xlabel(name)
+        axis.set_ylabel("members")
+
+    return picture("distribution", "Distribution", f"Histogram of {name} over the members; dashed: limits.", 2.6, draw)
+
+
+def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
+    finite = metric[np.isfinite(metric)]
+    levels = np.asarray(np.linspace(0.0, 1.1 * max([float(finite.max()), *limits]), LEVELS), dtype=float)
+    share, bound = yield_curve(metric, levels)
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.step(levels, 100.0 * share, where="post", color=COLOURS[0], label="members below the level")
+        axis.plot(levels, 100.0 * bound, color=COLOURS[1], linestyle=":", label="at least, 95 % confidence")
+        for limit in limits:
+            axis.axvline(limit, color=LIMIT, linestyle="--", linewidth=0.9)
+        axis.set_xlabel(f"level of {name}")
+        axis.set_ylabel("yield [%]")
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+
+    return picture("yield", "Yield", f"Share of the members below each level of {name}; dashed: limits.", 2.8, draw)
+
+
+def _map(
+    name: str,
+    pair: tuple[str, str],
+    points: FloatArray,
+    metric: FloatArray,
+    ranges: dict[str, tuple[float, float]],
+    number: int,
+) -> Picture:
+    cells = np.full((CELLS, CELLS), np.nan)
+    place = []
+    for parameter in pair:
+        low, high = ranges[parameter]
+        unit = (points[:, COLUMNS.index(parameter)] - low) / (high - low)
+        place.append(np.clip((CELLS * unit).astype(int), 0, CELLS - 1))
+    finite = np.isfinite(metric)
+    top = float(metric[finite].max())
+    for i, j, value in zip(place[0], place[1], np.where(finite, metric, 1.2 * top)):
+        cells[j, i] = np.fmax(cells[j, i], value)
+    edges = [np.linspace(*ranges[parameter], CELLS + 1) for parameter in pair]
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        image = axis.pcolormesh(edges[0], edges[1], cells, cmap="viridis", rasterized=True)
+        figure.colorbar(image, label=f"largest {name}")
+        axis.set_xlabel(pair[0])
+        axis.set_ylabel(pair[1])
+        axis.grid(False)
+
+    title = f"Largest value over {pair[0]} and {pair[1]}"
+    return picture(f"map-{number}", title, f"Map of the largest {name} over {pair[0]} and {pair[1]}.", 3.2, draw)

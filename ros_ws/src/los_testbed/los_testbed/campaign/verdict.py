@@ -1,0 +1,155 @@
+"""How a campaign stands against the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
+
+=============  =====================================================================================================
+ensemble       the worst instant of each member is one sample: so many members keep the limit at all times
+temporal       each member keeps the limit for the share of its time; the worst member counts
+mixed          all instants of all members together
+=============  =====================================================================================================
+
+Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.confidence`). The instants of a
+member weigh as many as its autocorrelation leaves. A member that diverged is above every limit; one that failed for
+another reason is left out and counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.confidence import exceedance_lower, exceedance_upper, samples_needed
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.requirements import Requirement, load
+
+FloatArray = NDArray[np.float64]
+
+LOST = ("unstable", "diverged")
+"""Statuses of members that are above every limit."""
+
+INDICES = {"APE": ("ape", RAD_PER_ARCSEC, "arcsec"), "RPE": ("rpe_window", RAD_PER_MAS, "mas")}
+"""Index to the stem of its columns, unit in radians, unit."""
+
+
+@dataclass(frozen=True)
+class CampaignVerdict:
+    """One requirement in one interpretation.
+
+    Parameters
+    ----------
+    requirement : str
+    interpretation : {"ensemble", "temporal", "mixed"}
+    status : {"compliant", "not compliant", "not enough data"}
+    value, limit : float
+        Quantile of the interpretation and limit.
+    unit : str
+    exceeding : float
+        Share of the samples above the limit.
+    lower, upper : float
+        Bounds of the probability to exceed, each with the confidence of the requirement.
+    samples, needed : int
+        Independent samples, and those that would show compliance with the exceedances seen.
+    """
+
+    requirement: str
+    interpretation: str
+    status: str
+    value: float
+    limit: float
+    unit: str
+    exceeding: float
+    lower: float
+    upper: float
+    samples: int
+    needed: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values for JSON; what is not finite is None."""
+        return {
+            name: (None if isinstance(value, float) and not math.isfinite(value) else value)
+            for name, value in vars(self).items()
+        }
+
+
+def share_column(index: str, limit: float) -> str:
+    """Column with the share of the samples of a member above a limit [rad]: ``rpe_window_above_40_mas``."""
+    stem, scale, unit = INDICES[index]
+    return f"{stem}_above_{limit / scale:g}_{unit}"
+
+
+def judged(loop: str | None = None) -> tuple[Requirement, ...]:
+    """Requirements of the reference telescope that campaigns judge: of a stage, or of all."""
+    return tuple(
+        r for r in load() if r.index in INDICES and not r.axis and (loop is None or not r.loops or loop in r.loops)
+    )
+
+
+def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -> list[CampaignVerdict]:
+    """Verdicts of a campaign of simulated runs.
+
+    Parameters
+    ----------
+    columns : dict
+        Metrics by name, shape (members,).
+    status : sequence of str
+    loop : str
+        Stage, for the requirements that apply to it.
+    """
+    lost = np.array([s in LOST for s in status])
+    keep = lost | np.array([s == "ok" for s in status])
+    found: list[CampaignVerdict] = []
+    if not keep.any():
+        return found
+    for requirement in judged(loop):
+        stem, scale, unit = INDICES[requirement.index]
+        limit = requirement.limit / scale
+
+        def column(name: str, instead: float) -> FloatArray:
+            values = np.where(lost, instead, columns.get(name, np.full(len(lost), np.nan)))[keep]
+            return np.asarray(values, dtype=float)
+
+        worst, own = column(f"{stem}_max_{unit}", np.inf), column(f"{stem}_p997_{unit}", np.inf)
+        share = column(share_column(requirement.index, requirement.limit), 1.0)
+        effective = np.maximum(column(f"{stem}_effective", 1.0), 1.0)
+        pooled = float(np.average(share, weights=effective))
+        common = (requirement, limit, unit)
+        found += [
+            _decided("ensemble", *common, int(np.sum(worst >= limit)), len(worst), _quantile(worst, requirement)),
+            _temporal(requirement, limit, unit, own),
+            _decided("mixed", *common, math.ceil(pooled * effective.sum() - 1e-6), int(effective.sum()),
+                     _quantile(own, requirement, mean=True)),
+        ]  # fmt: skip
+    return found
+
+
+def _quantile(values: FloatArray, requirement: Requirement, mean: bool = False) -> float:
+    if mean:
+        return float(np.mean(values))
+    return float(np.quantile(values, requirement.probability, method="higher"))
+
+
+def _decided(
+    interpretation: str, requirement: Requirement, limit: float, unit: str, above: int, samples: int, value: float
+) -> CampaignVerdict:
+    allowed = 1.0 - requirement.probability
+    lower = exceedance_lower(above, samples, requirement.confidence)
+    upper = exceedance_upper(above, samples, requirement.confidence)
+    status = "compliant" if upper <= allowed else "not compliant" if lower > allowed else "not enough data"
+    needed = samples_needed(requirement.probability, requirement.confidence, above)
+    return CampaignVerdict(
+        requirement.name, interpretation, status, value, limit, unit, above / samples, lower, upper, samples, needed
+    )
+
+
+def _temporal(requirement: Requirement, limit: float, unit: str, own: FloatArray) -> CampaignVerdict:
+    """Every member keeps the limit for its share of the time; bounds are those of the share of members that do not."""
+    above, samples = int(np.sum(own >= limit)), len(own)
+    lower, upper = (f(above, samples, requirement.confidence) for f in (exceedance_lower, exceedance_upper))
+    status = "not compliant" if above else "compliant"
+    worst = float(np.max(own))
+    return CampaignVerdict(
+        requirement.name, "temporal", status, worst, limit, unit, above / samples, lower, upper, samples, samples
+    )

@@ -1,0 +1,113 @@
+"""Metrics of a member from its matrices against the periodic solution of the assembled loop, which shares no code."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.campaign.dataset import Campaign
+from los_testbed.campaign.member import MemberEvaluator
+from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
+from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
+from los_testbed.config import RunConfig
+from los_testbed.factories import controller_files
+
+from los_design.sampled_loop import sampled_loop
+from los_design.sampled_loop_norms import sampled_loop_metrics, weighted_gains
+from lti import SampledSystem
+from lti.batched_linalg import determinants
+from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from titop_plant.interface import FRAME_TICKS
+from titop_plant.telescope.budget import combined_level
+
+BASE = RunConfig(mode="inprocess")
+DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")
+
+
+def point(index: int) -> dict[str, float]:
+    return dict(zip(DELTA, map(float, members("uniform", index + 1, 4)[index])))
+
+
+def row(evaluator: MemberEvaluator, index: int) -> dict[str, Any]:
+    values = dict(zip(COLUMNS, map(float, members("uniform", index + 1, 4)[index])))
+    return evaluator.row(index, {**values, "seed": int(member_seeds(index + 1, 4)[index])}, "model")
+
+
+@pytest.fixture(scope="module")
+def evaluator() -> MemberEvaluator:
+    return MemberEvaluator.of(BASE)
+
+
+@pytest.fixture(scope="module")
+def depth(evaluator: MemberEvaluator) -> ModelDepth:
+    return evaluator._model
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvaluator, index: int) -> None:
+    found = row(evaluator, index)
+    assert found["status"] == "ok"
+    plant, parameters = evaluator.family.control_loop.data_at(point(index)), evaluator.family.parameters
+    pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
+    exact = sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    pairs = ((exact.ape, "ape_gain"), (exact.rpe_fine, "rpe_fine_gain"), (exact.mirror, "mirror_gain"),
+             (exact.force, "force_gain"))  # fmt: skip
+    for value, name in pairs:  # the grid of the periodic solution is the coarser one: its peaks are lower bounds
+        assert 0.997 * value < found[name] < 1.06 * value, name
+    closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    near = found["rpe_peak_rad_s"] * (1.0 + np.linspace(-1e-3, 1e-3, 41))
+    peak = float(weighted_gains(closed, plant, parameters, near)[1].max()) / parameters["weights"]["rpe_limit_fine"]
+    assert found["rpe_fine_gain"] == pytest.approx(peak, rel=5e-3)
+    assert found["noise_ape_arcsec_rms"] * RAD_PER_ARCSEC == pytest.approx(exact.noise_ape, rel=1e-3)
+    assert found["noise_rpe_mas_rms"] * RAD_PER_MAS == pytest.approx(exact.noise_rpe, rel=1e-3)
+
+
+def test_row_adds_up(evaluator: MemberEvaluator) -> None:
+    found = row(evaluator, 3)
+    assert all(np.isfinite(found[name]) and found[name] > 0.0 for name in MODEL_METRICS)
+    worst = max(found["slow_tone_mas"], found["fast_tone_mas"])
+    assert found["rpe_fine_gain"] == pytest.approx(worst / 40.0)
+    assert found["total_mas"] == pytest.approx(combined_level(worst, found["noise_rpe_mas_rms"]), rel=1e-5)
+    assert row(evaluator, 3) == found
+
+
+def test_responses_are_those_of_the_lft(depth: ModelDepth) -> None:
+    """By the full Delta of 48 channels, at frequencies of the grid that the member is looked at."""
+    loop, values = depth.model.loop, point(5)
+    W = depth.model.W(values)
+    index = depth.model.looked_at(W)[::40]
+    found = depth.model.at(W, index)
+    delta = loop.delta(loop.point(values))
+    for T, omega in zip(found, depth.model.omega[index]):
+        closed = loop.at(float(omega))
+        direct = np.linalg.solve(np.eye(len(delta)) - closed.M * delta, closed.T21)
+        expected = closed.T11 + (closed.T12 * delta) @ direct
+        assert np.abs(T - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_path: Path) -> None:
+    """Gains of the mirror from a stable loop to an unstable one; the count of encirclements agrees at each."""
+    k_fsm = SampledSystem.from_file(controller_files(BASE)["k_fsm"])
+    verdicts = []
+    for factor in (1.0, -30.0):
+        replace(k_fsm, C=factor * k_fsm.C, D=factor * k_fsm.D).to_file(tmp_path / f"{factor}.json")
+        changed = MemberEvaluator.of(replace(BASE, loop="fsm", k_fsm=str(tmp_path / f"{factor}.json")))
+        found = row(changed, 0)
+        pair = changed.controllers["k_fsm"], changed.controllers["k_pma"]
+        plant = changed.family.control_loop.data_at(point(0))
+        radius = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS).spectral_radius()
+        model = changed._model.model
+        T = model.at(model.W(point(0)), np.arange(model.omega.size))
+        turns = np.unwrap(-np.angle(determinants(T[:, 2:, 22:])))
+        assert (found["status"] == "ok") == (radius < 1.0) == (abs(turns[-1] - turns[0]) < np.pi)
+        verdicts.append(found["status"])
+        assert (found["ape_gain"] == np.inf) == (found["status"] == "unstable")
+    assert verdicts == ["ok", "unstable"]
+
+
+def test_another_camera_rate_is_refused() -> None:
+    with pytest.raises(ValueError, match="camera_rate must be 50 Hz at depth model, got 25 Hz"):
+        Campaign.of(replace(BASE, camera_rate=25.0), "uniform", 1, 1, "model", {})

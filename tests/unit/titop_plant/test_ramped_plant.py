@@ -1,0 +1,179 @@
+"""The telescope while wheels and arrays move: convergence, energy, phases, profiles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lti import Port, StateSpace
+from titop_plant.disturbances import imbalance_tones, no_tones
+from titop_plant.interface import DT
+from titop_plant.plant_config import motion, parameter_values
+from titop_plant.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
+from titop_plant.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
+from titop_plant.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation import PlantConfig, PlantFamily, build_plant, sample
+from titop_plant.telescope.parameters import load_parameters
+
+SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
+CROSSING = PlantConfig(
+    noise=False, scenario="ramp", wheel_speed=(395.0, -200.0, 150.0, -100.0),
+    wheel_acceleration=(8.0, 0.0, 0.0, 0.0), ramp_duration=1.2, seed=3,
+)  # fmt: skip
+
+
+def line_of_sight(plant: SampledPlant, ticks: int, every: int = 1) -> np.ndarray:
+    command, measurement, truth = np.zeros(8), np.zeros(22), np.zeros(2)
+    record = np.empty((ticks // every, 2))
+    for k in range(ticks):
+        plant.step(command, measurement, truth)
+        if k % every == 0:
+            record[k // every] = truth
+    return record
+
+
+@pytest.mark.slow
+def test_a_wheel_crosses_the_mode_near_400_as_with_ten_times_finer_integration() -> None:
+    """Ticks and nodes ten times finer: the line of sight differs by less than 0.5 % of its peak."""
+    family = PlantFamily.of(CROSSING)
+    start = build_plant(CROSSING)
+
+    def record(finer: float, ticks: int) -> np.ndarray:
+        dt = DT / ticks
+        nodes, interval, tones = family.nodes(CROSSING, dt, finer)
+        plant = RampedPlant(nodes, interval, tones, start.state, SILENT, start.limits, dt=dt, parameters_hash="")
+        return line_of_sight(plant, 1200 * ticks, ticks)
+
+    usual, fine = record(1.0, 1), record(10.0, 10)
+    peak = np.abs(fine).max()
+    assert np.abs(usual - fine).max() < 5e-3 * peak
+    np.testing.assert_array_equal(usual, line_of_sight(build_plant(CROSSING), 1200))
+
+
+def gyroscope(speed: float, stiffness: float) -> StateSpace:
+    """Two coupled oscillators with a gyroscopic term; the state is (x, y, x', y'), the energy its weighted norm."""
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2:, :2] = -np.diag([300.0**2, stiffness])
+    A[2:, 2:] = 0.05 * speed * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    return StateSpace(
+        A, np.zeros((4, 30)), np.vstack([np.eye(4), np.zeros((20, 4))]), np.zeros((24, 30)),
+        (Port("u", 30),), (Port("y", 24),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("stretch", [0.0, 2e4])
+def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float) -> None:
+    """Gyroscopic forces do no work while the speed varies; a stiffness k(t) gives the power 1/2 k' y^2."""
+    profile = linear_profile(0.0, 0.0, np.zeros(4), np.full(4, 100.0), 10.0)
+    interval = node_interval(profile, DT)
+
+    def matrices(time: float) -> np.ndarray:
+        return sample(gyroscope(float(profile.speeds(time)[0]), 250.0**2 + stretch * time), no_tones(), 1).step
+
+    nodes = node_matrices(profile, interval, DT, matrices)
+    tones = MovingTones(profile, no_tones())
+    start = np.array([1.0, 0.5, 0.0, 100.0])
+    plant = RampedPlant(nodes, interval, tones, start, SILENT, np.ones(8), dt=DT, parameters_hash="")
+    measured = np.empty((10001, 22))
+    for row in measured:
+        plant.step(np.zeros(8), row, np.zeros(2))
+    x, y, vx, vy = measured[:, :4].T
+    stiffness = 250.0**2 + stretch * DT * np.arange(10001)
+    energy = 0.5 * (vx**2 + vy**2 + 300.0**2 * x**2 + stiffness * y**2)
+    work = np.concatenate([[0.0], np.cumsum(0.25 * stretch * DT * (y[1:] ** 2 + y[:-1] ** 2))])
+    assert np.abs(energy - work - energy[0]).max() < 2e-3 * energy.max()
+    if stretch:
+        assert work[-1] > 0.2 * energy[0]
+
+
+def test_phases_are_the_integrals_of_the_speeds() -> None:
+    """Through zero, where the sense of rotation changes: against quadrature, and a constant speed against its tones."""
+    parameters = load_parameters()
+    unit = imbalance_tones(parameters, np.ones(4), np.random.default_rng(0))
+    profile = linear_profile(0.0, 0.0, [60.0, -60.0, 60.0, -60.0], [-40.0, 40.0, -40.0, 40.0], 3.0)
+    tones = MovingTones(profile, unit)
+    time = np.linspace(0.0, 3.5, 350001)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (profile.speeds(time)[1:, 0] + profile.speeds(time)[:-1, 0]))])
+    for k in (0, 149999, 350000):
+        phasor = tones.phasors(float(time[k]))[3]
+        expected = float(profile.speeds(time[k])[0]) ** 2 * np.exp(1j * unit.harmonic[3] * turned[k] * 1e-5)
+        assert phasor == pytest.approx(expected, rel=1e-6)
+    still = MovingTones(Profile(np.zeros(1), np.zeros(1), np.array([[-70.0, 80.0, -90.0, 100.0]])), unit).start()
+    same = imbalance_tones(parameters, np.array([70.0, 80.0, 90.0, 100.0]), np.random.default_rng(0))
+    np.testing.assert_allclose(still.frequency, same.frequency, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(still.amplitude), np.abs(same.amplitude), rtol=1e-12)
+    backwards, forwards = still.amplitude[:5, 0], same.amplitude[:5, 0]
+    assert backwards[1] / backwards[0] == pytest.approx(1j) and forwards[1] / forwards[0] == pytest.approx(-1j)
+
+
+def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
+    ramp = replace(CROSSING, wheel_acceleration=(1e-9, 0.0, 0.0, 0.0), ramp_duration=0.2)
+    family = PlantFamily.of(ramp)
+    plant = family.build(ramp)
+    tones = MovingTones(motion(ramp, family.parameters), plant._moving.unit).start()
+    data = family.control_loop.data_at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
+    constant = SampledPlant(
+        [sample(data, tones, 1)], plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
+    )
+    first, second = line_of_sight(plant, 300), line_of_sight(constant, 300)
+    assert np.abs(first - second).max() < 1e-7 * np.abs(second).max()
+
+
+def test_trapezoidal_profile_has_the_ends_of_the_linear_one() -> None:
+    given = (0.1, 0.02, np.arange(4.0), np.full(4, 3.0), 8.0)
+    one, two = linear_profile(*given), trapezoidal_profile(*given)
+    for time in (0.0, 4.0, 8.0, 9.0):
+        assert two.angle(time) == pytest.approx(float(one.angle(time)), abs=1e-12)
+        np.testing.assert_allclose(two.speeds(time), one.speeds(time), atol=1e-12)
+    assert two.steepest()[0] == pytest.approx(0.02 / 0.75)
+    slow = np.diff(two.speeds(np.array([0.0, 0.1, 4.0, 4.1]))[:, 0])
+    assert slow[0] < 0.1 * slow[2]
+
+
+def test_a_file_moves_the_plant(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text(
+        "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4\n0,0.1,1,2,3,4\n2,0.3,5,2,3,4\n"
+    )
+    config = PlantConfig(scenario="ramp", profile=str(path))
+    assert config.ramps and motion(config, load_parameters()).speeds(1.0).tolist() == [3.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,theta\n", "the header must be time,theta,wheel_speed_1"),
+        ("HEAD\n0,0,1,2,3\n", "line 2: must hold 6 finite numbers, got '0,0,1,2,3'"),
+        ("HEAD\n0,0,1,2,3,inf\n", "line 2: must hold 6 finite numbers"),
+        ("HEAD\n1,0,1,2,3,4\n2,0,1,2,3,4\n", "time must rise from 0"),
+        ("HEAD\n0,0,1,2,3,4\n", "over two lines or more, got 1 lines"),
+    ],
+)
+def test_files_that_are_no_profile(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text(text.replace("HEAD", "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4"))
+    with pytest.raises(ValueError, match=message):
+        read_profile(path)
+
+
+def test_a_ramp_without_a_ramp_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be given in the scenario ramp, got no ramp"):
+        PlantConfig(scenario="ramp")
+    with pytest.raises(ValueError, match=r"profile must be one of linear, trapezoidal or a CSV file, got no\.csv"):
+        motion(PlantConfig(scenario="ramp", profile="no.csv"), load_parameters())
+
+
+def test_modes_of_the_report_are_those_of_the_telescope() -> None:
+    ramp = replace(CROSSING, ramp_duration=0.01)
+    plant = build_plant(ramp)
+    assert isinstance(plant, RampedPlant)
+    family = PlantFamily.of(ramp)
+    poles = linalg.eigvals(family.control_loop.data_at(parameter_values(ramp, family.parameters)).A)
+    near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
+    assert near_400 and all(np.abs(poles.imag - w).min() < 0.1 for w in near_400)
+    assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
