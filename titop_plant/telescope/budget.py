@@ -48,6 +48,9 @@ MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
 """Largest singular value of a sensitivity that a design may have, and the ones that K_FSM and K_PMA are tuned for: the
 sampled loop has a little more than the design model, at the forces near half of the sampling rate."""
 
+NEGLIGIBLE = 2e-3
+"""Noise below this part of a tone is left out: it adds at most 0.3 %, and the distribution is not computable there."""
+
 BAND_ORDER = 4
 PHASES = 400
 
@@ -74,7 +77,7 @@ def combined_level(tone: float, noise: float) -> float:
     """
     if not (tone >= 0.0 and noise >= 0.0):
         raise ValueError(f"tone and noise must not be negative, got {tone} and {noise}")
-    if noise == 0.0:
+    if noise <= NEGLIGIBLE * tone:
         return float(tone * np.sin(0.5 * np.pi * CONFIDENCE))
     low, high = 0.0, tone + 5.0 * noise
     return float(optimize.brentq(lambda level: _outside(level, tone, noise) - (1.0 - CONFIDENCE), low, high))
