@@ -52,8 +52,10 @@ def test_the_bands_divide_the_power_at_their_edge() -> None:
 def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> None:
     parameters = load_parameters()
     budget = error_budget(parameters)
-    assert combined_level(budget.slow, budget.noise) <= budget.limit
+    alone = combined_level(max(budget.slow, budget.fast_mirror), budget.noise)
+    assert alone <= parameters["weights"]["rpe_limit"]
     assert combined_level(budget.tone, budget.total_noise) == pytest.approx(budget.limit)
+    assert budget.fast <= budget.tone
     assert budget.noise <= budget.total_noise and budget.fast_mirror > budget.fast
     weight = band_error_weight(parameters, "fast").to_control()
     assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)

@@ -119,7 +119,11 @@ def _copy(
 def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
     """Metadata records of the new bag: of those of the run only what agrees with its hash."""
     run, problems = merged([beside])
-    tables = {name: records[-1] for name, records in beside.metadata.items() if name not in ("rosbag2", METADATA_NAME)}
+    tables = {
+        name: records[-1]
+        for name, records in beside.metadata.items()
+        if records and name not in ("rosbag2", METADATA_NAME)
+    }
     return ({METADATA_NAME: run} if run else {}) | tables, problems
 
 
