@@ -80,7 +80,7 @@ def bode_band(
     models = _members(system, samples, seed)
     w = _frequencies(models, omega)
     out, into = _port(system.outputs, output), _port(system.inputs, input)
-    ports: tuple[list[tuple[str, int]], list[tuple[str, int]]] = ([("u", 1)], [("y", 1)])
+    ports = (Port("u", 1),), (Port("y", 1),)
     parts = [(m.A, m.B[:, [column]], m.C[[row]], m.D[[row]][:, [column]]) for m in models]
     one = [frequency_response(StateSpace(*matrices, *ports), w) for matrices in parts]
     response = np.array(one)[:, :, 0, 0]
@@ -149,7 +149,7 @@ def pole_map(system: UncertainSystem | StateSpace, samples: Samples = 0, *, seed
     if len(poles) > 1:
         others = np.concatenate(poles[1:])
         axes.scatter(others.real, others.imag, color=MEMBERS, s=4, label=f"{len(poles) - 1} members")
-    size = np.abs(np.concatenate([p[np.abs(p) > 0] for p in poles] or [np.ones(1)]))
+    size: FloatArray = np.abs(np.concatenate([np.zeros(0, dtype=complex), *(p[np.abs(p) > 0] for p in poles)]))
     damping = np.abs(np.concatenate([p.real for p in poles]))
     damping = damping[damping > 1e-9 * max(size.max(initial=0.0), 1e-300)]
     axes.set_xscale("symlog", linthresh=float(damping.min(initial=1.0)))
@@ -176,7 +176,7 @@ def _members(system: UncertainSystem | StateSpace, samples: Samples, seed: int) 
 def _frequencies(models: Sequence[StateSpace], omega: ArrayLike | None) -> FloatArray:
     if omega is not None:
         return np.asarray(omega, dtype=float)
-    poles = np.concatenate([linalg.eigvals(m.A) for m in models] or [np.zeros(0)])
+    poles = np.concatenate([np.zeros(0, dtype=complex), *(linalg.eigvals(m.A) for m in models)])
     size = np.abs(poles)
     size = size[size > 1e-9 * size.max(initial=0.0)]
     low, high = float(size.min(initial=1.0)), float(size.max(initial=1.0))
