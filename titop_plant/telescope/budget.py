@@ -140,7 +140,7 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     >>> budget = error_budget(load_parameters())
     >>> mas = 3.141592653589793 / 648e6
     >>> [round(share / mas, 1) for share in (budget.limit, budget.noise, budget.slow, budget.fast_mirror)]
-    [40.0, 11.4, 20.0, 80.0]
+    [40.0, 12.0, 20.0, 76.0]
     >>> round(combined_level(budget.tone / mas, budget.total_noise / mas), 2)
     40.0
     """
