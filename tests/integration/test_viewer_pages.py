@@ -33,4 +33,4 @@ def test_python_code_prints_the_documented_output(monkeypatch, capsys) -> None:
     shape = re.search(r"# (.*)$", code, re.M)[1]
     out = capsys.readouterr().out.splitlines()
     assert out[0] == shape
-    assert out[1] == "1 ['k_fsm.json', 'k_pma.json', 'run.yaml']"
+    assert out[1] == "1 ['k_fsm.json', 'k_pma.json', 'run.yaml', 'start.json']"
