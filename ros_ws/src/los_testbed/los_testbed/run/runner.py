@@ -334,8 +334,8 @@ class Runner:
                 continue
             if told:
                 # the plant refuses publishers until it runs
-                begun = "running" if node.name == "plant" else "ready"
-                before_work = (node.name, begun) not in self._seen
+                working = "running" if node.name == "plant" else "ready"
+                before_work = (node.name, working) not in self._seen
                 raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)
             last = node.errors.strip().splitlines()[-1:] or [""]
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
