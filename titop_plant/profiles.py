@@ -22,7 +22,7 @@ COLUMNS = ("time", "theta", "wheel_speed_1", "wheel_speed_2", "wheel_speed_3", "
 BLEND = 0.25
 """Share of a trapezoidal profile in which the rates rise, and in which they fall."""
 
-BLEND_KNOTS = 25
+BLEND_KNOTS = 50
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def trapezoidal_profile(
     --------
     >>> profile = trapezoidal_profile(0.0, 0.1, np.zeros(4), np.ones(4), 8.0)
     >>> [round(float(profile.angle(t)), 4) for t in (0.0, 1.0, 4.0, 8.0)]
-    [0.0, 0.0334, 0.4, 0.8]
+    [0.0, 0.0333, 0.4, 0.8]
     """
     blend = np.linspace(0.0, BLEND * duration, BLEND_KNOTS + 1)
     top = 1.0 / (1.0 - BLEND)
