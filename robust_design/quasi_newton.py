@@ -22,7 +22,6 @@ sl: Any = scipy.linalg
 ARMIJO, WOLFE = 1e-4, 0.5
 MAX_SEARCH = 25
 FIRST_STEP = 0.3  # length of the first step in the metric
-LONGER = 2.0  # first step in a renewed metric over the last one that was taken, at most
 STAGNATION = 8  # steps that together must bring more than the tolerance
 
 
@@ -56,7 +55,7 @@ def quasi_newton(
     g = metric.gradient(gx)
     H: FloatArray | None = None
     history = [f]
-    taken, longest = 0, 1.0
+    taken = 0
     while taken < steps and f > floor and not stop():
         d = -g if H is None else -(H @ g)
         slope = float(g @ d)
@@ -65,7 +64,7 @@ def quasi_newton(
                 break
             H = None
             continue
-        first = min(longest, FIRST_STEP / max(float(sl.norm(d)), 1e-300)) if H is None else 1.0
+        first = min(1.0, FIRST_STEP / max(float(sl.norm(d)), 1e-300)) if H is None else 1.0
         found = _weak_wolfe(function, x, f, slope, metric, d, first, stop)
         if found is None:
             if H is None:
@@ -73,7 +72,6 @@ def quasi_newton(
             H = None
             continue
         t, new_x, new_f, new_g = found
-        longest = 1.0 if renewed is None else min(1.0, LONGER * t)
         s, y = t * d, new_g - g
         x, f, g = new_x, new_f, new_g
         if renewed is None:

@@ -33,7 +33,7 @@ def test_smooth_phase_ends_feasible_and_no_higher_than_it_began(gain_before: flo
     """The effort is at most 0.9 up to k = 4.5."""
     p = problem(0.9)
     first = point_at(p, np.array([-gain_before]))
-    found = smooth_phase(p, first.x, 1000, np.inf, -np.inf).point
+    found = smooth_phase(p, first.x, 400, np.inf, -np.inf).point
     assert found.feasible and found.hard <= 1.0 + 1e-6
     assert not first.better_than(found)
     assert -found.x.item() == pytest.approx(4.5, rel=0.03)
