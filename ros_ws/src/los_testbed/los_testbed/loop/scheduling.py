@@ -11,9 +11,9 @@ import signal
 PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
 """SCHED_FIFO priority of each node: the plant keeps the time, the recorder only has to keep up on average."""
 
-CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 0, "recorder": 1}
-"""Index of a node's processor among those that its process may use. Nodes that follow each other within a tick run on
-different processors, so that one wakes up while the other still publishes; a pinned thread keeps its cache."""
+CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 1, "recorder": 1}
+"""Index of a node's processor among those that its process may use; a pinned thread keeps its cache. The plant has one
+for itself: what it does between two ticks (its clock, requests, reports) must not hold up a late command."""
 
 _RESENDING = "dds.asyn"
 """Beginning of the name of Fast DDS's thread that sends lost messages again.

@@ -48,6 +48,12 @@ class TickClock:
         """Set the first deadline (steady clock [ns])."""
         self._deadline = deadline_ns
 
+    def sleep(self, lead_ns: int) -> None:
+        """Return `lead_ns` before the next deadline, or as much later as a sleeping thread wakes up."""
+        rest = self._deadline - time.monotonic_ns() - lead_ns
+        if rest > 0:
+            time.sleep(rest * 1e-9)
+
     def wait(self) -> int:
         """Return at the next deadline, with the lateness [ns]."""
         late = wait_until(self._deadline)

@@ -1,7 +1,7 @@
 """Plant node: keeps the time, publishes sensors and truth, applies the commands of the previous tick.
 
-Tick k of the real-time loop: wake at the deadline, take the commands that were computed from tick k - 1,
-pass them through the gates, step the plant, publish. In lockstep the wait for the clock is replaced by a
+Tick k of the real-time loop: take the commands that were computed from tick k - 1, those that have come a little before
+the deadline, the rest at the deadline; pass them through the gates, step the plant, publish. In lockstep the wait for the clock is replaced by a
 wait for both commands of the tick just published, and ``/clock`` follows the ticks.
 """
 
@@ -33,6 +33,10 @@ from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, 
 RING = 64
 
 OWN_PLANT = "start must be rest, in every node, for another plant than the telescope, got steady"
+
+EARLY_NS = 150_000
+"""So long before the deadline of a tick the commands that have come are taken: most of them, and what is left to do at
+the deadline is done in a processor that is awake."""
 
 CLOCK_TICKS = 10
 """Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
@@ -154,6 +158,7 @@ class PlantLoop:
             self._real_time(start)
         self.io.settle()
         self._report(start + self.ticks * TICK_NS, last=True)
+        context.finish_work()
 
     @property
     def missed(self) -> int:
@@ -164,14 +169,18 @@ class PlantLoop:
         context, clock = self.context, self.clock
         total, last = context.config.ticks, 0
         for k in range(total + 1):
-            self.lateness.add(clock.wait())
             now = start + k * TICK_NS
+            clock.sleep(EARLY_NS)
+            self._take_commands(now)
+            self.lateness.add(clock.wait())
             start_time = time.monotonic_ns()
             if last:
                 self.period.add(start_time - last)
             last = start_time
             self._woke[k % RING] = time.time_ns()
-            self._take_commands(now)
+            if not self.io.fresh(now):
+                self._take_commands(now)
+                self.held += not self.io.fresh(now)
             if k == total or self._ended:  # one more wake-up, for the commands of the last tick
                 break
             self._tick(now)
@@ -189,8 +198,6 @@ class PlantLoop:
                 latency = taken[1]["received_timestamp"] - self._woke[tick % RING]
                 if 0 <= latency < CLOCK_STEP_NS:
                     self.latency.add(latency)
-        if not (io.fsm_gate.fresh(now) and io.pma_gate.fresh(now)):
-            self.held += 1
 
     def _tick(self, now: int) -> None:
         io, command, changes = self.io, self._command, self.changes
@@ -206,6 +213,8 @@ class PlantLoop:
     def _background(self, k: int, now: int) -> None:
         """Work that is not urgent, one kind per tick, after the work of the tick."""
         phase = k % 200
+        if self.context.work():
+            return
         if phase % 20 == 10 and (news := self.io.watch.look(time.monotonic_ns())):
             self._second = f"second publisher on {news[0][0]}"
             self.context.report_second_publishers(news)
@@ -279,8 +288,8 @@ class PlantLoop:
             level, message = max(level, WARN), f"{news[0]} ticks missed"
         elif last:
             level, message = OK, "finished"
-        self.context.diagnose(level, message, {**values, **self.statistics()}, now)
-        self.context.plot(self._plotted(news))
+        self.context.diagnose(level, message, lambda: {**values, **self.statistics()}, now)
+        self.context.plot(lambda: self._plotted(news))
 
     def _plotted(self, news: tuple[int, int]) -> dict[str, float]:
         """Values since the last report: `news` are missed ticks and rejected commands."""

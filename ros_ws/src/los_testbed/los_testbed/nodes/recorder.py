@@ -213,14 +213,15 @@ class Recorder:
         values = self.own_statistics()
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}
-        self.context.plot(dict(news))
+        self.context.plot(lambda: dict(news))
         if self._second:
             level, message, self._second = ERROR, f"second publisher on {self._second}", ""
         elif self.bag is None:
             level, message = STALE, "no samples yet"
         else:
             level, message = (OK, "recording") if values["samples_lost"] == "0" else (WARN, "samples lost")
-        self.context.diagnose(level, message, values, self.tracks[0].last)
+        self.context.diagnose(level, message, lambda: values, self.tracks[0].last)
+        self.context.finish_work()
 
     def _finish_bag(self) -> None:
         """Results into the head of the bag, and its index."""

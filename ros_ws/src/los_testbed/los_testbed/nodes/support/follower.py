@@ -102,10 +102,13 @@ class Follower:
             if before >= next_service:  # in the slack after the tick's work
                 next_service = before + 200_000_000
                 context.service()
-            if before >= next_report:
+            elif context.work():
+                pass
+            elif before >= next_report:
                 next_report = before + 1_000_000_000
                 self._report()
         self._report()
+        context.finish_work()
         context.event("done", statistics=self.statistics())
         return 0
 
@@ -185,9 +188,10 @@ class Follower:
         news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
         period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}
-        self._context.diagnose(level, message, {**values, **period, **self.statistics()}, self._synchronizer.stamp)
+        stamp = self._synchronizer.stamp
+        self._context.diagnose(level, message, lambda: {**values, **period, **self.statistics()}, stamp)
         self._context.plot(
-            {
+            lambda: {
                 **self._period.window("period"),
                 **self._execution.window("execution"),
                 "ticks": self.ticks,

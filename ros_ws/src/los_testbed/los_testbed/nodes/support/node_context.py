@@ -6,7 +6,9 @@ import json
 import os
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -32,6 +34,7 @@ from los_testbed.loop.scheduling import (
 from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
+from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.security import refuse_missing_security
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
@@ -70,6 +73,8 @@ class NodeContext:
             self.node.begin()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
+        self._requests = Requests(self.node)
+        self._work: deque[Callable[[], None]] = deque()
         self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
         own, depth = f"{name}/{OWN_DIAGNOSTICS}", QoSProfile(depth=10)
         before = self._publishers(own)
@@ -125,17 +130,36 @@ class NodeContext:
                 self.node.get_logger().warning(line)
 
     def service(self) -> None:
-        """Answer requests, if there are any; about 0.1 ms."""
-        try:
-            self._executor.spin_once(timeout_sec=0.0)
-        except rclpy_implementation.RCLError as error:  # a request that cannot be read must not end the loop
-            self.node.get_logger().error(f"request refused: {error}")
+        """Answer a request, if there is one."""
+        if self._requests.waiting():
+            try:
+                self._executor.spin_once(timeout_sec=0.0)
+            except rclpy_implementation.RCLError as error:  # a request that cannot be read must not end the loop
+                self.node.get_logger().error(f"request refused: {error}")
         if self._changing is not None:
             self._changing.follow()
         self.stop |= isinstance(self.node, ManagedNode) and self.node.ended
 
-    def diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
-        """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads."""
+    def work(self) -> bool:
+        """Do one piece of the reports that wait, at most a fifth of a tick; whether there was one."""
+        if not self._work:
+            return False
+        self._work.popleft()()
+        return True
+
+    def finish_work(self) -> None:
+        """Do all that waits."""
+        while self.work():
+            pass
+
+    def diagnose(self, level: int, message: str, values: Callable[[], Mapping[str, str]], stamp_ns: int) -> None:
+        """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads.
+
+        It is done by the next calls of :meth:`work`, in pieces; `values` is called by the first of them.
+        """
+        self._work.append(lambda: self._diagnose(level, message, values(), stamp_ns))
+
+    def _diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
         array = DiagnosticArray()
         array.header.frame_id = self._identifier  # the recorder tells its own nodes' reports by it
         array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
@@ -148,14 +172,16 @@ class NodeContext:
                 values=[KeyValue(key=key, value=value) for key, value in values.items()],
             )
         ]
-        for publisher in self._diagnostics:
-            publisher.publish(array)
+        self._work.extendleft(partial(publisher.publish, array) for publisher in self._diagnostics)
 
-    def plot(self, values: Mapping[str, float]) -> None:
-        """Publish values since the last report on ``~/statistics``.
+    def plot(self, values: Callable[[], Mapping[str, float]]) -> None:
+        """Publish values since the last report on ``~/statistics``, by a later call of :meth:`work`.
 
         The numbers are in ``data``; ``layout.dim[0].label`` holds their names in the same order, with commas.
         """
+        self._work.append(lambda: self._plot(values()))
+
+    def _plot(self, values: Mapping[str, float]) -> None:
         message = Float64MultiArray(data=[float(value) for value in values.values()])
         size = len(values)
         message.layout.dim = [MultiArrayDimension(label=",".join(values), size=size, stride=size)]
@@ -180,6 +206,7 @@ class NodeContext:
 
     def close(self) -> None:
         """Leave the graph when the recorder has the last report."""
+        self.finish_work()
         self._diagnostics[1].wait_for_all_acked(Duration(seconds=1.0))
         self._executor.shutdown()
         self.node.destroy_node()

@@ -72,6 +72,10 @@ class PlantIo:
         for gate in (self.fsm_gate, self.pma_gate):
             gate.rejected.clear()
 
+    def fresh(self, now_ns: int) -> bool:
+        """Whether both commands are those computed from the tick before `now_ns`."""
+        return self.fsm_gate.fresh(now_ns) and self.pma_gate.fresh(now_ns)
+
     def fading(self) -> bool:
         """Whether an actuator is being brought to zero for want of commands."""
         return self.fsm_gate.fading or self.pma_gate.fading

@@ -150,6 +150,11 @@ class RawSubscription:
         self._node.destroy_subscription(self._subscription)
 
 
+def is_raw(subscription: Any) -> bool:
+    """Whether a subscription of rclpy is one of a :class:`RawSubscription`."""
+    return isinstance(subscription.callback_group, _NoExecutorGroup)
+
+
 class Waiter:
     """Wait until one of some subscriptions has a message."""
 
