@@ -42,6 +42,18 @@ def test_a_deadline_that_has_passed_is_reported_and_not_waited_for(steady):
     assert steady.slept == 0
 
 
+def test_a_sleep_ends_ahead_of_the_deadline_and_leaves_it_where_it_is(steady):
+    clock, start = TickClock(2 * MS), steady.now + 5 * MS
+    clock.begin(start)
+    clock.sleep(150_000)
+    assert start - 150_000 <= steady.now <= start - 150_000 + steady.oversleep + 2000
+    clock.sleep(1 * MS)  # already nearer than that
+    assert steady.slept == 1
+    late = clock.wait()
+    assert steady.now == start + late
+    assert clock.skipped == 0
+
+
 def test_deadlines_do_not_drift(steady):
     clock, start = TickClock(2 * MS), steady.now + 5 * MS
     clock.begin(start)

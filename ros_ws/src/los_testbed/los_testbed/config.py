@@ -96,7 +96,7 @@ class RunConfig:
     plant: str = _parameter("", "plant of your own, MODULE:NAME or entry point; empty for the telescope")
     k_fsm: str = _parameter("", "observer file; empty for the stored design")
     k_pma: str = _parameter("", "proof-mass controller file; empty for the stored design")
-    hold_ticks: int = _parameter(5, "ticks without a valid command before it fades out", "ms", 1, 1000)
+    hold_ticks: int = _parameter(20, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
     namespace: str = _parameter(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")

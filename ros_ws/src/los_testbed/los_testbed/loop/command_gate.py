@@ -40,7 +40,7 @@ class CommandGate:
     (False, 1)
     """
 
-    def __init__(self, codec: Codec, limit: float, hold_ticks: int = 5, fade_ticks: int = 20) -> None:
+    def __init__(self, codec: Codec, limit: float, hold_ticks: int = 20, fade_ticks: int = 20) -> None:
         self.codec = codec
         self.limit = limit
         self.hold_ticks = hold_ticks

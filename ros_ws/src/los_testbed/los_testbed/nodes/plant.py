@@ -1,8 +1,8 @@
 """Plant node: keeps the time, publishes sensors and truth, applies the commands of the previous tick.
 
-Tick k of the real-time loop: take the commands that were computed from tick k - 1, those that have come a little before
-the deadline, the rest at the deadline; pass them through the gates, step the plant, publish. In lockstep the wait for the clock is replaced by a
-wait for both commands of the tick just published, and ``/clock`` follows the ticks.
+Tick k of the real-time loop: take the commands that were computed from tick k - 1, most of them a little before the
+deadline, the rest at the deadline; pass them through the gates, step the plant, publish. In lockstep the wait for the
+clock is replaced by a wait for both commands of the tick just published, and ``/clock`` follows the ticks.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ class PlantLoop:
             self.context.event("progress", tick=self.ticks)
         elif phase == 100:
             self.context.service()
-        elif phase % 50 == 25 and self.io.fading() != self._faded:
+        elif phase % 20 == 15 and self.io.fading() != self._faded:
             self._report(now)  # reported at once, not at the end of the second
         elif k == 0:
             self.health.assess(1, time.monotonic_ns(), self.execution)

@@ -13,7 +13,7 @@ UNKNOWN_LOOKS = 50
 
 
 class SourceWatch:
-    """Looks at the publishers of some topics; about 10 us a topic while nothing changes.
+    """Looks at the publishers of some topics; about 50 us a topic while nothing changes.
 
     Parameters
     ----------

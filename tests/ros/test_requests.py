@@ -1,0 +1,79 @@
+"""A node asks the middleware whether there is a request, without its executor."""
+
+import pytest
+import rclpy
+from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.requests import Requests
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def nodes():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    server = Node("server", context=context, start_parameter_services=False)
+    user = Node("user", context=context)
+    yield server, user
+    server.destroy_node()
+    user.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+def _until(condition, tries=500):
+    import time
+
+    for _ in range(tries):
+        if condition():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_a_request_waits_until_the_executor_has_answered_it(nodes):
+    server, user = nodes
+    requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
+    executor.add_node(server)
+    assert not requests.waiting()
+
+    def answer(request, response):
+        response.success = True
+        return response
+
+    server.create_service(Trigger, "~/go", answer)  # seen although it was made after the first question
+    assert not requests.waiting()
+    client = user.create_client(Trigger, "/server/go")
+    assert client.wait_for_service(5.0)
+    future = client.call_async(Trigger.Request())
+    assert _until(requests.waiting)
+    assert requests.waiting(), "asking does not take it"
+    executor.spin_once(timeout_sec=0.0)
+    assert not requests.waiting()
+    other = SingleThreadedExecutor(context=user.context)
+    other.add_node(user)
+    other.spin_until_future_complete(future, 5.0)
+    assert future.result().success
+
+
+def test_messages_count_only_where_an_executor_takes_them(nodes):
+    server, user = nodes
+    requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
+    executor.add_node(server)
+    ours = RawSubscription(server, "raw", Header)
+    seen = []
+    server.create_subscription(Header, "ordinary", seen.append, 10)
+    raw, ordinary = (user.create_publisher(Header, name, 10) for name in ("raw", "ordinary"))
+    assert _until(lambda: raw.get_subscription_count() and ordinary.get_subscription_count())
+    raw.publish(Header())
+    assert _until(lambda: ours.take() is not None)
+    raw.publish(Header())
+    ordinary.publish(Header())
+    assert _until(requests.waiting)
+    executor.spin_once(timeout_sec=0.0)
+    assert len(seen) == 1
+    assert not requests.waiting()
+    assert _until(lambda: ours.take() is not None), "left alone by the executor"
