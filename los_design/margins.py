@@ -9,8 +9,9 @@ delay tau keeps the loop stable while ``2 sin(w tau / 2) sigma(T(w)) < 1`` at al
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -86,39 +87,59 @@ def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, ome
     return smallest
 
 
+def change_names(stage: str) -> list[str]:
+    """Names of the changes of :func:`changed_loops`, in its order."""
+    names = ["one more tick"]
+    for factor in GAINS:
+        names.append(f"gain x{factor:g}")
+        for channel in _channels(stage):
+            kind = f"force {channel - FORCES.start + 1}" if channel >= FORCES.start else f"mirror {channel + 1}"
+            names.append(f"gain x{factor:g} at {kind}")
+    return names
+
+
 def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> NDArray[np.bool_]:
-    """Whether some change of :func:`changed_loops` could meet -1 at a frequency, for N sensitivities (N, 8, 8).
+    """Whether a change could meet -1 at a frequency, for N sensitivities (N, 8, 8): shape (N, changes).
 
     A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from
     1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` is below 1 for what lies
     between the frequencies of a grid; its second number holds above :data:`NARROW_FROM`, where modes are narrow.
+    Eigenvalues are computed only where a norm does not exclude the doubt.
     """
-    size = COMMANDS if stage in FORCE_STAGES else MIRROR.stop
+    size, (low, high), certain = len(_channels(stage)), GAINS, CERTAIN[int(omega > NARROW_FROM)]
     S = sensitivity[:, :size, :size]
-    own = np.concatenate([np.diagonal(S, axis1=1, axis2=2), np.asarray(eigenvalues(S))], axis=1)
-    T = np.abs(own - 1.0)
-    low, high = GAINS
-    later = 2.0 * abs(math.sin(0.5 * min(omega * DT, math.pi))) * T[:, size:].max(axis=1)
-    worst = np.maximum.reduce([np.abs(own).max(axis=1) * (high - 1.0) / high, (1.0 - low) * T.max(axis=1), later])
-    return np.asarray(worst >= CERTAIN[int(omega > NARROW_FROM)])
+    turned = 2.0 * abs(math.sin(0.5 * min(omega * DT, math.pi)))
+    T_all = np.sqrt(np.sum(np.abs(S - np.eye(size)) ** 2, axis=(1, 2)))
+    S_all = np.sqrt(np.sum(np.abs(S) ** 2, axis=(1, 2)))
+    near = np.maximum.reduce([S_all * (high - 1.0) / high, (1.0 - low) * T_all, turned * T_all]) >= certain
+    if near.any():
+        eigen = np.asarray(eigenvalues(S[near]))
+        T_all[near], S_all[near] = np.abs(eigen - 1.0).max(axis=1), np.abs(eigen).max(axis=1)
+    own = np.diagonal(S, axis1=1, axis2=2)
+    T = np.column_stack([T_all, np.abs(own - 1.0)])
+    raised = np.column_stack([S_all, np.abs(own)]) * (high - 1.0) / high
+    return np.asarray(np.column_stack([turned * T_all, (1.0 - low) * T, raised]) >= certain)
 
 
-def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, SampledLoop]]:
-    """The loop with one more tick of delay, and with other gains: (name, loop)."""
-    yield "one more tick", delayed(loop)
-    channels = range(COMMANDS if stage in FORCE_STAGES else MIRROR.stop)
+def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, Callable[[], SampledLoop]]]:
+    """Makers of the loop with one more tick of delay, and with other gains, by name."""
+    names = iter(change_names(stage))
+    yield next(names), lambda: delayed(loop)
     for factor in GAINS:
-        yield f"gain x{factor:g}", scaled(loop, np.full(COMMANDS, factor))
-        for channel in channels:
+        yield next(names), partial(scaled, loop, np.full(COMMANDS, factor))
+        for channel in _channels(stage):
             gains = np.ones(COMMANDS)
             gains[channel] = factor
-            kind = f"force {channel - FORCES.start + 1}" if channel >= FORCES.start else f"mirror {channel + 1}"
-            yield f"gain x{factor:g} at {kind}", scaled(loop, gains)
+            yield next(names), partial(scaled, loop, gains)
+
+
+def _channels(stage: str) -> range:
+    return range(COMMANDS if stage in FORCE_STAGES else MIRROR.stop)
 
 
 def unstable_changes(loop: SampledLoop, stage: str) -> list[str]:
     """Names of the changes that make the loop unstable."""
-    return [name for name, changed in changed_loops(loop, stage) if not changed.spectral_radius() < 1.0]
+    return [name for name, changed in changed_loops(loop, stage) if not changed().spectral_radius() < 1.0]
 
 
 def scaled(loop: SampledLoop, gains: FloatArray) -> SampledLoop:

@@ -17,7 +17,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
-from los_design.margins import changed_loops, doubtful
+from los_design.margins import change_names, changed_loops, doubtful
 from los_design.sampled_loop import SampledLoop, radius_of, sampled_loop, slow_modes
 from los_design.worst_points import Search, WorstPoint
 from lti import SampledSystem, UncertainSystem
@@ -30,8 +30,9 @@ Values = Mapping[str, float]
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
 FINE_FROM, FINE_TO = 60.0, 1000.0
-NEAR = 0.8
-"""Peaks above this part of the largest one of their metric are refined."""
+NEAR, NEAR_MODE = 0.8, 0.98
+"""Peaks above this part of the largest one of their metric are refined; the second one is for values at the frequency
+of a slow mode, which is that of the peak to a fraction of its width."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK = 100
@@ -65,12 +66,16 @@ class StageCheck:
 
 @dataclass(frozen=True)
 class Bracket:
-    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point."""
+    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point.
+
+    It is refined if the value is above the part `near` of the largest one of its metric.
+    """
 
     value: float
     omega: float
     ends: tuple[float, float]
     point: int
+    near: float = NEAR
 
 
 def grid() -> FloatArray:
@@ -118,11 +123,11 @@ def check_stage(
         tick()
     cube = np.array([search.loop.point(dict(values)) for values in points])
     metrics, omega = loop_metrics(parameters, stage), grid()
-    doubt = np.zeros(len(points), dtype=bool)
+    doubt = np.zeros((len(points), len(change_names(stage))), dtype=bool)
     doubt[0] = True  # one point is checked by eigenvalues, whatever its responses say
     peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable), doubt)
     narrow = _at_modes(search.loop, metrics, modes, cube, np.array(stable), doubt)
-    unstable = [_lost(search, points[i]) if changes and doubt[i] else [] for i in range(len(points))]
+    unstable = [_lost(search, values, doubt[i]) if changes else [] for i, values in enumerate(points)]
     worst = {}
     if any(stable):
         worst = {name: _worst(search, metrics[name], _brackets(metrics[name], omega, *peaks[name]) + narrow[name], cube)
@@ -140,10 +145,12 @@ def _loop(search: Search, values: Values) -> SampledLoop:
     )
 
 
-def _lost(search: Search, values: Values) -> list[str]:
-    """Changes of gain and delay that make the loop unstable at a point."""
-    changed = changed_loops(_loop(search, values), search.loop.stage)
-    return [name for name, loop in changed if not loop.spectral_radius() < 1.0]
+def _lost(search: Search, values: Values, doubt: NDArray[np.bool_]) -> list[str]:
+    """Those changes of gain and delay in doubt that make the loop unstable at a point."""
+    if not doubt.any():
+        return []
+    changed = zip(doubt, changed_loops(_loop(search, values), search.loop.stage))
+    return [name for doubted, (name, make) in changed if doubted and not make().spectral_radius() < 1.0]
 
 
 def _largest(
@@ -189,11 +196,13 @@ def _at_modes(
     for i in np.flatnonzero(stable):
         for w in modes[i]:
             closed = loop.at(float(w))
-            doubt[i] |= bool(doubtful(loop.sensitivities(closed, cube[i][None]), float(w), loop.stage)[0])
+            doubt[i] |= doubtful(loop.sensitivities(closed, cube[i][None]), float(w), loop.stage)[0]
             for name, metric in metrics.items():
                 if metric.band[0] <= w <= metric.band[1]:
                     value = float(loop.gains(closed, metric, cube[i][None])[0])
-                    found[name].append(Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), int(i)))
+                    found[name].append(
+                        Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), int(i), NEAR_MODE)
+                    )
     return found
 
 
@@ -208,9 +217,9 @@ def _brackets(metric: LoopMetric, omega: FloatArray, value: FloatArray, place: N
 
 def _worst(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], cube: FloatArray) -> WorstPoint:
     """Worst point of a metric, its peak and those near it refined."""
-    best, top = (0.0, 0.0, 0), max(b.value for b in brackets)
-    for bracket in brackets:
-        if bracket.value < NEAR * top:
+    best = (0.0, 0.0, 0)
+    for bracket in sorted(brackets, key=lambda b: -b.value):
+        if bracket.value < bracket.near * best[0]:
             continue
         point = cube[bracket.point]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_loop import small_controllers, small_plant
 
-from los_design.margins import Margins, changed_loops, delayed, scaled, unstable_changes
+from los_design.margins import GAINS, Margins, change_names, changed_loops, delayed, doubtful, scaled, unstable_changes
 from los_design.sampled_loop import SampledLoop, sampled_loop
 from titop_plant.interface import COMMANDS
 
@@ -62,6 +62,32 @@ def test_every_channel_is_changed_alone_and_all_together() -> None:
     assert len(names) == len(set(names)) == 1 + 2 * (1 + COMMANDS)
     assert {"one more tick", "gain x0.5", "gain x2", "gain x2 at force 6", "gain x0.5 at mirror 1"} <= set(names)
     assert len([name for name, _ in changed_loops(small_loop(), "fsm")]) == 1 + 2 * 3
+    assert names == change_names("fsm+pma")
+
+
+def test_a_change_that_meets_the_critical_point_on_its_way_is_in_doubt() -> None:
+    """Random return differences, moved so that they are singular for a part of a change."""
+    rng, omega, stage = np.random.default_rng(3), 700.0, "fsm+pma"
+    for change, name in enumerate(change_names(stage)):
+        for _ in range(20):
+            L = rng.standard_normal((COMMANDS, COMMANDS)) + 1j * rng.standard_normal((COMMANDS, COMMANDS))
+            way, D = rng.uniform(0.05, 1.0), np.ones(COMMANDS, complex)
+            if change == 0:
+                D *= np.exp(-1j * omega * 1e-3 * way)
+            else:
+                factor, only = (change - 1) // (COMMANDS + 1), (change - 1) % (COMMANDS + 1)
+                D[slice(None) if only == 0 else only - 1] = 1.0 + way * (GAINS[factor] - 1.0)
+            L -= np.diag(1.0 / D) * np.linalg.eigvals(np.eye(COMMANDS) + L * D)[0]
+            sensitivity = np.linalg.inv(np.eye(COMMANDS) + L)
+            assert np.abs(np.linalg.det(np.eye(COMMANDS) + L * D)) < 1e-8 * np.abs(np.linalg.det(np.eye(COMMANDS) + L))
+            assert doubtful(sensitivity[None], omega, stage)[0, change], name
+
+
+def test_a_loop_of_small_gain_leaves_no_doubt() -> None:
+    sensitivity = np.linalg.inv(
+        np.eye(COMMANDS) + 0.04 * np.random.default_rng(0).standard_normal((COMMANDS, COMMANDS))
+    )
+    assert not doubtful(sensitivity[None].astype(complex), 700.0, "fsm+pma").any()
 
 
 def test_changes_that_make_the_loop_unstable_are_named() -> None:

@@ -13,6 +13,7 @@ from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 
 from los_design import stage_check, verification
+from los_design.margins import change_names
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
 from los_design.store import load_designs
@@ -130,9 +131,12 @@ def test_a_point_counts_as_stable_if_both_stages_are(parameters) -> None:
 
 def test_changes_that_make_a_loop_unstable_are_counted(parameters, monkeypatch) -> None:
     def changes(loop, stage: str):
-        yield "twice", replace(loop, hold=2.0 * loop.hold)
-        yield "same", loop
+        yield "twice", lambda: replace(loop, hold=2.0 * loop.hold)
+        yield "same", lambda: loop
 
+    monkeypatch.setattr(
+        stage_check, "doubtful", lambda S, omega, stage: np.ones((len(S), len(change_names(stage))), bool)
+    )
     monkeypatch.setattr(stage_check, "changed_loops", changes)
     found = checked(POINTS, parameters)
     assert found.lost_margins() == [f"{stage}: twice unstable at 3 points" for stage in ("fsm", "fsm+pma")]
