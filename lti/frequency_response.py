@@ -29,6 +29,7 @@ AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the b
 MAX_REFINEMENTS, REFINED = 8, 1e-9  # of a direct solution; relative correction at which the next would be rounding
 MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
 BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
+FEW, LARGE = 3, 600_000  # frequencies, entries of the numerators: for fewer, or more, the factors are multiplied anew
 
 
 class PoleError(ValueError):
@@ -126,6 +127,10 @@ class FrequencyResponse:
             out[finite] = self.at(w[finite])
             return out
         self._refuse_poles(w)
+        if self.triangular is None and (len(w) <= FEW or n * p * m > LARGE):
+            for i, x in enumerate(w):
+                out[i] += (self.left / (1j * x - self.poles)) @ self.right
+            return out
         if self.triangular is None:
             rows = max(1, MAX_ENTRIES // (n * m))
             for start in range(0, p, rows):
