@@ -49,6 +49,13 @@ starts: the arrays' modes have a damping ratio of 0.1 %."""
 STEP = 1e-6
 """Step of log frequency for the slope."""
 
+LEADING, VARIED, CLIMBS, PATIENCE = 0.75, (7, 40), 3, 3
+"""Bands whose best value is above this part of the largest one are searched again around their best point: number of
+frequencies and of varied points at each, ascents from the best of them, and rounds without success until it ends."""
+
+SPREAD = 0.01
+"""Standard deviation of log frequency in that search."""
+
 FREQUENCY_SCALE = 0.05
 """Change of log frequency that the ascent counts like a whole range of a parameter."""
 
@@ -232,14 +239,49 @@ class Search:
             band = int(np.searchsorted(BANDS, at))
             if value > best.get(band, (0.0,))[0]:
                 best[band] = (value, at, where)
+        rng = np.random.default_rng(self.options.seed)
+        largest = max((entry[0] for entry in best.values()), default=0.0)
+        for band, entry in best.items():
+            if entry[0] >= LEADING * largest:
+                best[band] = self._around(metric, entry, rng)
         ordered = sorted(best.values(), key=lambda entry: -entry[0])
         return sorted((self.confirmed(metric, *entry[1:]) for entry in ordered), key=lambda p: -p.gamma)
 
+    def _around(
+        self, metric: LoopMetric, best: tuple[float, float, FloatArray], rng: np.random.Generator
+    ) -> tuple[float, float, FloatArray]:
+        """Ascents from variations of the best point of a band: one to three of its parameters, and the frequency.
+
+        Most worst points have several parameters at their bounds; an ascent cannot change one from bound to bound.
+        """
+        failed, count = 0, len(self.loop.names)
+        while failed < PATIENCE:
+            tried = []
+            for omega in best[1] * np.exp(SPREAD * rng.standard_normal(VARIED[0])):
+                points = np.tile(best[2], (VARIED[1], 1))
+                for point in points:
+                    which = rng.choice(count, size=rng.integers(1, 4), replace=False)
+                    value = rng.uniform(size=len(which))
+                    point[which] = np.where(rng.uniform(size=len(which)) < 0.5, np.round(value), value)
+                low, high = self._band(metric, best[1])
+                omega = float(np.clip(omega, low, high))
+                values = self.loop.gains(self.loop.at(omega), metric, points)
+                k = int(values.argmax())
+                tried.append((float(values[k]), omega, points[k]))
+            before = best[0]
+            for _, omega, point in sorted(tried, key=lambda entry: -entry[0])[:CLIMBS]:
+                best = max(best, self.climb(metric, omega, point), key=lambda entry: entry[0])
+            failed = 0 if best[0] > before * (1.0 + 1e-3) else failed + 1
+        return best
+
+    def _band(self, metric: LoopMetric, omega: float) -> tuple[float, float]:
+        """Edges of the band of a frequency, within those of the metric."""
+        n = int(np.searchsorted(BANDS, omega))
+        return max(metric.band[0], BANDS[max(n - 1, 0)]), min(metric.band[1], BANDS[min(n, len(BANDS) - 1)])
+
     def climb(self, metric: LoopMetric, omega: float, point: FloatArray) -> tuple[float, float, FloatArray]:
         """Local ascent: value, frequency and point reached. It stays in the band of its start."""
-        n = int(np.searchsorted(BANDS, omega))
-        band = np.array([max(metric.band[0], BANDS[max(n - 1, 0)]), min(metric.band[1], BANDS[min(n, len(BANDS) - 1)])])
-        best = (-np.inf, omega, point)
+        band, best = np.array(self._band(metric, omega)), (-np.inf, omega, point)
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
