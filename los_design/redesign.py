@@ -19,7 +19,14 @@ import numpy as np
 from los_design.options import DesignOptions
 from los_design.synthesis import design_pair
 from los_design.verification import ImplementedCheck, broken_requirements, check_implemented, verification_points
-from los_design.worst_points import Search, SearchOptions, WorstPoint, store_worst_points, worst_of
+from los_design.worst_points import (
+    Search,
+    SearchOptions,
+    WorstPoint,
+    load_worst_points,
+    store_worst_points,
+    worst_of,
+)
 from lti import SampledSystem, UncertainSystem
 from lti.threads import one_thread
 from titop_plant.interface import MIRROR_STAGES, STAGES
@@ -129,15 +136,20 @@ def design_all(
 def worst_points_of(
     parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, options: SearchOptions
 ) -> list[WorstPoint]:
-    """Worst points of all stages: APE, slow and fast tones, and what else the stage has; ``RPE`` by name, too."""
+    """Worst points of all stages: APE, slow and fast tones, and what else the stage has; ``RPE`` by name, too.
+
+    The worst points of the stored designs are climbed from, too.
+    """
     systems: dict[bool, UncertainSystem] = {
         isolated: control_loop_plant(build_telescope(parameters, isolated=isolated), parameters)
         for isolated in (False, True)
     }
-    found = []
+    found, stored = [], load_worst_points()
     for stage in STAGES:
         search = Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options)
-        found += [replace(p, requirement=name) for name, p in worst_of(search.run()).items()]
+        found += [
+            replace(p, requirement=name) for name, p in worst_of(search.run(starts=stored[stage].values())).items()
+        ]
     return found
 
 
