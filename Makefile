@@ -61,7 +61,7 @@ stages: $(READY)
 
 reference-bag: $(READY)
 	rm -rf build/reference
-	$(BIN)/los-testbed run --mode inprocess --duration 4.2 --seed 1 --output build/reference --no-report
+	$(BIN)/los-testbed run --mode inprocess --duration 4.1 --seed 1 --output build/reference --no-report
 	rm -rf bags/reference && mv build/reference bags/reference
 
 report-picture: $(READY)
