@@ -131,7 +131,10 @@ def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
         (["--omega-1=0.9"], ["omega_1 must be between 0.70585 and 0.78015 rad/s", "0.9"]),
         (["--omega-2=1"], ["omega_2 must be between 2.5175 and 2.7825 rad/s", "got 1 rad/s"]),
         (["--theta=0", "--theta-rate=1", "--ramp-duration=5"], ["theta", "got 5 rad at the end of the ramp"]),
-        (["--wheel-acceleration", "90", "0", "0", "0", "--ramp-duration=10"], ["wheel 1", "at the end of the ramp"]),
+        (
+            ["--wheel-speed", "500", "0", "0", "0", "--wheel-acceleration", "90", "0", "0", "0", "--ramp-duration=10"],
+            ["wheel 1", "at the end of the ramp"],
+        ),
         (["--sample=three"], ["sample", "whole number", "'three'"]),
         (["--sample=-1"], ["sample", "not negative", "-1"]),
         (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
