@@ -35,7 +35,8 @@ def rows_of(evaluator: MemberEvaluator, points: np.ndarray) -> list[dict[str, An
 def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not() -> None:
     """1.48 of 40 mas is known of these controllers (`tests/unit/los_design/test_worst_points.py`).
 
-    Random members are between the limit and that. The worst random member is confirmed by the periodic solution of its assembled loop.
+    Random members are between the limit and that. The worst of them is confirmed by the periodic solution of its
+    assembled loop.
     """
     evaluator = MemberEvaluator.of(OLD)
     found = [row["rpe_fine_gain"] for row in rows_of(evaluator, adversarial_members(OLD, 10, 0))]
