@@ -26,7 +26,8 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster, identity, run_campaign
+from los_testbed.campaign.execution import _portable as portable
+from los_testbed.campaign.execution import cluster, evaluate_chunk, identity, run_campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
@@ -82,7 +83,10 @@ def growth(base: RunConfig, counts: list[int]) -> dict[str, dict[str, float]]:
     """Cost of campaigns of so many members at depth model, in rising order: memory is the most so far."""
     found = {}
     with cluster("", 2) as client:
-        for count in [10, *sorted(counts)]:  # the first one prepares the workers
+        first = Campaign.of(base, "uniform", 1, 1, "model", identity(base))
+        (_, members), *_ = first.chunks()
+        client.run(evaluate_chunk, portable(base, first.identity), members, "model")  # each worker prepares itself
+        for count in sorted(counts):
             campaign = Campaign.of(base, "uniform", count, 1, "model", identity(base))
             before, own = client.run(usage), usage()
             with tempfile.TemporaryDirectory() as folder:
@@ -95,7 +99,7 @@ def growth(base: RunConfig, counts: list[int]) -> dict[str, dict[str, float]]:
                 "client_mb": done[1],
                 "worker_mb": max(memory for _, memory in after.values()),
             }
-    return {name: values for name, values in found.items() if int(name) in counts}
+    return found
 
 
 def hours(member: float, client: float, cores: int) -> float:
