@@ -9,7 +9,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture bench docs designs site lock clean
+.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -19,6 +19,7 @@ help:
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
+	@echo "make campaign-pictures  those of docs/campaigns.md and docs/telescope.md (needs chromium; some minutes)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
 	@echo "make designs    the shipped controllers of the implemented loop anew (a quarter of an hour or more)"
@@ -69,9 +70,19 @@ report-picture: $(READY)
 	$(BIN)/los-testbed stages --scenario worst_case --output build/stages
 	$(BIN)/python docs/report_picture.py build/stages/report-worst_case.html docs/figures/report.png
 
+campaign-pictures: $(READY)
+	rm -rf build/campaign build/spin_up
+	$(BIN)/los-testbed campaign --samples 500 --output build/campaign
+	$(BIN)/python docs/report_picture.py build/campaign/report.html docs/figures/campaign.png .pictures
+	$(BIN)/los-testbed stages --case spin_up --no-parts --output build/spin_up
+	$(BIN)/python docs/report_picture.py build/spin_up/report-ramp.html docs/figures/spin_up_error.png '#rpe-over-time'
+	$(BIN)/python docs/report_picture.py build/spin_up/report-ramp.html docs/figures/spin_up_waterfall.png '#waterfall-2'
+	$(BIN)/python docs/report_picture.py build/spin_up/report-ramp.html docs/figures/spin_up_campbell.png '#campbell-2'
+
 bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
+	$(BIN)/python benchmarks/campaign.py --members 3 --json
 	$(BIN)/python benchmarks/tuning.py --quick --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json

@@ -1,13 +1,11 @@
 """Pictures of a run whose tones move: waterfall, Campbell diagram, relative error over time.
 
-A bag of such a run names its ``motion``: knots of array angle and wheel speeds over time, the harmonics of the wheels
-and the frequencies of the structure's lightly damped modes at the start.
+The bag of such a run says what moves (:mod:`pointing_analysis.motion`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from scipy import signal
 from pointing_analysis import metrics
 from pointing_analysis.errors import RAD_PER_MAS
 from pointing_analysis.figures import COLOURS, LIMIT, Picture, RunView, picture
-from pointing_analysis.recording import Recording
+from pointing_analysis.motion import Motion, motion_of
 
 Floats = NDArray[np.float64]
 
@@ -34,55 +32,8 @@ PIECES = 400
 HARMONICS = 6
 """Rays of a Campbell diagram: the lowest harmonics."""
 
-
-@dataclass(frozen=True)
-class Motion:
-    """What moves during a run.
-
-    Parameters
-    ----------
-    time : ndarray, shape (k,)
-        s from the start of the run.
-    theta : ndarray, shape (k,)
-        Angle of the arrays [rad].
-    speed : ndarray, shape (k, 4)
-        Wheel speeds [rad/s].
-    harmonics : ndarray
-        Multiples of the speed.
-    modes : ndarray
-        Frequencies of the structure at the start [rad/s].
-    """
-
-    time: Floats
-    theta: Floats
-    speed: Floats
-    harmonics: Floats
-    modes: Floats
-
-    @property
-    def wheel(self) -> int:
-        """Index of the wheel whose speed changes most."""
-        return int(np.argmax(np.ptp(self.speed, axis=0)))
-
-    @property
-    def turns(self) -> bool:
-        """Whether a wheel changes its speed."""
-        return bool(np.ptp(self.speed, axis=0).max() > 0.0)
-
-
-def motion_of(run: Recording) -> Motion | None:
-    """The motion that a recording names; None where nothing moves, or where the entry cannot be read."""
-    found = run.parameters.get("motion")
-    if not isinstance(found, Mapping):
-        return None
-    try:
-        knots = np.array(found["knots"], dtype=float).reshape(-1, 6)
-        lists = [np.array(found[name], dtype=float).ravel() for name in ("harmonics", "modes")]
-    except (KeyError, TypeError, ValueError):
-        return None
-    if not (knots.size and np.isfinite(knots).all() and (np.diff(knots[:, 0]) > 0.0).all()):
-        return None
-    return Motion(knots[:, 0], knots[:, 1], knots[:, 2:], *lists)
+RAYS_SHOWN, LOWEST_TOP = 2.2, 500.0
+"""A Campbell diagram ends at so many times the largest speed, or at this frequency [rad/s]."""
 
 
 def moving_pictures(views: Sequence[RunView], limits: Sequence[float]) -> list[Picture]:
@@ -153,41 +104,47 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
     order = np.argsort(speed[keep], kind="stable")
     x, shown = speed[keep][order], values[:, keep][:, order]
     x, first = np.unique(x, return_index=True)
+    top = min(float(omega[-1]), max(RAYS_SHOWN * float(np.abs(motion.speed).max()), LOWEST_TOP))
 
     def draw(figure: Figure) -> None:
         axis = _image(figure, x, omega, shown[:, first])
         for harmonic in np.sort(motion.harmonics)[:HARMONICS]:
             axis.plot(x, harmonic * np.abs(x), color="white", linewidth=0.6, linestyle="--")
-        for mode in motion.modes[motion.modes < omega[-1]]:
-            axis.plot([x[0], x[0] + 0.04 * (x[-1] - x[0])], [mode, mode], color="#ff9d5c", linewidth=1.0)
+        for at, modes in motion.modes:
+            below = modes[modes < top]
+            axis.plot(np.full(below.size, np.interp(at, motion.time, motion.speed[:, motion.wheel])), below, ".",
+                      color="#ff9d5c", markersize=2.0, clip_on=False)  # fmt: skip
         axis.set_xlabel(f"speed of wheel {motion.wheel + 1} [rad/s]")
-        axis.set_ylim(0.0, omega[-1])
+        axis.set_xlim(x[0], x[-1])
+        axis.set_ylim(0.0, top)
 
     alt = (
         f"Spectrum of the line of sight over the speed of wheel {motion.wheel + 1}, {view.label}; dashed: harmonics of "
-        f"the speed; marks at the left: modes of the structure."
+        f"the speed; dots: modes of the structure."
     )
     return picture(f"campbell-{k + 1}", f"Campbell diagram: {view.label}", alt, 4.0, draw)
 
 
 def error_over_time(views: Sequence[RunView], limits: Sequence[float]) -> Picture:
-    """Largest relative error of the windows of each stretch of time, against the limits."""
+    """Rms of the worst window of each stretch of time, against the limits."""
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
         for i, view in enumerate(views):
-            error = metrics.radial(metrics.rpe_instant(view.series.values, view.series.dt, view.window))
+            found = metrics.windows(view.series.values, view.series.dt, view.window)
+            error = metrics.radial(np.sqrt(found.variance))
             size = max(1, len(error) // PIECES)
             count = len(error) // size
             worst = np.fmax.reduce(error[: count * size].reshape(count, size), axis=1)
-            time = view.series.start + view.series.dt * size * (np.arange(count) + 0.5)
+            first = np.asarray(found.start)[: count * size : size]
+            time = view.series.start + view.series.dt * first + 0.5 * size * view.window
             axis.semilogy(time, np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS, color=COLOURS[i % 6],
                           label=view.label)  # fmt: skip
         for limit in limits:
             axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", linewidth=0.9)
         axis.set_xlabel("time [s]")
-        axis.set_ylabel("relative error [mas]")
+        axis.set_ylabel("relative error [mas rms]")
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.6)
 
-    alt = "Largest relative error within windows of 20 ms over time, one curve a run; dashed: limits."
+    alt = "Relative error over time, rms of the worst windows of 20 ms, one curve a run; dashed: limits."
     return picture("rpe-over-time", "Relative error over time", alt, 2.8, draw)

@@ -24,7 +24,8 @@ from pointing_analysis.figures import Picture, RunView
 from pointing_analysis.inline_svg import inline
 from pointing_analysis.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.metrics import is_whole
-from pointing_analysis.moving_tones import motion_of, moving_pictures
+from pointing_analysis.motion import motion_of
+from pointing_analysis.moving_tones import moving_pictures
 from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.recording import Recording
 from pointing_analysis.report_cards import css_class, digits, run_card, shown_status
@@ -95,9 +96,9 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
 
 
 def tones_of(run: Recording) -> NDArray[np.float64]:
-    """Disturbance lines named in the bag [rad/s]: ``tones_rad_s``, and the wheel speeds where they are constant."""
+    """Disturbance lines named in the bag [rad/s], ``tones_rad_s`` and the wheel speeds; none where something moves."""
     found: list[float] = []
-    for key in ("tones_rad_s",) if motion_of(run) else ("tones_rad_s", "wheel_speed"):
+    for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
         found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]

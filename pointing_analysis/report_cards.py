@@ -9,6 +9,7 @@ from typing import Any
 
 from pointing_analysis.errors import RAD_PER_MAS
 from pointing_analysis.figures import RunView
+from pointing_analysis.motion import motion_of
 from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Verdict
 from pointing_analysis.summary import Summary
@@ -147,5 +148,6 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
         "lines": _line_rows(v),
         "line_count": len(v.tones),
+        "moves": motion_of(v.run) is not None,
         "provenance": _provenance(v.run),
     }

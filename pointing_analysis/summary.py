@@ -21,6 +21,7 @@ from pointing_analysis.errors import (
     performance_error,
 )
 from pointing_analysis.mapped_arrays import SortedValues, by_parts
+from pointing_analysis.motion import motion_of
 from pointing_analysis.recording import Recording
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
 from pointing_analysis.tone_budget import ToneBudget, tone_budget
@@ -113,7 +114,8 @@ class Summary:
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
     rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
-    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window
+    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
+        tones that move
     """
 
     path: Path
@@ -293,7 +295,7 @@ def summarise(
     series = performance_error(run, transient)
     error, budget = Performance.of(series.values, series.dt), None
     whole = metrics.is_whole(WINDOW, series.dt)
-    if whole and series.duration >= WINDOW:
+    if whole and series.duration >= WINDOW and motion_of(run) is None:
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
     if not whole:

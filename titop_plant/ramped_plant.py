@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,9 @@ SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 
 KNOTS, LIGHT = 200, 0.1
 """Most knots of a profile, and the damping ratio below which modes are named, in a report."""
+
+MODES_SHOWN = 12
+"""Most times at which a report has the modes."""
 
 LONGEST = 1.0
 """Longest time between nodes [s]."""
@@ -125,22 +129,33 @@ class RampedPlant(SampledPlant):
             dt=dt, tones=np.unique(tones.unit.frequency[tones.unit.wheel < 0]), parameters_hash=parameters_hash,
         )  # fmt: skip
 
-    @property
+    @cached_property
     def motion(self) -> dict[str, list[Any]]:
-        """What moves, for reports: knots (time, theta, four speeds), harmonics, and modes at the start [rad/s]."""
+        """What moves, for reports: knots (time, theta, four speeds), harmonics, modes at the start and over time.
+
+        A row of ``modes_over_time`` is a time [s] and the frequencies [rad/s] of the lightly damped modes there.
+        """
         table = self.profile.table()
         knots = table[:: -(-len(table) // KNOTS)]
         if knots[-1] != table[-1]:
             knots.append(table[-1])
-        n = self._n
-        poles = np.log(linalg.eigvals(self._nodes[0][:n, :n]).astype(complex)) / self.dt
-        light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT * np.abs(poles))]
         harmonics = np.unique(self._moving.unit.harmonic[self._moving.unit.wheel >= 0])
+        shown = np.unique(np.linspace(0, len(self._nodes) - 1, MODES_SHOWN).round().astype(int))
+        times = np.minimum(shown * self._interval * self.dt, self.profile.duration)
+        over_time = [[float(time), *self._modes(k)] for time, k in zip(times, shown)]
         return {
             "knots": [[float(f"{value:.9g}") for value in knot] for knot in knots],
             "harmonics": harmonics.tolist(),
-            "modes": [float(f"{value:.6g}") for value in np.sort(light.imag)],
+            "modes": over_time[0][1:],
+            "modes_over_time": over_time,
         }
+
+    def _modes(self, node: int) -> list[float]:
+        """Frequencies of the lightly damped modes at a node [rad/s]."""
+        n = self._n
+        poles = np.log(linalg.eigvals(self._nodes[node][:n, :n]).astype(complex)) / self.dt
+        light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT * np.abs(poles))]
+        return [float(f"{value:.6g}") for value in np.sort(light.imag)]
 
     def reset(self) -> None:
         """Back to tick 0: same seed, same bits."""

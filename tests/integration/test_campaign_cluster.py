@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> ResultFolder:
     folder = ResultFolder(tmp_path_factory.mktemp("campaign") / "undisturbed")
     folder.open(asked(), False)
     for number, members in asked().chunks():
-        folder.write(number, evaluate_chunk(portable(BASE), members, "time"))
+        folder.write(number, evaluate_chunk(portable(BASE, identity(BASE)), members, "time"))
     return folder
 
 
@@ -56,51 +58,134 @@ def test_interrupted_and_resumed_with_two_workers(
     assert [Path(bag).exists() for bag in summary["bags"]] == [True]
 
 
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Any:
-    """Address of a scheduler with two worker processes in folders of their own, and the processes of the workers."""
-    pytest.importorskip("distributed")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    started = []
+class Processes:
+    """A scheduler and workers as processes, each in a folder of its own."""
 
-    def start(name: str, *words: str) -> subprocess.Popen[bytes]:
-        (tmp_path / name).mkdir()
-        with (tmp_path / name / "log").open("wb") as log:
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = str(free.getsockname()[1])
+        self.folder, self.address = folder, f"tcp://127.0.0.1:{port}"
+        self.started: list[subprocess.Popen[bytes]] = []
+        self.scheduler = self._start(
+            "scheduler", "dask", "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"
+        )
+
+    def _start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
+        (self.folder / name).mkdir()
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        with (self.folder / name / "log").open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *words], cwd=tmp_path / name, stdout=log, stderr=log,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            )  # fmt: skip
-        started.append(process)
+                [sys.executable, "-m", *words], cwd=self.folder / name, stdout=log, stderr=log, env=environment
+            )
+        self.started.append(process)
         return process
 
-    port = address.rsplit(":", 1)[1]
-    start("scheduler", "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
-    options = ("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", ".")
-    workers = [start(name, *options) for name in ("first", "second")]
-    try:
-        yield address, workers
-    finally:
-        for process in reversed(started):
+    def worker(self, name: str, *options: str) -> subprocess.Popen[bytes]:
+        words = ("dask", "worker", self.address, "--nthreads", "1", "--no-dashboard", "--local-directory", ".")
+        return self._start(name, *words, *(options or ("--no-nanny",)))
+
+    def wait(self, workers: int) -> None:
+        from distributed import Client
+
+        with Client(self.address, timeout=60) as client:
+            client.wait_for_workers(workers, timeout=120)
+
+    def end(self) -> None:
+        for process in reversed(self.started):
+            process.terminate()
+        for process in self.started:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
             process.kill()
             process.wait()
 
 
-@pytest.mark.slow
-def test_worker_killed_under_a_scheduler_elsewhere(undisturbed: ResultFolder, scheduler: Any, tmp_path: Path) -> None:
-    from distributed import Client
+@pytest.fixture
+def processes(tmp_path: Path) -> Any:
+    pytest.importorskip("distributed")
+    started = Processes(tmp_path)
+    try:
+        yield started
+    finally:
+        started.end()
 
-    address, workers = scheduler
-    with Client(address, timeout=60) as client:
-        client.wait_for_workers(2, timeout=120)
+
+@pytest.mark.slow
+def test_worker_killed_under_a_scheduler_elsewhere(
+    undisturbed: ResultFolder, processes: Processes, tmp_path: Path
+) -> None:
+    first = processes.worker("first")
+    processes.worker("second")
+    processes.wait(2)
     folder = ResultFolder(tmp_path / "c")
 
-    def kill(_: int) -> None:
-        workers[0].kill()
+    with cluster(processes.address, 0) as client:
+        run_campaign(asked(), folder, client, folder.open(asked(), False), lambda _: first.kill())
+    assert folder.rows_hash() == undisturbed.rows_hash()
 
-    with cluster(address, 0) as client:
-        run_campaign(asked(), folder, client, folder.open(asked(), False), kill)
+
+@pytest.mark.slow
+def test_lost_workers_and_a_lost_scheduler_end_the_campaign_and_resume_completes_it(
+    undisturbed: ResultFolder, processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("los_testbed.campaign.execution.PATIENCE", 1.0)
+    monkeypatch.setattr("los_testbed.campaign.execution.LOOK", 0.2)
+    worker = processes.worker("first")
+    processes.wait(1)
+    folder = ResultFolder(tmp_path / "c")
+    message = r"no worker is left since 1 s, the rows so far are kept; go on with --resume"
+    with cluster(processes.address, 0) as client, pytest.raises(RuntimeError, match=message):
+        run_campaign(asked(), folder, client, folder.open(asked(), False), lambda _: worker.kill())
+    assert len(folder.parts()) == 1
+
+    monkeypatch.setattr("los_testbed.campaign.execution.PATIENCE", 1e9)
+    processes.worker("second")
+    processes.wait(1)
+    message = r"the scheduler was lost, the rows so far are kept; go on with --resume"
+    with pytest.raises(RuntimeError, match=message), cluster(processes.address, 0) as client:
+        run_campaign(asked(), folder, client, folder.open(asked(), True), lambda _: processes.scheduler.kill())
+    assert len(folder.parts()) == 2
+
+    with cluster("", 1) as client:
+        run_campaign(asked(), folder, client, folder.open(asked(), True))
+    assert folder.rows_hash() == undisturbed.rows_hash()
+
+
+@pytest.mark.slow
+def test_workers_without_memory_end_the_campaign_and_resume_completes_it(
+    processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A nanny ends a worker above its limit and starts another one; depth model takes some 300 MB."""
+    monkeypatch.setattr("los_testbed.campaign.execution.CRASHES", 2)
+    processes.worker("small", "--memory-limit", "220MB")
+    processes.wait(1)
+    folder, three = ResultFolder(tmp_path / "c"), Campaign.of(BASE, "uniform", 3, 5, "model", identity(BASE))
+    message = r"2 members in a row end their workers, the last of them 1 \(KilledWorker; too little memory\?\)"
+    with cluster(processes.address, 0) as client, pytest.raises(RuntimeError, match=message):
+        run_campaign(three, folder, client, folder.open(three, False))
+    assert folder.parts() == []
+    with cluster("", 1) as client:
+        run_campaign(three, folder, client, folder.open(three, True))
+    (_, members), *_ = three.chunks()
+    assert folder.table().to_pylist() == evaluate_chunk(portable(BASE, identity(BASE)), members, "model")
+
+
+@pytest.mark.slow
+def test_client_killed_and_resumed(undisturbed: ResultFolder, tmp_path: Path) -> None:
+    """Its workers end with it; what it had written stays."""
+    pytest.importorskip("distributed")
+    folder = ResultFolder(tmp_path / "c")
+    program = "import sys; from los_testbed.cli.app import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, *OPTIONS, "--workers", "1", "--output", str(folder.path)]
+    with (tmp_path / "log").open("wb") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
+        while not (folder.path.exists() and folder.parts()):
+            assert process.poll() is None, (tmp_path / "log").read_text()
+            time.sleep(0.01)
+        process.kill()
+    assert 1 <= len(folder.parts()) < 3
+    with cluster("", 1) as client:
+        run_campaign(asked(), folder, client, folder.open(asked(), True))
     assert folder.rows_hash() == undisturbed.rows_hash()
 
 
@@ -112,6 +197,8 @@ def test_worker_killed_under_a_scheduler_elsewhere(undisturbed: ResultFolder, sc
         (["--depth", "deep"], "depth must be one of time, model, got 'deep'"),
         (["--resume"], "--output must be given with --resume, got none"),
         (["--loop", "open"], "loop must be one of"),
+        (["--scenario", "ramp"], "scenario must be design, imbalance or worst_case in a campaign, got ramp"),
+        (["--designs", "no_such_folder"], "designs must hold k_fsm.json and k_pma.json, got no no_such_folder"),
     ],
 )
 def test_mistakes_are_one_line_before_work_begins(
@@ -146,6 +233,17 @@ def test_worker_with_other_parameters_is_refused(undisturbed: ResultFolder, tmp_
         pytest.raises(ValueError, match=r"worker tcp://.*: parameters must be 0123 as here, got [0-9a-f]{12}"),
     ):
         run_campaign(other, ResultFolder(tmp_path / "c"), client)
+
+
+def test_worker_that_joins_later_is_compared_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("los_testbed.campaign.execution._check_workers", lambda *_: None)
+    other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "version": "9"})
+    folder = ResultFolder(tmp_path / "c")
+    message = r"a worker has another installation: version must be 9 as here, got \S+; the rows so far are kept"
+    with cluster("", 1) as client, pytest.raises(RuntimeError, match=message):
+        run_campaign(other, folder, client, folder.open(other, False))
+    assert folder.parts() == []
 
 
 def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ def campaign(**changes: Any) -> Campaign:
 def rows(asked: Campaign, number: int, status: str = "ok") -> list[dict[str, Any]]:
     chunk = dict(asked.chunks())[number]
     values = dict.fromkeys(TIME_METRICS, 1.0)
-    return [finished_row(m["index"], m, {**values, "rpe_p997_mas": 1.0 + m["index"]}, status, "") for m in chunk]
+    return [finished_row(m["index"], m, {**values, "rpe_window_p997_mas": 1.0 + m["index"]}, status, "") for m in chunk]
 
 
 def test_chunks_hold_all_members_once() -> None:
@@ -92,6 +92,16 @@ def test_rows_come_back_in_order_and_partial_files_are_forgotten(tmp_path: Path)
     assert folder.rows_hash() != first and folder.table().num_rows == 23
 
 
+def test_parts_with_crashed_members_or_that_cannot_be_read_are_computed_again(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    asked, folder = campaign(), ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    for number, status in enumerate(("failed", "crashed", "ok")):
+        folder.write(number, rows(asked, number, status))
+    (folder.path / "rows" / "part-0000002.parquet").write_bytes(b"PAR1")
+    assert folder.open(asked, True) == {0}
+
+
 def test_summary_ranks_the_members(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     asked, folder = campaign(), ResultFolder(tmp_path / "c")
@@ -102,6 +112,12 @@ def test_summary_ranks_the_members(tmp_path: Path) -> None:
     summary = json.loads(json.dumps(campaign_summary(asked, folder, 3)))
     assert summary["status"] == {"diverged": 1, "ok": 22} and summary["members"] == 23
     assert [m["index"] for m in summary["worst"]] == [22, 21, 20]
-    assert summary["metrics"]["rpe_p997_mas"] == {"members": 23, "q0.5": 12.0, "q0.9": 20.8, "q0.99": 22.78, "q1": 23.0}
+    assert summary["metrics"]["rpe_window_p997_mas"] == {
+        "members": 23,
+        "q0.5": 12.0,
+        "q0.9": 20.8,
+        "q0.99": 22.78,
+        "q1": 23.0,
+    }
     assert "--duration 10 --loop fsm+pma --scenario worst_case" in summary["worst"][0]["command"]
     assert metric_table(summary).row_count == len(summary["metrics"])

@@ -68,6 +68,13 @@ def test_member_that_fails_is_a_row_with_its_reason(
     diverged = evaluator.row(5, member(0), "time")
     assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
 
+    def without_memory(*_: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate", without_memory)
+    crashed = evaluator.row(5, member(0), "time")
+    assert (crashed["status"], crashed["reason"]) == ("crashed", "no memory")
+
 
 def test_hash_of_a_row_sees_every_bit(evaluator: MemberEvaluator) -> None:
     row = evaluator.row(0, member(0), "time")

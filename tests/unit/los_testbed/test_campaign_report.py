@@ -93,11 +93,11 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, dic
         for _, chunk in asked.chunks():
             for member in chunk:
                 metrics = dict.fromkeys(DEPTHS["time"], 1.0)
-                metrics["rpe_p997_mas"] = 20.0 + 5.0 * member["tau"] + 1e-3 * member["wheel_speed_2"]
+                metrics["rpe_window_p997_mas"] = 20.0 + 5.0 * member["tau"] + 1e-3 * member["wheel_speed_2"]
                 rows.append(finished_row(member["index"], member, metrics, "ok", ""))
         folder.write(0, rows)
-        page = write_page(asked, folder, folder.path / "report.html")
-        made[count] = page, campaign_summary(asked, folder)
+        summary = campaign_summary(asked, folder)
+        made[count] = write_page(asked, folder, summary, folder.path / "report.html"), summary
     return made
 
 

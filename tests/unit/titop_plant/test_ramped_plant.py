@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import linalg
+from scipy.integrate import solve_ivp
 
 from lti import Port, StateSpace
 from titop_plant.disturbances import imbalance_tones, no_tones
-from titop_plant.interface import DT
-from titop_plant.plant_config import motion, parameter_values
+from titop_plant.interface import COMMANDS, DT
+from titop_plant.plant_config import motion, parameter_values, values_along
 from titop_plant.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.sampled_plant import SampledPlant, SensorModel
@@ -52,6 +53,31 @@ def test_a_wheel_crosses_the_mode_near_400_as_with_ten_times_finer_integration()
     peak = np.abs(fine).max()
     assert np.abs(usual - fine).max() < 5e-3 * peak
     np.testing.assert_array_equal(usual, line_of_sight(build_plant(CROSSING), 1200))
+
+
+@pytest.mark.slow
+def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> None:
+    """The linear time-varying equations by an explicit Runge-Kutta method of order 8, with step control."""
+    crossing = replace(CROSSING, wheel_speed=(398.0, *CROSSING.wheel_speed[1:]), ramp_duration=0.5)
+    family, plant = PlantFamily.of(crossing), build_plant(crossing)
+    assert isinstance(plant, RampedPlant)
+    profile, tones = motion(crossing, family.parameters), plant._moving
+
+    def system(time: float) -> tuple[StateSpace, np.ndarray]:
+        data = family.control_loop.data_at(values_along(crossing, profile, time))
+        return data, (tones.unit.amplitude @ tones.phasors(time)).imag
+
+    def slope(time: float, state: np.ndarray) -> np.ndarray:
+        data, disturbance = system(time)
+        return np.asarray(data.A @ state + data.B[:, COMMANDS:] @ disturbance)
+
+    times = 1e-3 * np.arange(500)
+    found = solve_ivp(slope, (0.0, times[-1]), plant.state, method="DOP853", t_eval=times, rtol=1e-7, atol=1e-13)
+    expected = np.empty((500, 2))
+    for row, time, state in zip(expected, times, found.y.T):
+        data, disturbance = system(time)
+        row[:] = data.C[-2:] @ state + data.D[-2:, COMMANDS:] @ disturbance
+    assert np.abs(line_of_sight(plant, 500) - expected).max() < 5e-3 * np.abs(expected).max()
 
 
 def gyroscope(speed: float, stiffness: float) -> StateSpace:
@@ -177,3 +203,20 @@ def test_modes_of_the_report_are_those_of_the_telescope() -> None:
     near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
     assert near_400 and all(np.abs(poles.imag - w).min() < 0.1 for w in near_400)
     assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
+    first, *_, last = plant.motion["modes_over_time"]
+    assert first == [0.0, *plant.motion["modes"]] and last[0] == pytest.approx(0.01) and len(last) == len(first)
+
+
+def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
+    """Gyroscopic: two hundred rad/s more of a wheel move some modes, as they do at constant speed."""
+    ramp = replace(CROSSING, wheel_acceleration=(100.0, 0.0, 0.0, 0.0), ramp_duration=2.0)
+    plant, family = build_plant(ramp), PlantFamily.of(ramp)
+    assert isinstance(plant, RampedPlant)
+    for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
+        values = values_along(ramp, motion(ramp, family.parameters), row[0])
+        poles = linalg.eigvals(family.control_loop.data_at(values).A)
+        light = np.sort(poles.imag[(poles.imag > 0.0) & (-poles.real < 0.1 * np.abs(poles)) & (poles.imag < 2500.0)])
+        found = np.array([w for w in row[1:] if w < 2500.0])
+        np.testing.assert_allclose(found[:40], light[:40], rtol=1e-4)
+    moved = np.abs(np.array(plant.motion["modes_over_time"][-1][1:41]) - plant.motion["modes"][:40])
+    assert moved.max() > 0.05

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.campaign.adversarial import adversarial_members
-from los_testbed.campaign.member import DEPTHS
+from los_testbed.campaign.member import CRASHED, DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
@@ -70,11 +70,13 @@ class Campaign:
         Raises
         ------
         ValueError
-            An unknown depth; a camera rate that the depth model does not have; what
-            :func:`los_testbed.campaign.sampling.members` refuses.
+            An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not
+            have; what :func:`los_testbed.campaign.sampling.members` refuses.
         """
         if depth not in DEPTHS:
             raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
+        if base.scenario == "ramp":
+            raise ValueError("scenario must be design, imbalance or worst_case in a campaign, got ramp")
         if depth == "model" and base.frame_ticks != FRAME_TICKS:
             raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
         if sampling == "adversarial":
@@ -131,7 +133,7 @@ class ResultFolder:
         self.path = path
 
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
-        """Make the folder, or go on in it; the chunks that are there already.
+        """Make the folder, or go on in it; the chunks that are there already, those without crashed members.
 
         Raises
         ------
@@ -154,7 +156,7 @@ class ResultFolder:
         (self.path / ROWS).mkdir(exist_ok=True)
         for left in (self.path / ROWS).glob("*.partial"):
             left.unlink()
-        return frozenset(int(file.stem.split("-")[1]) for file in self.parts())
+        return frozenset(int(file.stem.split("-")[1]) for file in self.parts() if not _crashed(file))
 
     def parts(self) -> list[Path]:
         """Files of rows, in the order of the members."""
@@ -202,6 +204,17 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")
     return content
+
+
+def _crashed(part: Path) -> bool:
+    """Whether a part is to be computed again: a member ended its worker, or the file cannot be read."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        return CRASHED in pyarrow.parquet.read_table(part, columns=["status"]).column("status").to_pylist()
+    except (OSError, KeyError, pyarrow.ArrowInvalid):
+        return True
 
 
 def _write_whole(path: Path, content: bytes) -> None:

@@ -9,7 +9,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from functools import lru_cache
 from pathlib import Path
@@ -19,13 +20,22 @@ import numpy as np
 
 from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.member import DEPTHS, MemberEvaluator, finished_row
+from los_testbed.campaign.member import CRASHED, DEPTHS, MemberEvaluator, finished_row
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
 """Seconds to reach a scheduler."""
+
+POLL, LOOK = 0.02, 5.0
+"""Seconds between looks for finished chunks, and for workers."""
+
+PATIENCE = 120.0
+"""Seconds that a campaign waits for a worker where there is none any more."""
+
+CRASHES = 3
+"""Members in a row that end their workers, each alone, after which the workers are at fault and not the members."""
 
 FILES = ("k_fsm", "k_pma", "parameters")
 """Settings that are files; their content travels with the campaign, so that workers need nothing but the package."""
@@ -48,6 +58,10 @@ def identity(base: RunConfig) -> dict[str, str]:
         "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
         **controllers,
     }
+
+
+class WorkerMismatchError(RuntimeError):
+    """A worker has another version of the package, other parameters or controllers."""
 
 
 @contextlib.contextmanager
@@ -124,7 +138,7 @@ def run_campaign(
     """
     from distributed import as_completed
 
-    content = _portable(campaign.base)
+    content = _portable(campaign.base, campaign.identity)
     _check_workers(campaign, client, content)
     waiting = campaign.chunks(done)
     known: dict[Any, tuple[int, list[dict[str, Any]]]] = {}
@@ -139,26 +153,62 @@ def run_campaign(
     slots = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
     pending = as_completed([future for future in (submit() for _ in range(slots)) if future is not None])
     try:
-        for future in pending:
-            number, members = known.pop(future)
-            if future.status == "cancelled":
-                raise CancelledError("tasks were cancelled")
-            rows = future.result() if future.status == "finished" else _one_by_one(client, content, members, campaign)
-            _written(folder, number, rows)
-            progress(len(rows))
-            following = submit()
-            if following is not None:
-                pending.add(following)
+        while not pending.is_empty():
+            for future in _finished(pending, client):
+                number, members = known.pop(future)
+                rows = _rows(client, future, content, members, campaign)
+                _written(folder, number, rows)
+                progress(len(rows))
+                following = submit()
+                if following is not None:
+                    pending.add(following)
     except (CancelledError, TimeoutError, OSError) as error:
-        text = " ".join(str(error).split())
-        raise RuntimeError(f"the scheduler was lost, the rows so far are kept; go on with --resume ({text})") from None
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise RuntimeError(f"the scheduler was lost, {KEPT} ({text})") from None
+    except WorkerMismatchError as error:
+        raise RuntimeError(f"{error}; {KEPT}") from None
+
+
+KEPT = "the rows so far are kept; go on with --resume"
+
+
+def _finished(pending: Any, client: Any) -> Any:
+    """Futures that are done, waited for; never without a worker for longer than :data:`PATIENCE`."""
+    looked = seen = time.monotonic()
+    while not pending.has_ready():
+        time.sleep(POLL)
+        now = time.monotonic()
+        if client.status == "closed":
+            raise CancelledError("the client was closed")
+        if now - looked > LOOK:
+            looked = now
+            if client.status != "running" or client.scheduler_info(n_workers=-1)["workers"]:
+                seen = now
+            if now - seen > PATIENCE:
+                raise RuntimeError(f"no worker is left since {PATIENCE:g} s, {KEPT}")
+    return pending.next_batch(block=False)
+
+
+def _rows(
+    client: Any, future: Any, content: str, members: list[dict[str, Any]], campaign: Campaign
+) -> list[dict[str, Any]]:
+    """Rows of a chunk that is done; member by member where it failed."""
+    if future.status == "finished":
+        found: list[dict[str, Any]] = future.result()
+        return found
+    if future.status in ("cancelled", "lost"):
+        raise CancelledError("tasks were cancelled")
+    error = future.exception()
+    if isinstance(error, WorkerMismatchError):
+        raise error
+    return _one_by_one(client, content, members, campaign)
 
 
 def _written(folder: ResultFolder, number: int, rows: list[dict[str, Any]]) -> None:
     try:
         folder.write(number, rows)
     except OSError as error:
-        raise RuntimeError(f"rows cannot be written to {folder.path}: {error.strerror}; go on with --resume") from None
+        raise RuntimeError(f"rows cannot be written to {folder.path}: {error.strerror}, {KEPT}") from None
 
 
 def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> list[dict[str, Any]]:
@@ -168,16 +218,33 @@ def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> l
 
 
 def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campaign: Campaign) -> list[dict[str, Any]]:
-    """Rows of a chunk that ended its workers: each member alone, and a row with the reason for the one that does it."""
+    """Rows of a chunk that ended its workers: each member alone, and a row with the reason for the one that does it.
+
+    Raises
+    ------
+    RuntimeError
+        Several in a row do it: it is the workers, which have too little memory, say, and not the members.
+    """
     rows: list[dict[str, Any]] = []
+    crashes = 0
     for member in members:
         future = client.submit(evaluate_chunk, content, [member], campaign.depth, pure=False)
         error = future.exception()
+        if isinstance(error, (WorkerMismatchError, CancelledError)):
+            raise error
         if error is None:
             rows += future.result()
-        else:
-            nothing = dict.fromkeys(DEPTHS[campaign.depth], float("nan"))
-            rows.append(finished_row(member["index"], member, nothing, "failed", type(error).__name__))
+            crashes = 0
+            continue
+        crashes += 1
+        if crashes == CRASHES:
+            raise RuntimeError(
+                f"{CRASHES} members in a row end their workers, the last of them {member['index']} "
+                f"({type(error).__name__}; too little memory?), {KEPT}"
+            )
+        nothing = dict.fromkeys(DEPTHS[campaign.depth], float("nan"))
+        reason = f"its worker ended: {type(error).__name__}"
+        rows.append(finished_row(member["index"], member, nothing, CRASHED, reason))
     return rows
 
 
@@ -186,9 +253,16 @@ def _check_workers(campaign: Campaign, client: Any, content: str) -> None:
         if isinstance(found, BaseException):
             reason = " ".join(str(found).split()) or type(found).__name__
             raise ValueError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
-        for key, value in campaign.identity.items():
-            if found.get(key) != value:
-                raise ValueError(f"worker {address}: {key} must be {value} as here, got {found.get(key)}")
+        if difference := _difference(campaign.identity, found):
+            raise ValueError(f"worker {address}: {difference}")
+
+
+def _difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+    """What a worker has that is not as here; empty for none."""
+    for key, value in here.items():
+        if there.get(key) != value:
+            return f"{key} must be {value} as here, got {there.get(key)}"
+    return ""
 
 
 def worker_identity(content: str) -> dict[str, str]:
@@ -196,10 +270,10 @@ def worker_identity(content: str) -> dict[str, str]:
     return identity(_base(content))
 
 
-def _portable(base: RunConfig) -> str:
-    """Configuration and content of its files as one text."""
+def _portable(base: RunConfig, here: Mapping[str, str]) -> str:
+    """Configuration, content of its files and identity of this process as one text."""
     files = {name: Path(path).read_text("utf-8") for name in FILES if (path := getattr(base, name))}
-    return json.dumps({"run": base.to_mapping(), "files": files}, sort_keys=True)
+    return json.dumps({"run": base.to_mapping(), "files": files, "identity": dict(here)}, sort_keys=True)
 
 
 def _worker_folder() -> str | None:
@@ -229,6 +303,9 @@ def _base(content: str) -> RunConfig:
 
 @lru_cache(maxsize=2)
 def _evaluator(content: str) -> MemberEvaluator:
+    """Evaluator of this process, which may have joined the cluster after the others were compared."""
+    if difference := _difference(json.loads(content)["identity"], worker_identity(content)):
+        raise WorkerMismatchError(f"a worker has another installation: {difference}")
     return MemberEvaluator.of(_base(content))
 
 

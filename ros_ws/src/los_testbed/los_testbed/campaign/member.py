@@ -41,6 +41,10 @@ TIME_METRICS = (
 """Metrics of the bag of the run; of the root mean squares in windows of 20 ms the largest and the 99.7 % quantile;
 independent samples that instants and windows weigh; shares of them above the limits."""
 
+CRASHED = "crashed"
+"""Status of a member that ended its process or for which there was no memory: another machine may do better, so a
+resumed campaign computes its part again."""
+
 DEPTHS = {"time": TIME_METRICS, "model": MODEL_METRICS}
 """Columns of metrics of a depth."""
 
@@ -99,7 +103,9 @@ class MemberEvaluator:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
             status, reason = "diverged", str(error)
-        except (ValueError, ArithmeticError, LinAlgError, MemoryError) as error:
+        except MemoryError as error:
+            status, reason = CRASHED, " ".join(str(error).split()) or "no memory"
+        except (ValueError, ArithmeticError, LinAlgError) as error:
             status, reason = "failed", " ".join(str(error).split()) or type(error).__name__
         return finished_row(index, values, metrics, status, reason)
 

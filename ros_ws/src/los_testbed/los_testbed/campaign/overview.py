@@ -12,11 +12,11 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, influences
 from los_testbed.campaign.member import DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
-from los_testbed.campaign.verdict import CampaignVerdict, verdicts
+from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, verdicts
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
-RANKED = {"time": "rpe_p997_mas", "model": "total_mas"}
-"""Metric by which the members of a depth are ranked."""
+RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
+"""Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
 
 
 def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
             **{f"q{q:g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in QUANTILES},
         }
     ranked = table.column(RANKED[campaign.depth]).to_numpy()
-    lost = np.array([s in ("unstable", "diverged") for s in table.column("status").to_pylist()])
+    lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     key = np.where(lost, np.inf, np.where(np.isnan(ranked), -np.inf, ranked))
     order = np.argsort(-key, kind="stable")[:worst]
     return {
@@ -59,8 +59,9 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
 
 
 def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
-    if campaign.depth != "time":
-        return []
+    if campaign.depth == "model":
+        total = table.column(RANKED["model"]).to_numpy()
+        return model_verdicts(total, table.column("status").to_pylist(), campaign.base.loop)
     columns = {name: table.column(name).to_numpy() for name in DEPTHS["time"]}
     found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop)
     return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]

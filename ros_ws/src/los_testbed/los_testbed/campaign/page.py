@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import yield_curve
-from los_testbed.campaign.overview import RANKED, campaign_summary
+from los_testbed.campaign.meanings import meaning
+from los_testbed.campaign.overview import RANKED
 from los_testbed.campaign.sampling import COLUMNS, box
+from los_testbed.campaign.verdict import LOST
 from pointing_analysis.atomic_output import write_text
 from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
 
@@ -25,7 +27,7 @@ BINS, CELLS, LEVELS = 40, 16, 200
 MAPS = 3
 
 
-def write_page(campaign: Campaign, folder: ResultFolder, path: Path, worst: int = 5) -> Path:
+def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any], path: Path) -> Path:
     """Write the page of a campaign.
 
     Parameters
@@ -33,15 +35,14 @@ def write_page(campaign: Campaign, folder: ResultFolder, path: Path, worst: int 
     campaign : Campaign
     folder : ResultFolder
         With rows.
+    summary : dict
+        Of :func:`los_testbed.campaign.overview.campaign_summary`.
     path : Path
         An existing file is replaced.
-    worst : int
-        Members that are listed.
     """
-    summary = campaign_summary(campaign, folder, worst)
     table = folder.table([*COLUMNS, RANKED[campaign.depth], "status"])
     metric = table.column(RANKED[campaign.depth]).to_numpy()
-    lost = np.array([s in ("unstable", "diverged") for s in table.column("status").to_pylist()])
+    lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     metric = np.where(lost, np.inf, metric)
     points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
     known = ~np.isnan(metric)
@@ -51,6 +52,7 @@ def write_page(campaign: Campaign, folder: ResultFolder, path: Path, worst: int 
     )
     text = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         summary=summary,
+        meaning=meaning,
         manifest=campaign.manifest(),
         quantiles=("median", "90 %", "99 %", "largest"),
         pictures=[
@@ -71,7 +73,8 @@ def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray, c
     if not finite.size:
         return []
     name = summary["ranked_by"]
-    limits = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
+    given = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
+    limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
     ranges = box(campaign.base.parameters)
     first = [entry["parameter"] for entry in summary["influence"]] or list(COLUMNS)
     pairs = [(first[0], first[1]), (first[0], first[2]), (first[1], first[2])][:MAPS]
@@ -96,7 +99,8 @@ def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Pic
 
 def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
     finite = metric[np.isfinite(metric)]
-    levels = np.asarray(np.linspace(0.0, 1.1 * max([float(finite.max()), *limits]), LEVELS), dtype=float)
+    ends = np.array([finite.min(), finite.max(), *limits])
+    levels = np.asarray(np.linspace(0.99 * ends.min(), 1.01 * ends.max(), LEVELS), dtype=float)
     share, bound = yield_curve(metric, levels)
 
     def draw(figure: Figure) -> None:

@@ -125,6 +125,24 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
     return found
 
 
+def model_verdicts(total: FloatArray, status: Sequence[str], loop: str) -> list[CampaignVerdict]:
+    """Verdicts of a campaign at depth model: each member keeps the limit with its worst tone and its noise.
+
+    Parameters
+    ----------
+    total : ndarray, shape (members,)
+        What 99.7 % of the windows keep [mas].
+    status, loop
+        As in :func:`verdicts`.
+    """
+    lost = np.array([s in LOST for s in status])
+    keep = lost | np.array([s == "ok" for s in status])
+    if not keep.any():
+        return []
+    own = np.where(lost, np.inf, total)[keep]
+    return [_temporal(r, r.limit / RAD_PER_MAS, "mas", own) for r in judged(loop) if r.index == "RPE"]
+
+
 def _quantile(values: FloatArray, requirement: Requirement, mean: bool = False) -> float:
     if mean:
         return float(np.mean(values))

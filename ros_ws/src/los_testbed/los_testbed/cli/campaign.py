@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -50,6 +51,7 @@ def campaign(
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
     k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
     k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
+    designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
     scheduler: Annotated[str, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask scheduler.")] = "",
     workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.", min=0)] = 0,
@@ -65,13 +67,13 @@ def campaign(
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
+    from los_testbed.variants import of_designs
 
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
-    base = RunConfig(
-        mode="inprocess", scenario=scenario, loop=loop, duration=duration, k_fsm=k_fsm, k_pma=k_pma,
-        parameters=parameters,
-    )  # fmt: skip
+    files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
+    settings: dict[str, Any] = {**of_designs(designs), **{name: value for name, value in files.items() if value}}
+    base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
     for warning in check_controllers(base):
         sys.stderr.write(f"warning: {warning}\n")
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
@@ -81,17 +83,19 @@ def campaign(
         done = folder.open(asked, resume)
         console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         with Progress("members") as bar:
-            finished = _count(asked, done)
+            before = finished = _count(asked, done)
+            start = time.monotonic()
 
             def progress(members: int) -> None:
                 nonlocal finished
                 finished += members
-                bar.report(finished, asked.samples)
+                rate = (finished - before) / max(time.monotonic() - start, 1e-9)
+                bar.report(finished, asked.samples, what=f"members, {rate:.3g} a second")
 
             run_campaign(asked, folder, client, done, progress)
     summary = campaign_summary(asked, folder, max(keep, 5))
     summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
-    summary["report"] = str(write_page(asked, folder, folder.path / "report.html", max(keep, 5)))
+    summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))
     console.print(metric_table(summary))
     if summary["verdicts"]:
         console.print(verdict_table(summary))
@@ -110,13 +114,15 @@ def _count(asked: Campaign, done: frozenset[int]) -> int:
 
 def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:
     """Run members again and record them; their bags."""
-    from los_testbed.campaign.sampling import settings
+    from los_testbed.campaign.sampling import COLUMNS, settings
     from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 
-    rows = folder.table().to_pylist() if worst else []
+    if not worst:
+        return []
+    rows = folder.table(["index", "seed", *COLUMNS])
     bags = []
     for member in worst:
-        row = next(row for row in rows if row["index"] == member["index"])
+        row = rows.slice(member["index"], 1).to_pylist()[0]
         bag = folder.path / "bags" / f"member-{row['index']:07d}"
         if not bag.exists():
             config: RunConfig = replace(asked.base, **settings(row))

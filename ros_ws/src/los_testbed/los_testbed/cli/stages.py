@@ -35,6 +35,8 @@ parameters and tones. Writes stages.md, stages.json and one report per scenario.
 
     los-testbed stages --scenario design --samples 1 --no-parts
 
+    los-testbed stages --case spin_up                        # all wheels from 30 to 1000 rad/s; --no-parts is shorter
+
     los-testbed stages --k-fsm my_observer.json --duration 30
 
     los-testbed stages --mode realtime --samples 1 --no-parts     # on ROS 2, in real time
@@ -42,9 +44,14 @@ parameters and tones. Writes stages.md, stages.json and one report per scenario.
 
 
 def stages(
-    scenario: Annotated[str, typer.Option(help="worst_case, imbalance, both of them, or design.")] = "both",
-    samples: Annotated[int, typer.Option(help="Telescopes: the nominal one and random members.", min=1, max=100)] = 3,
-    duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
+    scenario: Annotated[
+        str | None, typer.Option(help="worst_case, imbalance, both of them, or design; default: the case's, or both.")
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1.", min=1, max=100),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of each run [s]; 10, or the case's.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
     k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
@@ -52,6 +59,8 @@ def stages(
     designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
     camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+    case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
+    cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
     output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
@@ -63,14 +72,16 @@ def stages(
     from los_testbed.factories import check_controllers
     from los_testbed.run.runner import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, Plan, perform
-    from los_testbed.variants import of_designs
+    from los_testbed.variants import chosen_member, layered, of_designs
     from titop_plant.interface import SCENARIOS
 
+    given = {"duration": duration, "scenario": scenario, "k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
+    stated = {name: value for name, value in given.items() if value}
+    settings = layered(of_designs(designs), chosen_member(case, cases, None, {}, {})[0], stated)
+    scenario = settings.pop("scenario", "both")
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
-    files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
-    settings = {**of_designs(designs), **{name: value for name, value in files.items() if value}}
-    base = RunConfig(duration=duration, seed=seed, mode=mode, camera_rate=camera_rate, **settings)
+    base = RunConfig.from_mapping({"seed": seed, "mode": mode, "camera_rate": camera_rate, **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
     for warning in check_controllers(base):
@@ -78,7 +89,8 @@ def stages(
     if mode != "inprocess":
         check_ros()
     chosen = COMPARED if scenario == "both" else (scenario,)
-    plan = Plan(base, folder, chosen, samples, tuple(PARTS) if parts else ("all",), keep, designs)
+    count = samples or (1 if case else 3)
+    plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs)
     console = Console(stderr=json_)
     with Progress("stages") as bar:
         runs = plan.runs()

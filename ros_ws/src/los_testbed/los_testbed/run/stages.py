@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from los_design.tone_model import ToneResponse, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files, tone_model
+from los_testbed.factories import controller_files, plant_config, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.worst_case_rows import WORST_INDICES, WorstTone, worst_tone_of
@@ -38,7 +38,9 @@ WORST = SCENARIOS[0]
 PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, False)}
 """Parts of the error: whether there is noise and whether there is a disturbance."""
 
-COMPARED = tuple(name for name in SCENARIOS if name not in ("design", "ramp"))
+MOVING = "ramp"
+
+COMPARED = tuple(name for name in SCENARIOS if name not in ("design", MOVING))
 """Scenarios of a comparison, where none is named."""
 
 REPORTED = "fast"
@@ -209,10 +211,15 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     Raises
     ------
     ValueError
-        A folder that exists, a telescope outside its family, a file that is no controller.
+        A folder that exists, a telescope outside its family, a file that is no controller, several telescopes or no
+        ramp in the scenario ramp.
     """
+    if MOVING in plan.scenarios and plan.samples > 1:
+        raise ValueError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
     for config in plan.members().values():
         check_ranges(config)
+        if MOVING in plan.scenarios:
+            plant_config(replace(config, scenario=MOVING))
     plan.folder.mkdir(parents=True)
     results = []
     for run in plan.runs():
@@ -243,7 +250,7 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     opened = Run.open(bag)
     summary: Summary = summarise(opened, requirements=())
     values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_windows_p997)
-    alone = run.part == "disturbance" and not run.config.ramp_duration
+    alone = run.part == "disturbance" and run.scenario != MOVING and not run.config.ramp_duration
     tones = tone_responses(opened, tone_model(run.config)) if alone else ()
     kept = bag if plan.keep or run.reported else None
     worst = worst_tone_of(opened) if alone and run.scenario == WORST else None

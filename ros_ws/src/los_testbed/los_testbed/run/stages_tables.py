@@ -112,8 +112,8 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
                 table.add_row(*row)
             if chosen:
                 yield table
-        if "disturbance" in plan.parts:
-            found, total = tone_rows(results, scenario)
+        found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
+        if found:
             yield _plain_table(
                 ("Hz", *STAGES),
                 found,
@@ -165,8 +165,8 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
             continue
         lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
         lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
-        if "disturbance" in plan.parts:
-            found, total = tone_rows(results, scenario)
+        found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
+        if found:
             lines += [
                 "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
                 f"when settled, where it differs), {_of(found, total)}:",
