@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -132,27 +133,29 @@ def messages(data: bytes) -> dict[Key, Content]:
     return {(c.topic, m.sequence): (m.log_time, m.publish_time, m.data) for _, c, m in found}
 
 
-def others_get(data: bytes, original: dict[Key, Content]) -> int:
-    """Messages equal to the original's that the mcap package gets, by its seeking or its streaming reader."""
-    seeking, streaming = set(), set()
-    try:
+def others_find(data: bytes, original: dict[Key, Content]) -> tuple[set[Key], set[Key]]:
+    """Messages equal to the original's that the mcap package gets: by its seeking and by its streaming reader."""
+    seeking: set[Key] = set()
+    streaming: set[Key] = set()
+    with contextlib.suppress(Exception):  # whatever a reader of others raises on a damaged file
         for _, channel, message in make_reader(io.BytesIO(data)).iter_messages():
             _keep(seeking, channel.topic, message, original)
-    except Exception:  # whatever a reader of others raises on a damaged file
-        seeking.add(None)
     channels: dict[int, str] = {}
-    try:
+    with contextlib.suppress(Exception):
         for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, Message):
                 _keep(streaming, channels.get(record.channel_id, ""), record, original)
-    except Exception:
-        streaming.add(None)
-    return max(len(seeking - {None}), len(streaming - {None}))
+    return seeking, streaming
 
 
-def _keep(found: set[Key | None], topic: str, message: Message, original: dict[Key, Content]) -> None:
+def others_get(data: bytes, original: dict[Key, Content]) -> int:
+    """How many messages the better of the two readers gets."""
+    return max(map(len, others_find(data, original)))
+
+
+def _keep(found: set[Key], topic: str, message: Message, original: dict[Key, Content]) -> None:
     key = (topic, message.sequence)
     if original.get(key) == (message.log_time, message.publish_time, message.data):
         found.add(key)
