@@ -37,6 +37,24 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d{1,18})", path.name)]
 
 
+def is_single_file(path: Path) -> bool:
+    """Whether a bag is one file; False if it is a folder.
+
+    Raises
+    ------
+    BagError
+        Neither, or a name that no file can have.
+    """
+    try:
+        if not path.exists():
+            raise BagError(f"{path}: no such bag")
+    except OSError as error:
+        raise BagError(f"{str(path)[:80]}: no such bag: {error.strerror}") from None
+    if not (path.is_file() or path.is_dir()):
+        raise BagError(f"{path}: a bag must be a folder or a file, got a device, a pipe or a socket")
+    return path.is_file()
+
+
 def bag_files(path: Path) -> BagFiles:
     """Files of a bag in order.
 
@@ -45,9 +63,7 @@ def bag_files(path: Path) -> BagFiles:
     BagError
         No such bag, no MCAP file in it, or sqlite3.
     """
-    if not path.exists():
-        raise BagError(f"{path}: no such bag")
-    if path.is_file():
+    if is_single_file(path):
         return BagFiles((path,), False, {}, ())
     on_disk = sorted((f for f in path.iterdir() if _FILE.search(f.name) and f.is_file()), key=_natural)
     info, problems = _description(path)

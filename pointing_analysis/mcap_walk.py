@@ -19,7 +19,6 @@ from pointing_analysis.mcap_chunks import block_of, index_times, take_apart, unp
 from pointing_analysis.mcap_framing import Frame, Framing
 from pointing_analysis.mcap_records import (
     MAGIC,
-    NAMES,
     OP_CHANNEL,
     OP_CHUNK,
     OP_DATA_END,
@@ -35,6 +34,7 @@ from pointing_analysis.mcap_records import (
     FileInfo,
     LostChunk,
     read_side_record,
+    with_article,
 )
 from pointing_analysis.mcap_summary import Summary, read_summary
 
@@ -87,7 +87,7 @@ class _Walk:
 
     def _defect(self, frame: Frame) -> None:
         if frame.defect and frame.whole:
-            self.info.note(self.where, frame.at, f"a {NAMES.get(frame.op, 'record')}: {frame.defect}")
+            self.info.note(self.where, frame.at, f"{with_article(frame.op)}: {frame.defect}")
 
     def _record(self, frame: Frame) -> Iterator[Block]:
         op = frame.op
@@ -125,8 +125,8 @@ class _Walk:
 
     def _cut_off(self, frame: Frame) -> Iterator[Block]:
         """The last record of a file that ends inside it."""
-        what = f"a {NAMES[frame.op]}" if frame.op in NAMES else "a record"
-        self.info.problems.append(f"{self.where}: the file ends inside {what}: the recording was cut off")
+        what = f"{self.where}: the file ends inside {with_article(frame.op)}"
+        self.info.problems.append(f"{what}: the recording was cut off")
         if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
             self.chunk = (frame, self._body(frame))
             yield from self._flush_chunk()

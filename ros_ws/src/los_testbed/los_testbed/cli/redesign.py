@@ -14,6 +14,7 @@ from rich.table import Table
 
 from los_testbed.cli.output import Json, print_json
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from lti.ordinary_file import read_ordinary_file
 from lti.progress import Progress
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
@@ -125,7 +126,7 @@ def _worst(folder: Path) -> list[dict[str, float]]:
     path = folder / WORST_POINTS
     if not path.exists():
         return []
-    stages = json.loads(path.read_text("utf-8"))["stages"]
+    stages = json.loads(read_ordinary_file(path))["stages"]
     return [dict(point["parameters"]) for stage in MIRROR_STAGES for point in stages[stage].values()]
 
 
