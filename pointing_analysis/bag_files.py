@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pointing_analysis.atomic_output import MAX_NAME
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.structured_text import StructuredTextError, load_yaml, read_text
 
@@ -101,8 +102,14 @@ def _named(path: Path, info: Mapping[str, Any], problems: list[str]) -> list[Pat
     if not isinstance(names, list) or not all(isinstance(name, str) and name and "\0" not in name for name in names):
         problems.append(f"metadata.yaml: relative_file_paths must be a list of file names: {NAME_ORDER}")
         return []
-    inside = [name for name in names if Path(name).name == name and not (path / name).is_symlink()]
-    if len(inside) < len(names):
+    unique = list(dict.fromkeys(names))
+    if len(unique) < len(names):
+        problems.append("metadata.yaml names a file more than once: it is read once")
+    possible = [name for name in unique if len(name.encode(errors="replace")) <= MAX_NAME and name.isprintable()]
+    if len(possible) < len(unique):
+        problems.append("metadata.yaml names files with names that no file can have: they are left out")
+    inside = [name for name in possible if Path(name).name == name and not (path / name).is_symlink()]
+    if len(inside) < len(possible):
         problems.append("metadata.yaml names files outside the folder of the bag: they are left out")
     return [path / name for name in inside if not (path / name).is_dir()]
 

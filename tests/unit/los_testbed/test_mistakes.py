@@ -64,7 +64,8 @@ def one_line(err: str) -> bool:
         {"relative_file_paths": [["bag_0.mcap"]]}, {"relative_file_paths": {"a": 1}}, {"compression_mode": [1]},
         {"topics_with_message_count": 7}, {"topics_with_message_count": [{"topic_metadata": None}]},
         {"relative_file_paths": ["../outside.mcap"]}, {"relative_file_paths": ["/etc/passwd"]},
-        {"relative_file_paths": ["a\0b"]},
+        {"relative_file_paths": ["a\0b"]}, {"relative_file_paths": ["x" * 300]}, {"relative_file_paths": ["\ud800"]},
+        {"relative_file_paths": ["bag_0.mcap", "bag_0.mcap"]}, {"relative_file_paths": ["."]},
     ],
     ids=str,
 )  # fmt: skip
