@@ -92,7 +92,8 @@ class _Numbers:
 
 
 def _numbered(infos: Sequence[FileInfo]) -> bool:
-    return len(infos) == 1 and infos[0].library.startswith(NUMBERED)
+    """Whether the messages are numbered: by the header, or, where that is lost, by manifests, which no other writes."""
+    return len(infos) == 1 and (infos[0].library.startswith(NUMBERED) or bool(infos[0].expected))
 
 
 def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from fuzz.mutations import records
+from fuzz.mutations import messages, records
 from los_testbed.bags.repair import repair_bag
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
@@ -111,6 +112,23 @@ def test_metadata_alone_is_no_repaired_bag(bag: Path) -> None:
     with pytest.raises(BagError, match="got none of the 20125 that were recorded"):
         repair_bag(bag, bag.parent / "new")
     assert not (bag.parent / "new").exists()
+
+
+def test_without_a_header_a_chunk_that_stands_twice_does_not_hide_the_loss_of_another(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    found = records(data)
+    first, second = [place for place in found if data[place[0]] == OP_CHUNK][:2]
+    middle = (first[0] + first[1]) // 2
+    damaged = data[:middle] + bytes(2000) + data[middle + 2000 :]
+    (header, behind), (begin, end) = found[0], second
+    file.write_bytes(damaged[:header] + damaged[behind:end] + damaged[begin:end] + damaged[end:])
+    result = repair_bag(bag, bag.parent / "new")
+    left = messages((bag.parent / "new" / "new_0.mcap").read_bytes())
+    missing = Counter(topic for topic, _ in messages(data).keys() - left.keys())
+    assert missing["/telescope/pma/command"] == 1000
+    assert {loss.topic: loss.missing for loss in result.losses} == missing
+    assert [loss.missing for loss in Run.open(bag).losses] == [loss.missing for loss in result.losses]
 
 
 def test_a_chunk_that_stands_twice_is_told(bag: Path) -> None:
