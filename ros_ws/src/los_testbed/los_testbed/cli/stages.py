@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from los_testbed.run.screen import say
 from lti.progress import Progress
 from pointing_analysis.atomic_output import write_text
@@ -43,7 +43,7 @@ parameters and tones. Writes stages.md, stages.json and one report per scenario.
 
 def stages(
     scenario: Annotated[str, typer.Option(help="worst_case, imbalance, both of them, or design.")] = "both",
-    samples: Annotated[int, typer.Option(help="Telescopes: the nominal one and random members.", min=1, max=100)] = 3,
+    samples: Annotated[int, typer.Option(help="Telescopes: the nominal one and random members.")] = 3,
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
@@ -66,6 +66,7 @@ def stages(
     from los_testbed.variants import of_designs
     from titop_plant.interface import SCENARIOS
 
+    number("--samples", samples, 1, 100)
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
     files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
@@ -82,10 +83,10 @@ def stages(
     console = Console(stderr=json_)
     with Progress("stages") as bar:
         runs = plan.runs()
-        number = {run.name: i for i, run in enumerate(runs)}
+        index = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:
-            bar.report(number[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
+            bar.report(index[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
 
         results = perform(plan, progress)
     content = _write(console, results, plan)
