@@ -105,6 +105,8 @@ def _swap_records(good: bytes, m: Mutation) -> bytes:
 
 def _other_length(good: bytes, m: Mutation) -> bytes:
     begin, _ = _record(good, m.place)
+    if begin == len(good):
+        return good  # an earlier mutation has left nothing
     head = RECORD.pack(good[begin], int.from_bytes(m.data[:8].ljust(8, b"\0"), "little"))
     return good[:begin] + head + good[begin + RECORD.size :]
 
