@@ -17,7 +17,7 @@ from los_testbed.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.atomic_output import write_text
-from pointing_analysis.mcap_records import OP_CHUNK, BagError
+from pointing_analysis.mcap_records import OP_CHUNK, OP_DATA_END, OP_FOOTER, BagError
 from pointing_analysis.read import Run
 
 Call = Callable[..., tuple[int, str, str]]
@@ -112,6 +112,19 @@ def test_metadata_alone_is_no_repaired_bag(bag: Path) -> None:
     with pytest.raises(BagError, match="got none of the 20125 that were recorded"):
         repair_bag(bag, bag.parent / "new")
     assert not (bag.parent / "new").exists()
+
+
+@pytest.mark.parametrize("op", [OP_DATA_END, OP_FOOTER])
+def test_an_end_of_the_data_in_front_of_the_data_ends_nothing(bag: Path, op: int) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    found = records(data)
+    (head, behind), (begin, end) = found[0], next(place for place in found if data[place[0]] == op)
+    file.write_bytes(data[:head] + data[begin:end] + data[behind:begin] + data[head:behind] + data[end:])
+    result = repair_bag(bag, bag.parent / "new")
+    assert messages((bag.parent / "new" / "new_0.mcap").read_bytes()) == messages(data)
+    assert not result.losses and any("in front of data" in problem for problem in result.problems)
+    assert len(Run.open(bag)["truth/los"]) == 2500
 
 
 def test_without_a_header_a_chunk_that_stands_twice_does_not_hide_the_loss_of_another(bag: Path) -> None:
