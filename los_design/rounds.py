@@ -22,6 +22,7 @@ from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
 from los_design.sampled_loop import sampled_loop
 from los_design.worst_points import Search, SearchOptions, WorstPoint
 from lti import SampledSystem
+from lti.ordinary_file import read_ordinary_file
 from pointing_analysis.atomic_output import write_text
 from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
 from titop_plant.interface import FRAME_TICKS
@@ -167,7 +168,7 @@ class _Progress:
     @classmethod
     def load(cls, path: Path, key: Mapping[str, Any]) -> _Progress | None:
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(read_ordinary_file(path))
             if content["key"] != dict(key):
                 return None
             points = [np.array(p, dtype=float) for p in content["points"]]

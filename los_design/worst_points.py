@@ -29,6 +29,7 @@ from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_gains
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
+from lti.ordinary_file import read_ordinary_file
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import BAND_EDGE
@@ -361,7 +362,7 @@ def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPo
     path = (folder or Path(__file__).parent) / "worst_points.json"
     if not path.exists():
         raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
-    content = json.loads(path.read_text(encoding="utf-8"))["stages"]
+    content = json.loads(read_ordinary_file(path))["stages"]
     return {
         stage: {name: WorstPoint.from_mapping(stage, name, values) for name, values in table.items()}
         for stage, table in content.items()

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from lti.ordinary_file import read_ordinary_file
 from lti.ports import FloatArray, Port, total_size
 from lti.state_space_model import StateSpace
 
@@ -164,7 +165,7 @@ class SampledSystem:
             The file cannot be read, is not of this format, or holds matrices that do not fit.
         """
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            content = json.loads(read_ordinary_file(path))
         except OSError as error:
             raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
         except ValueError:

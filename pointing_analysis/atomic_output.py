@@ -32,7 +32,8 @@ def check_output(path: Path, what: str, *, new: bool = False, folder: bool = Fal
     Raises
     ------
     ValueError
-        Another kind of file is there, its folder is missing or may not be written to, the name is too long.
+        Another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be written to, the
+        name is too long.
     """
     try:
         _check(Path(path), what, new, folder)
@@ -48,6 +49,7 @@ def _check(path: Path, what: str, new: bool, folder: bool) -> None:
             raise ValueError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
         if path.is_dir() != folder:
             raise ValueError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
+        _check_kind(path, what)
     parent = path.absolute().parent
     while folder and not parent.exists():
         parent = parent.parent
@@ -57,6 +59,12 @@ def _check(path: Path, what: str, new: bool, folder: bool) -> None:
         )
     if not os.access(parent, os.W_OK | os.X_OK):
         raise ValueError(f"{what} must be in a folder that may be written to, got {parent}")
+
+
+def _check_kind(path: Path, what: str) -> None:
+    """Refuse a device, a pipe, a socket: the renaming at the end would put a file in its place."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError(f"{what} must be an ordinary file, got {path}: a device, a pipe or a socket")
 
 
 def check_space(path: Path, size: float, what: str) -> None:
@@ -94,6 +102,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     >>> [file.name for file in folder.iterdir()]
     ['page.html']
     """
+    _check_kind(path, "an output")
     temporary = _temporary(path)
     try:
         yield temporary

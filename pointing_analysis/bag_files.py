@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pointing_analysis.atomic_output import MAX_NAME
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.structured_text import StructuredTextError, load_yaml, read_text
 
@@ -37,6 +38,24 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d{1,18})", path.name)]
 
 
+def is_single_file(path: Path) -> bool:
+    """Whether a bag is one file; False if it is a folder.
+
+    Raises
+    ------
+    BagError
+        Neither, or a name that no file can have.
+    """
+    try:
+        if not path.exists():
+            raise BagError(f"{path}: no such bag")
+    except OSError as error:
+        raise BagError(f"{str(path)[:80]}: no such bag: {error.strerror}") from None
+    if not (path.is_file() or path.is_dir()):
+        raise BagError(f"{path}: a bag must be a folder or a file, got a device, a pipe or a socket")
+    return path.is_file()
+
+
 def bag_files(path: Path) -> BagFiles:
     """Files of a bag in order.
 
@@ -45,9 +64,7 @@ def bag_files(path: Path) -> BagFiles:
     BagError
         No such bag, no MCAP file in it, or sqlite3.
     """
-    if not path.exists():
-        raise BagError(f"{path}: no such bag")
-    if path.is_file():
+    if is_single_file(path):
         return BagFiles((path,), False, {}, ())
     on_disk = sorted((f for f in path.iterdir() if _FILE.search(f.name) and f.is_file()), key=_natural)
     info, problems = _description(path)
@@ -85,8 +102,14 @@ def _named(path: Path, info: Mapping[str, Any], problems: list[str]) -> list[Pat
     if not isinstance(names, list) or not all(isinstance(name, str) and name and "\0" not in name for name in names):
         problems.append(f"metadata.yaml: relative_file_paths must be a list of file names: {NAME_ORDER}")
         return []
-    inside = [name for name in names if Path(name).name == name and not (path / name).is_symlink()]
-    if len(inside) < len(names):
+    unique = list(dict.fromkeys(names))
+    if len(unique) < len(names):
+        problems.append("metadata.yaml names a file more than once: it is read once")
+    possible = [name for name in unique if len(name.encode(errors="replace")) <= MAX_NAME and name.isprintable()]
+    if len(possible) < len(unique):
+        problems.append("metadata.yaml names files with names that no file can have: they are left out")
+    inside = [name for name in possible if Path(name).name == name and not (path / name).is_symlink()]
+    if len(inside) < len(possible):
         problems.append("metadata.yaml names files outside the folder of the bag: they are left out")
     return [path / name for name in inside if not (path / name).is_dir()]
 

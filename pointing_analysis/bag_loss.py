@@ -73,9 +73,14 @@ class _Numbers:
     pieces: list[list[int]] = field(default_factory=list)
     count: int = 0
 
+    @property
+    def incomplete(self) -> bool:
+        """Whether there were more pieces than are kept."""
+        return len(self.pieces) > MAX_PIECES
+
     def add(self, sequence: NDArray[np.int64], log: NDArray[np.int64]) -> None:
         self.count += len(sequence)
-        if len(self.pieces) > MAX_PIECES:
+        if self.incomplete:
             return
         edges = np.flatnonzero(np.diff(sequence) != 1) + 1
         for begin, end in zip(np.append(0, edges).tolist(), np.append(edges, len(sequence)).tolist()):
@@ -84,6 +89,11 @@ class _Numbers:
                 self.pieces[-1][1], self.pieces[-1][3] = row[1], row[3]
             else:
                 self.pieces.append(row)
+
+
+def _numbered(infos: Sequence[FileInfo]) -> bool:
+    """Whether the messages are numbered: by the header, or, where that is lost, by manifests, which no other writes."""
+    return len(infos) == 1 and (infos[0].library.startswith(NUMBERED) or bool(infos[0].expected))
 
 
 def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
@@ -124,15 +134,27 @@ class LossLedger:
         """
         origins = [e.first for info in infos for e in info.expected.values()]
         origin = min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
-        topics = {c.topic: None for info in infos for c in info.channels.values()}
+        # A file whose channels are lost: metadata.yaml names the topics.
+        topics = {c.topic: None for info in infos for c in info.channels.values()} | dict.fromkeys(counts)
         found = []
         for topic in topics:
-            numbered = len(infos) == 1 and infos[0].library.startswith(NUMBERED)
-            make = self._by_numbers if numbered else self._by_counts
+            make = self._by_numbers if _numbered(infos) else self._by_counts
             loss = make(topic, infos, counts, origin)
             if loss is not None and loss.missing > 0:
                 found.append(loss)
         return tuple(found)
+
+    def repeated(self, infos: Sequence[FileInfo]) -> dict[str, int]:
+        """Messages of each topic whose number was read before, in files that number them."""
+        found = {}
+        for topic, numbers in self._topics.items() if _numbered(infos) else ():
+            last = distinct = 0
+            for begin, end, _, _ in sorted(numbers.pieces):
+                distinct += max(end - max(begin - 1, last), 0)
+                last = max(last, end)
+            if numbers.count > distinct and not numbers.incomplete:
+                found[topic] = numbers.count - distinct
+        return found
 
     def inner_losses(self, infos: Sequence[FileInfo]) -> tuple[TopicLoss, ...]:
         """What is missing between the messages that were read, of a part of a bag."""
@@ -159,6 +181,9 @@ class LossLedger:
         elif topic in counts:
             total = max(total, counts[topic])
         total = max(total, _before_repair(infos).get(topic, 0))
+        if topic in self._topics and self._topics[topic].incomplete:
+            count = self._topics[topic].count
+            return TopicLoss(topic, count, max(total - count, 0), 0, 0, ())
         spans, number, time = [], 0, float("-inf")
         for first, last, log_first, log_last in pieces:
             if first > number + 1:

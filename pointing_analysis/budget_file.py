@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +22,7 @@ from pointing_analysis.budget_sources import ENSEMBLE, TIME, Source
 from pointing_analysis.errors import performance_error
 from pointing_analysis.los_source import open_los
 from pointing_analysis.requirement_text import ANGLES, Requirement, RequirementError, parse
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found]
+from pointing_analysis.structured_text import StructuredTextError, load_toml, read_text
 
 Floats = NDArray[np.float64]
 Entry = Mapping[str, Any]
@@ -92,11 +87,9 @@ def load_budget(path: str | os.PathLike[str], testbed: Testbed | None = None) ->
     """
     file = Path(path)
     try:
-        content = tomllib.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise BudgetError(f"{file}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BudgetError(f"{file}: must be TOML: {str(error).splitlines()[0]}") from None
+        content = load_toml(read_text(file), file)
+    except StructuredTextError as error:
+        raise BudgetError(str(error)) from None
     try:
         return _budget(content, file, testbed)
     except BudgetError:
@@ -215,7 +208,8 @@ class _Reader:
                 _, response = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
                 total = total * np.abs(response)
             elif isinstance(entry, dict) and set(entry) == {"file"}:
-                table = np.loadtxt(self.file.parent / str(entry["file"]), delimiter=",", ndmin=2)
+                lines = read_text(self.file.parent / str(entry["file"])).splitlines()
+                table = np.loadtxt(lines, delimiter=",", ndmin=2)
                 if table.shape[1] != 2 or np.any(np.diff(table[:, 0]) <= 0) or np.any(table <= 0):
                     raise self.wrong(path, "transfer file must have rising frequencies [Hz] and gains", table.shape)
                 total = total * np.exp(np.interp(np.log(np.maximum(hertz, 1e-300)), *np.log(table).T))

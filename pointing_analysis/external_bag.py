@@ -21,6 +21,7 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from pointing_analysis import ros_definitions
+from pointing_analysis.bag_files import is_single_file
 from pointing_analysis.mcap_records import BagError
 from pointing_analysis.series import Series, make_series
 
@@ -81,9 +82,7 @@ def mcap_files(path: Path) -> list[Path]:
     BagError
         No such bag, or no MCAP file in the folder.
     """
-    if not path.exists():
-        raise BagError(f"{path}: no such bag")
-    if path.is_file():
+    if is_single_file(path):
         return [path]
     files = sorted(f for f in path.iterdir() if f.name.endswith(SUFFIXES) and f.is_file())
     if not files:

@@ -232,9 +232,15 @@ NAMES = {
 """Names of the records for messages."""
 
 
+def with_article(op: int) -> str:
+    """Name of a record with its article, for sentences."""
+    name = NAMES.get(op, "record")
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
+
+
 def read_side_record(info: FileInfo, op: int, body: bytes, where: str, offset: int) -> None:
     """Read a record that is no message; a damaged one is noted and left out."""
     try:
         SIDE_RECORDS[op](info, body)
     except (struct.error, UnicodeDecodeError):
-        info.note(where, offset, f"a {NAMES[op]} is damaged and left out")
+        info.note(where, offset, f"{with_article(op)} is damaged and left out")

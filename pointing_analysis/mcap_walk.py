@@ -19,7 +19,7 @@ from pointing_analysis.mcap_chunks import block_of, index_times, take_apart, unp
 from pointing_analysis.mcap_framing import Frame, Framing
 from pointing_analysis.mcap_records import (
     MAGIC,
-    NAMES,
+    OP_ATTACHMENT,
     OP_CHANNEL,
     OP_CHUNK,
     OP_DATA_END,
@@ -27,7 +27,9 @@ from pointing_analysis.mcap_records import (
     OP_INDEX,
     OP_MANIFEST,
     OP_MESSAGE,
+    OP_METADATA,
     OP_SCHEMA,
+    OP_STATISTICS,
     RECORD,
     SIDE_RECORDS,
     BagError,
@@ -35,6 +37,7 @@ from pointing_analysis.mcap_records import (
     FileInfo,
     LostChunk,
     read_side_record,
+    with_article,
 )
 from pointing_analysis.mcap_summary import Summary, read_summary
 
@@ -68,6 +71,9 @@ class _Walk:
             if not frame.whole and not frame.op and not frame.defect:
                 break  # the magic number at the end
             if frame.op == OP_DATA_END or (frame.op == OP_FOOTER and frame.whole):
+                if self._data_after(frame):
+                    self.info.note(self.where, frame.at, "the end of the data stands in front of data")
+                    continue
                 self.info.finished = True
                 self._side_records_after(frame.end)
                 break
@@ -87,7 +93,7 @@ class _Walk:
 
     def _defect(self, frame: Frame) -> None:
         if frame.defect and frame.whole:
-            self.info.note(self.where, frame.at, f"a {NAMES.get(frame.op, 'record')}: {frame.defect}")
+            self.info.note(self.where, frame.at, f"{with_article(frame.op)}: {frame.defect}")
 
     def _record(self, frame: Frame) -> Iterator[Block]:
         op = frame.op
@@ -108,7 +114,7 @@ class _Walk:
             self.plain += RECORD.pack(op, frame.length) + self._body(frame)
             if len(self.plain) > PLAIN_BLOCK:
                 yield from self._flush_plain()
-        elif op in SIDE_RECORDS and frame.length <= self.info.max_chunk:
+        elif op in SIDE_RECORDS and op != OP_STATISTICS and frame.length <= self.info.max_chunk:
             read_side_record(self.info, op, self._body(frame), self.where, frame.at)
 
     def _times(self, frame: Frame) -> tuple[int, int]:
@@ -125,8 +131,8 @@ class _Walk:
 
     def _cut_off(self, frame: Frame) -> Iterator[Block]:
         """The last record of a file that ends inside it."""
-        what = f"a {NAMES[frame.op]}" if frame.op in NAMES else "a record"
-        self.info.problems.append(f"{self.where}: the file ends inside {what}: the recording was cut off")
+        what = f"{self.where}: the file ends inside {with_article(frame.op)}"
+        self.info.problems.append(f"{what}: the recording was cut off")
         if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
             self.chunk = (frame, self._body(frame))
             yield from self._flush_chunk()
@@ -168,6 +174,17 @@ class _Walk:
             self.plain.clear()
             if block is not None:
                 yield block
+
+    def _data_after(self, end: Frame) -> bool:
+        """Whether an end of the data is out of place: records follow it that stand in no summary."""
+        if end.at in self.summary.anchors:
+            return False
+        for frame in self.framing.frames(end.end):
+            if not frame.whole or frame.op in (OP_DATA_END, OP_FOOTER):
+                return False
+            if frame.op in (OP_CHUNK, OP_MANIFEST, OP_MESSAGE, OP_METADATA, OP_ATTACHMENT, OP_INDEX):
+                return True
+        return False
 
     def _side_records_after(self, at: int) -> None:
         """Channels without a message stand only in the summary after the data; nothing verifies a damaged one."""

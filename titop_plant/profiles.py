@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lti.ordinary_file import read_ordinary_file
+
 FloatArray = NDArray[np.float64]
 
 PROFILES = ("linear", "trapezoidal")
@@ -123,7 +125,7 @@ def read_profile(path: Path) -> Profile:
         No such file, another header, a value that is no finite number, times that do not rise from 0.
     """
     try:
-        lines = list(csv.reader(path.read_text("utf-8").splitlines()))
+        lines = list(csv.reader(read_ordinary_file(path).splitlines()))
     except OSError as error:
         choices = ", ".join(PROFILES)
         raise ValueError(f"profile must be one of {choices} or a CSV file, got {path}: {error.strerror}") from None

@@ -247,6 +247,8 @@ def digest(proof: dict[str, Any]) -> str:
 
 def check_proof(proof: dict[str, Any] | Path) -> CheckedProof:
     """Verify a proof file, or its content; a ProofError says why it is refused."""
+    if isinstance(proof, Path) and not proof.is_file():
+        raise ProofError(f"the proof must be an ordinary file, got {proof}")
     try:
         content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else proof
         return _checked(content)

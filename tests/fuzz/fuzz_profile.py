@@ -2,14 +2,20 @@
 
 import os
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "0"))
 QUIET = (HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large)
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
+"""Without shrinking: it takes minutes at a second for each example, and the examples are small."""
 
 
 def examples(fixed: int) -> settings:
     """Settings of a test: this number of examples, always the same, or FUZZ_EXAMPLES random ones."""
     if EXAMPLES:
-        return settings(max_examples=EXAMPLES, deadline=None, print_blob=True, suppress_health_check=QUIET)
-    return settings(max_examples=fixed, deadline=None, derandomize=True, database=None, suppress_health_check=QUIET)
+        return settings(
+            max_examples=EXAMPLES, deadline=None, print_blob=True, phases=PHASES, suppress_health_check=QUIET
+        )
+    return settings(
+        max_examples=fixed, deadline=None, derandomize=True, database=None, phases=PHASES, suppress_health_check=QUIET
+    )

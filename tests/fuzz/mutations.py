@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -104,6 +105,8 @@ def _swap_records(good: bytes, m: Mutation) -> bytes:
 
 def _other_length(good: bytes, m: Mutation) -> bytes:
     begin, _ = _record(good, m.place)
+    if begin == len(good):
+        return good  # an earlier mutation has left nothing
     head = RECORD.pack(good[begin], int.from_bytes(m.data[:8].ljust(8, b"\0"), "little"))
     return good[:begin] + head + good[begin + RECORD.size :]
 
@@ -128,31 +131,34 @@ MUTATIONS = st.builds(
 
 def messages(data: bytes) -> dict[Key, Content]:
     """All messages of a whole file: topic and sequence number -> log time, publishing time, bytes."""
-    found = make_reader(io.BytesIO(data)).iter_messages()
+    found = make_reader(io.BytesIO(data)).iter_messages(log_time_order=False)
     return {(c.topic, m.sequence): (m.log_time, m.publish_time, m.data) for _, c, m in found}
 
 
-def others_get(data: bytes, original: dict[Key, Content]) -> int:
-    """Messages equal to the original's that the mcap package gets, by its seeking or its streaming reader."""
-    seeking, streaming = set(), set()
-    try:
+def others_find(data: bytes, original: dict[Key, Content]) -> tuple[set[Key], set[Key]]:
+    """Messages equal to the original's that the mcap package gets: by its seeking and by its streaming reader."""
+    seeking: set[Key] = set()
+    streaming: set[Key] = set()
+    with contextlib.suppress(Exception):  # whatever a reader of others raises on a damaged file
+        # in the order of time: in that of the file this reader takes all chunks before it gives the first message
         for _, channel, message in make_reader(io.BytesIO(data)).iter_messages():
             _keep(seeking, channel.topic, message, original)
-    except Exception:  # whatever a reader of others raises on a damaged file
-        seeking.add(None)
     channels: dict[int, str] = {}
-    try:
+    with contextlib.suppress(Exception):
         for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, Message):
                 _keep(streaming, channels.get(record.channel_id, ""), record, original)
-    except Exception:
-        streaming.add(None)
-    return max(len(seeking - {None}), len(streaming - {None}))
+    return seeking, streaming
 
 
-def _keep(found: set[Key | None], topic: str, message: Message, original: dict[Key, Content]) -> None:
+def others_get(data: bytes, original: dict[Key, Content]) -> int:
+    """How many messages the better of the two readers gets."""
+    return max(map(len, others_find(data, original)))
+
+
+def _keep(found: set[Key], topic: str, message: Message, original: dict[Key, Content]) -> None:
     key = (topic, message.sequence)
     if original.get(key) == (message.log_time, message.publish_time, message.data):
         found.add(key)

@@ -6,18 +6,21 @@ original and on the repaired bag.
 
 from __future__ import annotations
 
+import io
 import shutil
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.mutations import Content, Key, messages, others_get, records
+from fuzz.mutations import Content, Key, messages, others_find, records
 from los_testbed.bags.repair import RepairResult, repair_bag
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
+from mcap.reader import make_reader
 from support.simple_telescope import SimpleTelescope, write_controllers
 
+from pointing_analysis.bag_metadata import METADATA_NAME
 from pointing_analysis.mcap_records import OP_CHUNK, OP_MANIFEST
 from pointing_analysis.read import Run
 
@@ -56,16 +59,41 @@ def flipped(good: Path, bit: int, folder: Path) -> Path:
 
 
 def check_loss(result: RepairResult, found: dict[Key, Content], original: dict[Key, Content]) -> None:
-    """What repair says of the loss is what is missing, topic by topic and number by number."""
+    """What repair says of the loss is what is missing, topic by topic, number by number and place by place."""
     missing = sorted(original.keys() - found.keys())
     assert {loss.topic: loss.missing for loss in result.losses} == Counter(topic for topic, _ in missing)
     copied = Counter(topic for topic, _ in found)
     assert {topic: count for topic, count in result.copied.items() if count} == copied
+    assert {loss.topic: loss.recovered for loss in result.losses} == {
+        loss.topic: copied[loss.topic] for loss in result.losses
+    }
     start = min(log for log, _, _ in original.values())
-    for topic, number in missing:
-        seconds = (original[topic, number][0] - start) * 1e-9
-        spans = next(loss.spans for loss in result.losses if loss.topic == topic)
-        assert any(span.start < seconds + 1e-9 and seconds < span.stop + 1e-9 for span in spans), (topic, number)
+    for loss in result.losses:
+        lost = [original[key][0] - start for key in missing if key[0] == loss.topic]
+        left = [log - start for (topic, _), (log, _, _) in found.items() if topic == loss.topic]
+        for span in loss.spans:
+            inside = [log for log in lost if span.start - 1e-9 < log * 1e-9 < span.stop + 1e-9]
+            assert len(inside) == span.messages, (loss.topic, span)
+            assert not any(span.start + 1e-9 < log * 1e-9 < span.stop - 1e-9 for log in left), (loss.topic, span)
+        assert sum(span.messages for span in loss.spans) == len(lost)
+
+
+def beside(data: bytes) -> dict[str, object]:
+    """What an intact file holds beside messages: attachments and the records of the run, by name and number."""
+    reader = make_reader(io.BytesIO(data))
+    tables = [record.metadata for record in reader.iter_metadata() if record.name == METADATA_NAME]
+    return {a.name: a.data for a in reader.iter_attachments()} | {"run": {k: v for t in tables for k, v in t.items()}}
+
+
+def check_beside(result: RepairResult, new: bytes, original: bytes) -> None:
+    """What stands beside the messages is there as it was, or its loss is told."""
+    there, before = beside(new), beside(original)
+    text = " ".join(result.problems)
+    for name, content in before.items():
+        if name == "run" and there[name] != content:
+            assert "metadata record" in text, result.problems
+        elif there.get(name) != content:
+            assert name not in there and ("attachment" in text or "record" in text), result.problems
 
 
 @pytest.mark.slow
@@ -76,14 +104,19 @@ def test_a_flipped_bit(good: tuple[bytes, dict[Key, Content]], part: int, tmp_pa
     for bit in flips(data, part):
         bag, new = flipped(BAG, bit, tmp_path), tmp_path / "new"
         shutil.rmtree(new, ignore_errors=True)
-        others = others_get((bag / "reference_0.mcap").read_bytes(), original)
+        seeking, streaming = others_find((bag / "reference_0.mcap").read_bytes(), original)
         result = repair_bag(bag, new)
-        found = messages((new / "new_0.mcap").read_bytes())
+        repaired = (new / "new_0.mcap").read_bytes()
+        found = messages(repaired)
         assert all(original[key] == content for key, content in found.items()), bit
-        assert len(found) >= others, bit
+        assert found.keys() >= seeking, bit
+        assert found.keys() >= streaming, bit
         check_loss(result, found, original)
-        assert {loss.topic: loss.missing for loss in Run.open(bag).losses} == {
-            loss.topic: loss.missing for loss in result.losses
+        check_beside(result, repaired, data)
+        run = Run.open(bag)
+        assert run.losses == result.losses, bit
+        assert {name: len(run[name]) for name in run.topics} == {
+            name: result.copied.get(f"{run.namespace}/{name}", 0) for name in run.topics
         }, bit
 
 

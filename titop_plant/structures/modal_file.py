@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lti.ordinary_file import read_ordinary_file
 from titop_plant.structures.kinematics import FloatArray, read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass
@@ -79,7 +80,7 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     FileNotFoundError
         No such file.
     """
-    text = Path(path).read_text(encoding="utf-8")
+    text = read_ordinary_file(path)
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

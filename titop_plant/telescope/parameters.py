@@ -14,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from lti.ordinary_file import read_ordinary_file
 from lti.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.parameter_check import ParameterFile
@@ -100,7 +101,7 @@ def _shown(value: Any) -> str:
 def _read(path: Path) -> tuple[dict[str, Any], str]:
     """Content of a TOML file, and its text."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_ordinary_file(path)
         return pickle.loads(_parsed(text)), text
     except OSError as error:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None

@@ -26,6 +26,11 @@ def test_it_is_small_and_whole() -> None:
     assert run.parameters["mode"] == "inprocess"
 
 
+def test_its_report_is_no_change_of_the_clone() -> None:
+    """`los-testbed analyse bags/reference`, as the documentation says it, writes a report into the folder."""
+    assert "bags/reference/report.html" in (BAG.parents[1] / ".gitignore").read_text().splitlines()
+
+
 def test_its_controllers_give_its_commands_again() -> None:
     """To rounding: another processor may add up in another order."""
     run = Run.open(BAG)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import RunConfig, read_yaml
+from lti.ordinary_file import read_ordinary_file
 from titop_plant.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -189,9 +190,10 @@ def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = 
     path = folder / WORST_POINTS
     if not path.exists():
         return {}
+    used = parameters_hash(load_parameters(parameters or REFERENCE))
     try:
-        content = json.loads(path.read_text("utf-8"))
-        if content["parameters_hash"] != parameters_hash(load_parameters(parameters or REFERENCE)):
+        content = json.loads(read_ordinary_file(path))
+        if content["parameters_hash"] != used:
             return {}
         return _settings(content["stages"][loop][worst_of]["parameters"])
     except (OSError, ValueError, KeyError, TypeError) as error:

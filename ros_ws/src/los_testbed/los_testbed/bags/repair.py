@@ -35,6 +35,7 @@ class RepairResult:
     messages : messages in the new bag
     copied : messages of each topic in the new bag
     losses : what was recorded and cannot be read, topic by topic
+    repeated : messages of each topic that stand in the file more than once, and in the new bag as well
     damage : offset [byte] in the file and description of each damaged place
     problems : the same and further defects as sentences
     finished : whether the file has the end of its data; False if the recorder was killed or the file cut off
@@ -44,6 +45,7 @@ class RepairResult:
     messages: int = 0
     copied: dict[str, int] = field(default_factory=dict)
     losses: tuple[TopicLoss, ...] = ()
+    repeated: Mapping[str, int] = field(default_factory=dict)
     damage: tuple[tuple[int, str], ...] = ()
     problems: tuple[str, ...] = ()
     finished: bool = True
@@ -52,6 +54,7 @@ class RepairResult:
     def sentences(self) -> list[str]:
         """What is lost and what is damaged, one sentence each."""
         found = [*(str(loss) for loss in self.losses), *self.problems]
+        found += [f"{topic}: {count} messages stand in the file twice" for topic, count in self.repeated.items()]
         if not self.finished:
             found.append("the recording was cut off: what came after its last message is not in the file")
         return found or ["nothing is lost"]
@@ -71,7 +74,7 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     Raises
     ------
     ValueError
-        `source` is no bag or holds nothing that can be read, or `target` exists.
+        `source` is no bag, holds nothing or none of its messages can be read, or `target` exists.
     """
     check_new_bag(target)
     found = bag_files(source)
@@ -83,10 +86,14 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     with atomic_folder(target) as folder:
         result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
         result.losses = ledger.losses([info], found.counts)
+        result.repeated = ledger.repeated([info])
         result.damage, result.finished = tuple(info.damage), info.finished
         result.problems = (*found.problems, *info.problems)
         if not result.messages and not info.channels and not info.metadata:
             raise BagError(f"{source} must hold records that can be read, got none")
+        if not result.messages and result.losses:
+            lost = sum(loss.missing for loss in result.losses)
+            raise BagError(f"{source} must hold messages that can be read, got none of the {lost} that were recorded")
     return result
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.variants import family
+from lti.ordinary_file import read_ordinary_file
 
 FloatArray = NDArray[np.float64]
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
@@ -126,7 +127,7 @@ def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
 
 def _listed(path: Path, samples: int, ranges: FloatArray) -> FloatArray:
     try:
-        lines = list(csv.reader(path.read_text("utf-8").splitlines()))
+        lines = list(csv.reader(read_ordinary_file(path).splitlines()))
     except OSError as error:
         choices = ", ".join(SAMPLINGS)
         raise ValueError(f"sampling must be one of {choices} or a CSV file, got {path}: {error.strerror}") from None

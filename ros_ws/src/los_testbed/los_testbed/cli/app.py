@@ -27,6 +27,7 @@ from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, run, with_live_port
 from los_testbed.cli.stages import STAGES_EXAMPLES, stages
 from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.run.screen import printable
 
 app = typer.Typer(
     name="los-testbed",
@@ -134,7 +135,7 @@ def _leave(code: int) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    sys.stderr.write(f"los-testbed: {' '.join(message.split())}\n")
+    sys.stderr.write(f"los-testbed: {printable(' '.join(message.split()))}\n")
     sys.exit(code)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +41,10 @@ def repair(
     from los_testbed.bags.repair import repair_bag
 
     limit = chunk_limit(max_chunk)
-    target = output or source.with_name(f"{source.stem if source.is_file() else source.resolve().name}-repaired")
+    whole = Path(os.path.abspath(source))  # a name also for "." and ".."
+    if output is None and not whole.name:
+        raise ValueError(f"--output must be given for {source}, which has no name")
+    target = output or whole.with_name(f"{whole.stem if source.is_file() else whole.name}-repaired")
     found = repair_bag(source, target, limit)
     console = Console(stderr=json_)
     say(console, f"{found.messages} messages of {len(found.copied)} topics copied")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from lti.progress import Progress
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ def campaign(
     designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
     parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
     scheduler: Annotated[str, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask scheduler.")] = "",
-    workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.", min=0)] = 0,
-    keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.", min=0, max=1000)] = 0,
+    workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
+    keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
     output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
     json_: Json = False,
@@ -69,6 +69,8 @@ def campaign(
     from los_testbed.factories import check_controllers
     from los_testbed.variants import of_designs
 
+    number("--workers", workers, 0, 10_000)
+    number("--keep", keep, 0, 1000)
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
     files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}

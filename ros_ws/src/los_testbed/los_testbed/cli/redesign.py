@@ -12,8 +12,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from lti.ordinary_file import read_ordinary_file
 from lti.progress import Progress
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
@@ -62,7 +63,7 @@ def check_output(folder: Path, parameters: Path | None) -> None:
 def design_all(
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
     parameters: Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of starts and searches.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of starts and searches.")] = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
@@ -72,6 +73,7 @@ def design_all(
     from los_design import redesign
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
+    number("--seed", seed, 0, 2**31 - 1)
     check_output(output, parameters)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
@@ -125,7 +127,7 @@ def _worst(folder: Path) -> list[dict[str, float]]:
     path = folder / WORST_POINTS
     if not path.exists():
         return []
-    stages = json.loads(path.read_text("utf-8"))["stages"]
+    stages = json.loads(read_ordinary_file(path))["stages"]
     return [dict(point["parameters"]) for stage in MIRROR_STAGES for point in stages[stage].values()]
 
 

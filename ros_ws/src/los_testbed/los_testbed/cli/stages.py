@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.output import Json, number, print_json
 from los_testbed.run.screen import say
 from lti.progress import Progress
 from pointing_analysis.atomic_output import write_text
@@ -49,7 +49,7 @@ def stages(
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1.", min=1, max=100),
+        typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1."),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Length of each run [s]; 10, or the case's.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
@@ -75,6 +75,8 @@ def stages(
     from los_testbed.variants import chosen_member, layered, of_designs
     from titop_plant.interface import SCENARIOS
 
+    if samples is not None:
+        number("--samples", samples, 1, 100)
     given = {"duration": duration, "scenario": scenario, "k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
     stated = {name: value for name, value in given.items() if value}
     settings = layered(of_designs(designs), chosen_member(case, cases, None, {}, {})[0], stated)
@@ -94,10 +96,10 @@ def stages(
     console = Console(stderr=json_)
     with Progress("stages") as bar:
         runs = plan.runs()
-        number = {run.name: i for i, run in enumerate(runs)}
+        index = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:
-            bar.report(number[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
+            bar.report(index[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
 
         results = perform(plan, progress)
     content = _write(console, results, plan)

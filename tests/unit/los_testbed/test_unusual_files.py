@@ -1,0 +1,156 @@
+"""Files that are no ordinary files, and bags of which nothing or too much is left: one line, and nothing replaced."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fuzz.mutations import messages, records
+from los_testbed.bags.repair import repair_bag
+from los_testbed.cli import app as cli
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from simple_telescope import SimpleTelescope, write_controllers
+
+from pointing_analysis.atomic_output import write_text
+from pointing_analysis.mcap_records import OP_CHUNK, OP_DATA_END, OP_FOOTER, BagError
+from pointing_analysis.read import Run
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    config = RunConfig(duration=2.5, mode="inprocess", **write_controllers(folder))
+    run_in_process(config, folder / "bag", SimpleTelescope())
+    return folder
+
+
+@pytest.fixture
+def bag(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made / "bag", tmp_path / "bag"))
+
+
+@pytest.fixture
+def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+INPUTS = [
+    "analyse pipe", "analyse pipe.mcap", "analyse pipe.csv --unit=rad --rate=100", "analyse pipe.npy --unit=rad",
+    "analyse pipe.mcap --los=/x --unit=rad", "bag repair pipe.mcap", "bag topics pipe.mcap", "replay pipe.mcap",
+    "report pipe.mcap", "budget pipe", "report bag --requirements=pipe", "replay bag --k-fsm=pipe",
+    "plant --parameters=pipe",
+    "run --mode=inprocess --config=pipe", "run --mode=inprocess --k-fsm=pipe", "run --mode=inprocess --k-pma=pipe",
+    "run --mode=inprocess --parameters=pipe", "run --mode=inprocess --set=profile=pipe",
+    "run --mode=inprocess --cases=pipe --case=x", "campaign --sampling=pipe --samples=2",
+    "bag repair loop", "analyse loop",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", INPUTS)
+def test_a_pipe_or_a_circle_of_links_as_input_is_told_and_not_waited_for(call: Call, bag: Path, line: str) -> None:
+    for name in ("pipe", "pipe.mcap", "pipe.csv", "pipe.npy"):
+        os.mkfifo(bag.parent / name)
+    (bag.parent / "loop").symlink_to(bag.parent / "loop")
+    before = sorted(bag.parent.rglob("*"))
+    code, out, err = call(*line.split())
+    assert code == 2 and out == "", err
+    assert err.startswith("los-testbed: ") and err.count("\n") == 1
+    assert "pipe" in err or "loop" in err
+    assert sorted(bag.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "line", ["analyse bag --report=pipe", "report bag --output=pipe", "bag repair bag --output=pipe"]
+)
+def test_a_pipe_or_a_device_is_never_replaced_by_an_output(call: Call, bag: Path, line: str) -> None:
+    """A pipe stands for /dev/null, which an administrator's command would have replaced for the whole machine."""
+    os.mkfifo(bag.parent / "pipe")
+    code, out, err = call(*line.split())
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert (bag.parent / "pipe").is_fifo()
+    with pytest.raises(ValueError, match="ordinary file"):
+        write_text(bag.parent / "pipe", "text")
+    assert (bag.parent / "pipe").is_fifo() and sorted(p.name for p in bag.parent.iterdir()) == ["bag", "pipe"]
+
+
+def test_a_bag_of_which_no_message_is_left_is_refused_with_their_number(call: Call, bag: Path) -> None:
+    """A transfer as text: no record can be read, metadata.yaml still tells how many messages there were."""
+    file = bag / "bag_0.mcap"
+    total = sum(len(topic) for topic in (Run.open(bag)[name] for name in Run.open(bag).topics))
+    file.write_bytes(file.read_bytes()[:8] + os.urandom(1000) + bytes(100_000))
+    code, out, err = call("bag", "repair", bag)
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert "got none" in err
+    assert not (bag.parent / "bag-repaired").exists()
+    file.write_bytes((file.read_bytes() * 2)[:50])
+    assert call("bag", "repair", bag)[0] == 2
+    assert total > 0
+
+
+def test_metadata_alone_is_no_repaired_bag(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    chunks = [(begin, end) for begin, end in records(data) if data[begin] == OP_CHUNK]
+    file.write_bytes(data[: chunks[0][0] + 50])
+    with pytest.raises(BagError, match="got none of the 20125 that were recorded"):
+        repair_bag(bag, bag.parent / "new")
+    assert not (bag.parent / "new").exists()
+
+
+@pytest.mark.parametrize("op", [OP_DATA_END, OP_FOOTER])
+def test_an_end_of_the_data_in_front_of_the_data_ends_nothing(bag: Path, op: int) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    found = records(data)
+    (head, behind), (begin, end) = found[0], next(place for place in found if data[place[0]] == op)
+    file.write_bytes(data[:head] + data[begin:end] + data[behind:begin] + data[head:behind] + data[end:])
+    result = repair_bag(bag, bag.parent / "new")
+    assert messages((bag.parent / "new" / "new_0.mcap").read_bytes()) == messages(data)
+    assert not result.losses and any("in front of data" in problem for problem in result.problems)
+    assert len(Run.open(bag)["truth/los"]) == 2500
+
+
+def test_without_a_header_a_chunk_that_stands_twice_does_not_hide_the_loss_of_another(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    found = records(data)
+    first, second = [place for place in found if data[place[0]] == OP_CHUNK][:2]
+    middle = (first[0] + first[1]) // 2
+    damaged = data[:middle] + bytes(2000) + data[middle + 2000 :]
+    (header, behind), (begin, end) = found[0], second
+    file.write_bytes(damaged[:header] + damaged[behind:end] + damaged[begin:end] + damaged[end:])
+    result = repair_bag(bag, bag.parent / "new")
+    left = messages((bag.parent / "new" / "new_0.mcap").read_bytes())
+    missing = Counter(topic for topic, _ in messages(data).keys() - left.keys())
+    assert missing["/telescope/pma/command"] == 1000
+    assert {loss.topic: loss.missing for loss in result.losses} == missing
+    assert [loss.missing for loss in Run.open(bag).losses] == [loss.missing for loss in result.losses]
+
+
+def test_a_chunk_that_stands_twice_is_told(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    begin, end = [(begin, end) for begin, end in records(data) if data[begin] == OP_CHUNK][1]
+    file.write_bytes(data[:end] + data[begin:end] + data[end:])
+    result = repair_bag(bag, bag.parent / "new")
+    assert not result.losses
+    assert result.repeated["/telescope/truth/los"] == 1000 and result.repeated["/telescope/camera/los"] == 50
+    assert "/telescope/truth/los: 1000 messages stand in the file twice" in result.sentences()
+    assert len(Run.open(bag)["truth/los"]) == 2500
