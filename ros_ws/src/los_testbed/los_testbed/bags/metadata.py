@@ -11,7 +11,7 @@ import yaml
 
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
-from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from los_testbed.factories import compare_with_telescope, recorded_files, run_controllers, telescope_basis
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -30,7 +30,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     differs from the reference.
     """
     telescope = telescope_basis(config)
-    warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
+    warnings = compare_with_telescope(run_controllers(config), telescope, config.loop)
     return {
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
@@ -79,9 +79,7 @@ def final_metadata(
 
 def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Files of the controllers, the configuration as YAML, tone and states of the start."""
-    content = {
-        f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
-    }
+    content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in recorded_files(config).items()}
     text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
