@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import sys
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from los_testbed.config import RunConfig
+from los_testbed.config import RunConfig, is_code
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -87,6 +88,27 @@ def make(config: RunConfig, setting: str = "plant") -> Any:
     except Exception as error:
         what = in_one_line(error)
         raise ValueError(f"{setting} {text} must be made without arguments or with config, got {what}") from error
+
+
+def source_hashes(config: RunConfig) -> dict[str, str]:
+    """SHA-256 of the source file of each object of the user that `config` names; empty text where there is no file.
+
+    Raises
+    ------
+    ValueError
+        One of them cannot be loaded.
+    """
+    hashes = {}
+    for setting in GROUPS:
+        text = getattr(config, setting)
+        if not text or (setting.startswith("k_") and not is_code(text)):
+            continue
+        try:
+            file = inspect.getsourcefile(load(text, setting))
+        except TypeError:  # built in, or an object without a file
+            file = None
+        hashes[setting] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file and Path(file).is_file() else ""
+    return hashes
 
 
 def in_one_line(error: Exception) -> str:

@@ -12,6 +12,7 @@ import yaml
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, recorded_files, run_controllers, telescope_basis
+from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -27,7 +28,8 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference.
+    differs from the reference. ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`,
+    are of the source files of code of the user.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(run_controllers(config), telescope, config.loop)
@@ -39,6 +41,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
+        **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
         "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
