@@ -1,4 +1,4 @@
-"""Line of sight and relative error of the four stages over the family, robust design (paper: dist2LOS).
+"""Line of sight and relative error of the four stages over the family, robust design (paper: closed loop, dist2LOS).
 
 python examples/paper/figure_stages_robust.py [FOLDER [SAMPLES]]
 

@@ -103,7 +103,7 @@ def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
 def test_a_figure_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     from los_design.figures import draw
 
-    with pytest.raises(ValueError, match="names must be of stages_implemented, .* got 'stage'"):
+    with pytest.raises(ValueError, match=r"names must be of stages_implemented, .* got 'stage'"):
         draw(tmp_path / "out", 0, names=["stage"])
     assert not (tmp_path / "out").exists()
 
