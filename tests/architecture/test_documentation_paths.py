@@ -21,8 +21,8 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {"start.json",
-    "mine.json", "mine.toml", "my_body.toml", "my_law.json", "my_module.py", "my_observer.json", "my_payload.toml", "my_telescope.toml",
-    "mission.toml", "panel.toml",
+    "mine.json", "mine.toml", "my_body.toml", "my_law.json", "my_observer.json", "my_payload.toml", "my_telescope.toml",
+    "mission.toml", "my_module.py", "panel.toml",
 }  # fmt: skip
 """Example files of the user."""
 INSIDE_BAGS = {"k_fsm.json", "k_pma.json"}
