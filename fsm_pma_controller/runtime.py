@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.sampled_system import SampledSystem
+from lti.ports import Port
 from titop_plant.interface import (
     COMMANDS,
     DT,
@@ -19,6 +22,23 @@ from titop_plant.interface import (
 )
 
 FloatArray = NDArray[np.float64]
+
+
+class ForceLaw(Protocol):
+    """Proof-mass law at run time; :class:`lti.sampled_system.SampledSystem` is one."""
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+
+    def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
+        """Raise a ValueError for other ports or another period [s] than its own."""
+
+    def step(self, u: FloatArray, out: FloatArray, /) -> None:
+        """Write the forces (6,) [N] of this tick; `u` (6,) is ``accel_Ip``."""
+
+    def reset(self, state: FloatArray | None = None) -> None:
+        """Back to the zero state, or to another `state` (order,)."""
 
 
 class FsmPmaController:
@@ -38,7 +58,7 @@ class FsmPmaController:
 
     Parameters
     ----------
-    k_pma : SampledSystem
+    k_pma : ForceLaw
         Input ``accel_Ip`` (6), output ``pma_force`` (6), period one tick.
     loop : {"none", "isolator", "fsm", "fsm+pma"}
         Stage: which of the loops are closed.
@@ -57,6 +77,7 @@ class FsmPmaController:
     --------
     With a sensitivity of 0.1 the mirror turns by ten times the estimate, and stops at its limit:
 
+    >>> from lti.sampled_system import SampledSystem
     >>> k = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     >>> controller = FsmPmaController(k, "fsm", los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
     >>> u = np.zeros(COMMANDS)
@@ -67,7 +88,7 @@ class FsmPmaController:
 
     def __init__(
         self,
-        k_pma: SampledSystem,
+        k_pma: ForceLaw,
         loop: str = STAGES[-1],
         *,
         los_sensitivity: float,

@@ -48,8 +48,17 @@ SAME = 0.08
 """Curves that differ by less than this share are drawn once."""
 
 
-def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
-    """Draw all pictures as PNG and SVG into a folder; returns their paths.
+FIGURES = ("stages_implemented", "stages_implemented_nominal", "controllers", "sensitivity")
+"""Names of the pictures, and of their files."""
+
+TITLES = {
+    "stages_implemented": "Worst case over the parameters, robust design, as implemented",
+    "stages_implemented_nominal": "The same parameters, nominal design, as implemented",
+}
+
+
+def draw(output: Path, samples: int, seed: int = 0, names: Sequence[str] = FIGURES) -> list[Path]:
+    """Draw pictures as PNG and SVG into a folder; returns their paths.
 
     Parameters
     ----------
@@ -57,23 +66,34 @@ def draw(output: Path, samples: int, seed: int = 0) -> list[Path]:
     samples : int
         Random parameter points beside the worst ones of each stage.
     seed : int
+    names : sequence of str
+        Of :data:`FIGURES`.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, or a number of samples that is negative.
     """
+    if unknown := [name for name in names if name not in FIGURES]:
+        raise ValueError(f"names must be of {', '.join(FIGURES)}, got {unknown[0]!r}")
+    if samples < 0:
+        raise ValueError(f"samples must not be negative, got {samples}")
     parameters = load_parameters()
     output.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     settings: Any = STYLE
     with mpl.rc_context(settings):
-        system: UncertainSystem = control_loop_plant(telescope(), parameters)
-        random = system.sample_values(np.random.default_rng(seed), samples)
-        members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
-        for variant, title in (
-            ("implemented", "Worst case over the parameters, robust design, as implemented"),
-            ("implemented_nominal", "The same parameters, nominal design, as implemented"),
-        ):
-            pair = load_designs(variant)
-            paths += save_figure(_stages(parameters, pair, title, members), output / f"stages_{variant}")
-        paths += save_figure(_controllers(parameters), output / "controllers")
-        paths += save_figure(_sensitivities(parameters, samples, seed), output / "sensitivity")
+        for name in names:
+            if name == "controllers":
+                figure = _controllers(parameters)
+            elif name == "sensitivity":
+                figure = _sensitivities(parameters, samples, seed)
+            else:
+                system: UncertainSystem = control_loop_plant(telescope(), parameters)
+                random = system.sample_values(np.random.default_rng(seed), samples)
+                members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
+                figure = _stages(parameters, load_designs(name.removeprefix("stages_")), TITLES[name], members)
+            paths += save_figure(figure, output / name)
     return paths
 
 

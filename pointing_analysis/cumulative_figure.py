@@ -22,6 +22,9 @@ from pointing_analysis.figures import (
     picture,
 )  # fmt: skip
 
+CLOSE = 3.0
+"""Ratio of frequencies below which the names of two lines would cover each other."""
+
 
 def cumulative(views: Sequence[RunView]) -> Picture:
     """Cumulative RMS of the error and of its RPE part, which steps up at each line; the largest steps are named.
@@ -59,16 +62,21 @@ def cumulative(views: Sequence[RunView]) -> Picture:
 
 
 def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, Floats, Floats, Floats]]) -> None:
-    """Frequencies of the largest lines of each run, at the height of its curve behind them."""
+    """Frequencies of the largest lines of each run, at the height of its curve behind them.
+
+    A name that would cover that of a line close below it stands under the curve.
+    """
     for i, view, frequency, whole, _ in curves:
         strongest = sorted(view.tones, key=lambda line: -line.rms)[: 3 if len(curves) == 1 else 1]
-        for line in strongest:
+        level, before = 0, 0.0
+        for line in sorted(strongest, key=lambda line: line.omega):
             hertz = line.omega / (2 * np.pi)
+            level, before = (level + 1 if hertz < CLOSE * before else 0), hertz
             height = float(np.interp(1.05 * hertz, frequency, whole))
             axis.annotate(
                 f"{hertz:.3g} Hz",
                 (hertz, height),
-                xytext=(-3, 3),
+                xytext=(-3, -1 - 9 * level if level else 3),
                 textcoords="offset points",
                 ha="right",
                 fontsize=7.5,

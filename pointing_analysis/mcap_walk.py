@@ -61,6 +61,7 @@ class _Walk:
 
     def blocks(self) -> Iterator[Block]:
         """The messages of the file, in its order."""
+        cut = False
         for frame in self.framing.frames(len(MAGIC)):
             if frame.op == OP_INDEX and self.chunk is not None:
                 if frame.whole and frame.length <= self.info.max_chunk:
@@ -69,7 +70,11 @@ class _Walk:
                 continue
             yield from self._flush_chunk()
             if not frame.whole and not frame.op and not frame.defect:
-                break  # the magic number at the end
+                cut = True  # the magic number at the end, or fewer bytes than a record has
+                break
+            if frame.op == OP_DATA_END and frame.defect and frame.end >= self.framing.stop:
+                cut = True  # a few bytes of another record at the end of the file
+                break
             if frame.op == OP_DATA_END or (frame.op == OP_FOOTER and frame.whole):
                 if self._data_after(frame):
                     self.info.note(self.where, frame.at, "the end of the data stands in front of data")
@@ -83,6 +88,8 @@ class _Walk:
                 break
             yield from self._record(frame)
         else:
+            cut = True
+        if cut:
             self.info.problems.append(f"{self.where}: the file has no end of its data: the recording was cut off")
         yield from self._flush_chunk()
         yield from self._flush_plain()

@@ -313,7 +313,7 @@ def summarise(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
         mode=str(run.parameters.get("mode", "")),
-        scenario=str(run.parameters.get("scenario", "")),
+        scenario=str(run.parameters.get("disturbance_source") or run.parameters.get("scenario", "")),
         ticks=round((series.start + series.duration) / series.dt),
         duration=series.start + series.duration,
         transient=series.start,

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
+from titop_plant.driven_plant import DrivenPlant
 from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
 from titop_plant.sampled_plant import SampledPlant
 
@@ -81,7 +82,7 @@ class NonlinearPlant:
 
     Parameters
     ----------
-    plant : SampledPlant
+    plant : SampledPlant or DrivenPlant
         The linear telescope, in the state in which the run starts.
     limits : DeviceLimits
     actuator : mapping
@@ -95,7 +96,7 @@ class NonlinearPlant:
     0.9
     """
 
-    def __init__(self, plant: SampledPlant, limits: DeviceLimits, actuator: Mapping[str, Any]) -> None:
+    def __init__(self, plant: SampledPlant | DrivenPlant, limits: DeviceLimits, actuator: Mapping[str, Any]) -> None:
         self.plant, self.device_limits = plant, limits
         self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
         self.parameters_hash = f"{plant.parameters_hash} with {astuple(limits)}"

@@ -195,6 +195,10 @@ class SampledPlant:
             self._index += 1
             self._left = self._segments[self._index].ticks
 
+    def push(self, state: FloatArray) -> None:
+        """Add `state` (n,) to the present state: what an input that the matrices do not hold did in the last tick."""
+        self._x += state
+
     def _propagate(self) -> None:
         """Next state, measurement and truth from the present state, command and phasors."""
         np.matmul(self._segments[self._index].step, self._z, out=self._out)

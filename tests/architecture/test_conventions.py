@@ -42,6 +42,7 @@ LAYERS = (
     "run_start",
     "variants",
     "plugins",
+    "user_blocks",
     "factories",
     "bags",
     "loop",

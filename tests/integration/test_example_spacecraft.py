@@ -71,17 +71,41 @@ def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFi
 
 
 def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The drawing itself is that of `los-testbed plant figures`; here, that each script asks for one that exists."""
-    from los_design import plant_figures
+    """The drawing itself is that of `plant figures` and `design figures`; here, that each asks for one that exists."""
+    from los_design import figures, plant_figures
 
-    called = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
-    monkeypatch.setattr(plant_figures, "draw_figures", called)
+    of_plant = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
+    of_design = create_autospec(figures.draw, return_value=[tmp_path / "figure.png"])
+    monkeypatch.setattr(plant_figures, "draw_figures", of_plant)
+    monkeypatch.setattr(figures, "draw", of_design)
     monkeypatch.setattr(sys, "argv", ["figure.py", str(tmp_path)])
     for path in sorted((EXAMPLES / "paper").glob("figure_*.py")):
         runpy.run_path(str(path))
-    drawn = [call.kwargs["names"] for call in called.call_args_list]
+    drawn = [call.kwargs["names"] for call in of_plant.call_args_list]
     assert sorted(drawn) == sorted([name] for name in plant_figures.FIGURES)
-    assert all(call.args == (str(tmp_path),) for call in called.call_args_list)
+    assert all(call.args == (str(tmp_path),) for call in of_plant.call_args_list)
+    drawn = [call.kwargs["names"] for call in of_design.call_args_list]
+    assert sorted(drawn) == [["controllers"], ["stages_implemented"], ["stages_implemented_nominal"]]
+    assert all(call.args[0] == tmp_path for call in of_design.call_args_list)
+
+
+@pytest.mark.slow
+def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
+    from los_design.figures import draw
+
+    paths = draw(tmp_path, 0, names=["controllers", "stages_implemented"])
+    assert [path.name for path in paths] == [
+        f"{name}.{suffix}" for name in ("controllers", "stages_implemented") for suffix in ("png", "svg")
+    ]
+    assert all(path.stat().st_size > 10_000 for path in paths)
+
+
+def test_a_figure_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    from los_design.figures import draw
+
+    with pytest.raises(ValueError, match=r"names must be of stages_implemented, .* got 'stage'"):
+        draw(tmp_path / "out", 0, names=["stage"])
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_stewart_platform_has_the_modes_of_its_legs() -> None:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,11 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
     """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    exec("\n".join(code(sections()["2"]) + code(sections()["3"])), names)
+    module, run = code(sections()["3"])
+    (tmp_path / "my_module.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_module", raising=False)
+    exec("\n".join([*code(sections()["2"]), run]), names)
     uncontrolled = names["SlowMotion"]()
     uncontrolled.reset()
     config = names["RunConfig"](duration=20.0, loop="isolator", mode="inprocess")

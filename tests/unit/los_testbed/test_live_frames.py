@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
-from los_testbed.cli.run import check_live, with_live_port
+from los_testbed.cli.run import check_live, with_lone_options
 from los_testbed.config import RunConfig
 from los_testbed.live.frames import Frames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices, limits
@@ -116,7 +116,7 @@ def test_reports_and_figures_are_sent_once_and_again_after_a_reset():
     ],
 )
 def test_the_port_of_viewers_may_be_left_out(given, expected):
-    assert with_live_port(given) == expected
+    assert with_lone_options(given) == expected
 
 
 @pytest.mark.parametrize("port", [-1, 65535, 70000])

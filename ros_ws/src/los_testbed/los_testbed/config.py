@@ -94,8 +94,11 @@ class RunConfig:
     pma_authority: float = _parameter(0.0, "largest force of one actuator; 0 for the telescope's own", "N", 0.0, 1e6)
     nonlinear: bool = _parameter(False, "stroke and rate limits, quantised sensors, anti-alias filters")
     plant: str = _parameter("", "plant of your own, MODULE:NAME or entry point; empty for the telescope")
-    k_fsm: str = _parameter("", "observer file; empty for the stored design")
-    k_pma: str = _parameter("", "proof-mass controller file; empty for the stored design")
+    disturbance_source: str = _parameter(
+        "", "disturbance of your own, MODULE:NAME or entry point; empty for that of the scenario"
+    )
+    k_fsm: str = _parameter("", "observer: file, MODULE:NAME or entry point; empty for the stored design")
+    k_pma: str = _parameter("", "proof-mass controller: file, MODULE:NAME or entry point; empty for the stored design")
     hold_ticks: int = _parameter(20, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = _parameter(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     output: str = _parameter("", "folder of the bag; empty for a new one under bags/")
@@ -116,13 +119,26 @@ class RunConfig:
                 raise ValueError(f"{name} must hold four numbers, got {len(getattr(self, name))}")
         if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace, re.ASCII):
             raise ValueError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
-        if self.plant and self.start != "rest":
-            raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
+        self._check_code()
         if self.tau and self.theta:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise ValueError(f"one of theta or tau = tan(theta/4) must be 0, got both: {both}")
         if abs(self.ticks - self.duration * RATE) > 1e-6:
             raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
+
+    def _check_code(self) -> None:
+        """Refuse settings that do not go with a plant, a controller or a disturbance of the user."""
+        if self.plant and self.start != "rest":
+            raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
+        for name in ("k_fsm", "k_pma"):
+            if is_code(getattr(self, name)) and self.start != "rest":
+                raise ValueError(f"start must be rest with {name} of your own code, got {self.start}")
+        if self.disturbance_source and self.plant:
+            raise ValueError(
+                f"disturbance_source must be empty with a plant of your own, got {self.disturbance_source}"
+            )
+        if self.disturbance_source and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
+            raise ValueError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
 
     @property
     def ticks(self) -> int:
@@ -177,8 +193,17 @@ PHYSICAL = (
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
 
 
-CHANGED = ("plant", "nonlinear")
+CHANGED = ("plant", "nonlinear", "disturbance_source")
 """Fields that change the plant itself; part of its hash where they are set."""
+
+
+def is_code(text: str) -> bool:
+    """Whether the name of a controller is that of code, MODULE:NAME or an entry point, and not that of a file.
+
+    >>> [is_code(name) for name in ("my.laws:Observer", "observer", "observer.json", "designs/k_fsm", "")]
+    [True, True, False, False, False]
+    """
+    return bool(re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*|[A-Za-z_][\w-]*", text)) and not Path(text).is_file()
 
 
 def unknown(name: str) -> str:

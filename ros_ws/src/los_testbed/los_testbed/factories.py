@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import PHYSICAL, RunConfig
-from los_testbed.plugins import make_plant
+from los_testbed.config import PHYSICAL, RunConfig, is_code
+from los_testbed.plugins import in_one_line, make
 from los_testbed.run_start import RunStart, find_run_start, with_tones
+from los_testbed.user_blocks import UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
@@ -24,6 +25,8 @@ from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, desi
 if TYPE_CHECKING:
     from los_design.steady_state import LoopStart
     from los_design.tone_model import LoopModel
+    from titop_plant.driven_plant import DrivenPlant
+    from titop_plant.sampled_plant import SampledPlant
     from titop_plant.simulation import PlantConfig
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +59,25 @@ class Plant(Protocol):
 
 
 def controller_files(config: RunConfig) -> dict[str, Path]:
-    """Files of K_FSM and K_PMA: the named ones, else the stored designs."""
+    """Files of K_FSM and K_PMA: the named ones, else the stored designs.
+
+    Raises
+    ------
+    ValueError
+        One of them is code of the user, of which no model is known.
+    """
+    for name in (code := code_of(config)):
+        raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {code[name]}")
+    return recorded_files(config)
+
+
+def code_of(config: RunConfig) -> dict[str, str]:
+    """Names of the controllers that are code of the user."""
+    return {name: getattr(config, name) for name in ("k_fsm", "k_pma") if is_code(getattr(config, name))}
+
+
+def recorded_files(config: RunConfig) -> dict[str, Path]:
+    """Files of the controllers of a run, those aside that are code of the user."""
     import fsm_pma_controller
     import los_estimator
 
@@ -64,7 +85,8 @@ def controller_files(config: RunConfig) -> dict[str, Path]:
         "k_fsm": Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json",
         "k_pma": Path(str(fsm_pma_controller.__file__)).parent / "designs" / "k_pma.json",
     }
-    return {name: Path(getattr(config, name) or path) for name, path in stored.items()}
+    code = code_of(config)
+    return {name: Path(getattr(config, name) or path) for name, path in stored.items() if name not in code}
 
 
 def telescope_basis(config: RunConfig) -> DesignBasis:
@@ -93,8 +115,21 @@ def load_controllers(config: RunConfig) -> dict[str, SampledSystem]:
     return {name: SampledSystem.from_file(path) for name, path in controller_files(config).items()}
 
 
+def run_controllers(config: RunConfig) -> dict[str, SampledSystem | UserBlock]:
+    """``k_fsm`` and ``k_pma`` of a run: of a file, or code of the user.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or holds no controller; code that cannot be used.
+    """
+    found: dict[str, SampledSystem | UserBlock] = {name: make_law(config, name) for name in code_of(config)}
+    found |= {name: SampledSystem.from_file(path) for name, path in recorded_files(config).items()}
+    return found
+
+
 def compare_with_telescope(
-    controllers: Mapping[str, SampledSystem], telescope: DesignBasis, loop: str
+    controllers: Mapping[str, SampledSystem | UserBlock], telescope: DesignBasis, loop: str
 ) -> tuple[str, ...]:
     """Compare controllers with the telescope of a run; one line for each made for other parameters or limits.
 
@@ -118,15 +153,16 @@ def check_controllers(config: RunConfig) -> tuple[str, ...]:
     ------
     ValueError
         A file that is no controller, or one with other ports or another period; one that would close a loop and was
-        made for another sensitivity of the mirror.
+        made for another sensitivity of the mirror; code of the user that breaks its contract.
     """
-    found, telescope = load_controllers(config), telescope_basis(config)
-    LosEstimator(found["k_fsm"])
+    found, telescope = run_controllers(config), telescope_basis(config)
+    if isinstance(k_fsm := found["k_fsm"], SampledSystem):
+        LosEstimator(k_fsm)
     assemble_controller(found, telescope, config.loop)
     return compare_with_telescope(found, telescope, config.loop)
 
 
-def build_estimator(config: RunConfig) -> LosEstimator:
+def build_estimator(config: RunConfig) -> LosEstimator | UserBlock:
     """Observer of the configuration; its reset leads to the start of the run.
 
     Raises
@@ -134,10 +170,13 @@ def build_estimator(config: RunConfig) -> LosEstimator:
     ValueError
         As :func:`check_controllers`, for K_FSM.
     """
-    k_fsm = SampledSystem.from_file(controller_files(config)["k_fsm"])
+    code = "k_fsm" in code_of(config)
+    k_fsm = make_law(config, "k_fsm") if code else SampledSystem.from_file(recorded_files(config)["k_fsm"])
     design_warnings([k_fsm], telescope_basis(config), closed=config.loop in MIRROR_STAGES)
+    if isinstance(k_fsm, UserBlock):
+        return k_fsm
     estimator = LosEstimator(k_fsm)
-    states = _states(config, None)
+    states = _states(config)
     if states is not None:
         estimator.start_at(states.k_fsm, states.camera)
     return estimator
@@ -153,22 +192,22 @@ def build_controller(config: RunConfig) -> FsmPmaController:
     ValueError
         As :func:`check_controllers`.
     """
-    found, telescope = load_controllers(config), telescope_basis(config)
+    found, telescope = run_controllers(config), telescope_basis(config)
     compare_with_telescope(found, telescope, config.loop)
     controller = assemble_controller(found, telescope, config.loop)
-    states = _states(config, found)
+    states = _states(config)
     if states is not None:
         controller.start_at(states.k_pma)
     return controller
 
 
-def _states(config: RunConfig, controllers: Mapping[str, SampledSystem] | None) -> LoopStart | None:
+def _states(config: RunConfig) -> LoopStart | None:
     """States in which the run starts; None at rest, where nothing needs to be computed."""
-    return None if config.start == "rest" else run_start(config, controllers).states
+    return None if config.start == "rest" else run_start(config).states
 
 
 def assemble_controller(
-    controllers: Mapping[str, SampledSystem], telescope: DesignBasis, loop: str
+    controllers: Mapping[str, SampledSystem | UserBlock], telescope: DesignBasis, loop: str
 ) -> FsmPmaController:
     """Mirror and proof-mass laws.
 
@@ -207,21 +246,42 @@ def build_plant(config: RunConfig) -> Plant:
         made.
     """
     if config.plant:
-        own: Plant = make_plant(config)
-        return own
+        return _user_plant(config)
     from titop_plant import simulation
 
     start = run_start(config)
     physical = plant_config(config, start)
     with one_thread():
         state = np.zeros(simulation.plant_order(physical)) if start.states is None else start.states.plant
-        plant = simulation.build_plant(physical, state)
+        telescope = simulation.build_plant(physical, state)
+    plant = (
+        telescope if not (config.disturbance_source and config.disturbance) else _driven(telescope, config, physical)
+    )
     if not config.nonlinear:
         return plant
     from titop_plant.nonlinear_plant import DeviceLimits, NonlinearPlant
     from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
     return NonlinearPlant(plant, DeviceLimits(), load_parameters(config.parameters or REFERENCE)["pma"])
+
+
+def _user_plant(config: RunConfig) -> Plant:
+    own: Plant = make(config)
+    try:
+        own.reset()
+    except Exception as error:
+        raise ValueError(f"plant {config.plant} must have a reset that works, got {in_one_line(error)}") from error
+    return own
+
+
+def _driven(plant: SampledPlant, config: RunConfig, physical: PlantConfig) -> DrivenPlant:
+    """The telescope under the disturbance of the user."""
+    from titop_plant.driven_plant import DrivenPlant, held_disturbance
+
+    disturbance = make_disturbance(config)
+    disturbance.reset()
+    with one_thread():
+        return DrivenPlant(plant, held_disturbance(physical, plant.dt), disturbance, config.disturbance_source)
 
 
 def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> RunStart:
@@ -240,6 +300,8 @@ def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None
     """
     if config.plant:
         return RunStart()
+    if code_of(config):  # no model of the code is known: the tone that is worst without fine control
+        config = replace(config, k_fsm="", k_pma="", loop="isolator" if config.loop != "none" else "none")
     chosen = load_controllers(config) if controllers is None else controllers
     return find_run_start(config, _physical(config), chosen, telescope_basis(config).authority)
 
@@ -259,7 +321,7 @@ def plant_config(config: RunConfig, start: RunStart | None = None) -> PlantConfi
         A parameter outside its range; the message names both. A start without the tone that the scenario needs.
     """
     physical = _physical(config)
-    if config.scenario != "worst_case" or not config.disturbance:
+    if config.scenario != "worst_case" or not config.disturbance or config.disturbance_source:
         return physical
     return with_tones(physical, run_start(config) if start is None else start)
 
@@ -271,7 +333,8 @@ def _physical(config: RunConfig) -> PlantConfig:
     check_ranges(config)
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL if name != "worst_of"}
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
-    values["disturbance"] = config.disturbance and config.scenario != "worst_case"
+    own = bool(config.disturbance_source)
+    values["disturbance"] = config.disturbance and config.scenario != "worst_case" and not own
     for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # empty: its default
         if not values[name]:
             del values[name]

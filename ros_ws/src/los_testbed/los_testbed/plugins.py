@@ -1,21 +1,31 @@
-"""Plants of the user by name: ``my.module:Plant``, or an entry point of an installed package."""
+"""Code of the user by name: ``my.module:Plant``, or an entry point of an installed package."""
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from los_testbed.config import RunConfig
+from los_testbed.config import RunConfig, is_code
 
-GROUP = "los_testbed.plants"
-"""Group of entry points: a package that names its plant here makes it known by a short name."""
+GROUPS: Mapping[str, str] = MappingProxyType(
+    {
+        "plant": "los_testbed.plants",
+        "disturbance_source": "los_testbed.disturbances",
+        "k_fsm": "los_testbed.k_fsm",
+        "k_pma": "los_testbed.k_pma",
+    }
+)
+"""Groups of entry points by setting: a package that names its class there makes it known by a short name."""
 
 
-def load(text: str) -> Any:
+def load(text: str, setting: str = "plant") -> Any:
     """Object of ``MODULE:NAME``, or of the entry point of this name; modules of the working folder are found.
 
     Raises
@@ -33,7 +43,7 @@ def load(text: str) -> Any:
     ValueError: plant must be MODULE:NAME or an entry point of los_testbed.plants, got 'math:no_such' (AttributeError: \
 module 'math' has no attribute 'no_such')
     """
-    folder = str(Path.cwd())
+    folder, group = str(Path.cwd()), GROUPS[setting]
     added = folder not in sys.path
     if added:
         sys.path.insert(0, folder)
@@ -44,34 +54,67 @@ module 'math' has no attribute 'no_such')
             for part in name.split("."):
                 found = getattr(found, part)
             return found
-        known = {point.name: point for point in entry_points(group=GROUP)}
+        known = {point.name: point for point in entry_points(group=group)}
         if text not in known:
             raise LookupError(f"known are {', '.join(sorted(known)) or 'none'}")
         return known[text].load()
     except Exception as error:
-        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise ValueError(f"plant must be MODULE:NAME or an entry point of {GROUP}, got {text!r} ({what})") from error
+        file = "a file, " if setting.startswith("k_") else ""
+        raise ValueError(
+            f"{setting} must be {file}MODULE:NAME or an entry point of {group}, got {text!r} ({in_one_line(error)})"
+        ) from error
     finally:
         if added:
             sys.path.remove(folder)
 
 
-def make_plant(config: RunConfig) -> Any:
-    """Plant that `config` names: its class or function is called, with the configuration if it has a parameter for it.
+def make(config: RunConfig, setting: str = "plant") -> Any:
+    """Object that a setting of `config` names: its class or function is called, and the object reset.
+
+    It gets the configuration if it has a parameter ``config``.
 
     Raises
     ------
     ValueError
         It cannot be loaded or called.
     """
-    made = load(config.plant)
+    text = getattr(config, setting)
+    made = load(text, setting)
     if not callable(made):
-        raise ValueError(f"plant must be a class or a function that makes one, got {type(made).__name__}")
+        raise ValueError(f"{setting} must be a class or a function that makes one, got {type(made).__name__}")
     try:
         wants = "config" in inspect.signature(made).parameters
-        plant = made(config=config) if wants else made()
-        plant.reset()
+        return made(config=config) if wants else made()
     except Exception as error:
-        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise ValueError(f"plant {config.plant} must be made without arguments or with config, got {what}") from error
-    return plant
+        what = in_one_line(error)
+        raise ValueError(f"{setting} {text} must be made without arguments or with config, got {what}") from error
+
+
+def source_hashes(config: RunConfig) -> dict[str, str]:
+    """SHA-256 of the source file of each object of the user that `config` names; empty text where there is no file.
+
+    Raises
+    ------
+    ValueError
+        One of them cannot be loaded.
+    """
+    hashes = {}
+    for setting in GROUPS:
+        text = getattr(config, setting)
+        if not text or (setting.startswith("k_") and not is_code(text)):
+            continue
+        try:
+            file = inspect.getsourcefile(load(text, setting))
+        except TypeError:  # built in, or an object without a file
+            file = None
+        hashes[setting] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file and Path(file).is_file() else ""
+    return hashes
+
+
+def in_one_line(error: Exception) -> str:
+    """Type and text of an exception.
+
+    >>> in_one_line(KeyError("a"))
+    "KeyError: 'a'"
+    """
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

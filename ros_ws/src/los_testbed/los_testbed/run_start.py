@@ -133,7 +133,7 @@ def find_run_start(
 
 
 def _needs_tone(config: RunConfig) -> bool:
-    return config.scenario == "worst_case" and config.disturbance
+    return config.scenario == "worst_case" and config.disturbance and not config.disturbance_source
 
 
 def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem]) -> str:

@@ -14,8 +14,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from los_testbed.config import RunConfig, read_yaml
+from los_testbed.config import RunConfig, is_code, read_yaml
 from lti.ordinary_file import read_ordinary_file
+from titop_plant.interface import MIRROR_STAGES
 from titop_plant.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -222,8 +223,9 @@ def of_designs(designs: str) -> dict[str, Any]:
 def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
     """Member of the family that a scenario asks for where the settings name none.
 
-    The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
-    at structural modes.
+    The scenario worst_case: the worst member of the stage, of the isolator alone where a controller is code of the
+    user. The scenario imbalance: wheel speeds at which harmonics are at structural modes. A disturbance of the user:
+    none.
 
     Parameters
     ----------
@@ -233,8 +235,12 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
         Folder of designs; empty for the stored ones.
     """
     config = RunConfig.from_mapping({**settings})
+    if config.disturbance_source:
+        return {}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
-        return worst_member(config.loop, config.worst_of, config.parameters, designs)
+        code = is_code(config.k_fsm) or is_code(config.k_pma)
+        loop = "isolator" if code and config.loop in MIRROR_STAGES else config.loop  # as the tone, see run_start
+        return worst_member(loop, config.worst_of, config.parameters, designs)
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
         from titop_plant.simulation import resonant_speeds
 

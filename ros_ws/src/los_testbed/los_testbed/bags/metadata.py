@@ -11,7 +11,8 @@ import yaml
 
 from los_design.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
-from los_testbed.factories import compare_with_telescope, controller_files, load_controllers, telescope_basis
+from los_testbed.factories import compare_with_telescope, recorded_files, run_controllers, telescope_basis
+from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.bag_metadata import METADATA_NAME
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -27,10 +28,11 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference.
+    differs from the reference. ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`,
+    are of the source files of code of the user.
     """
     telescope = telescope_basis(config)
-    warnings = compare_with_telescope(load_controllers(config), telescope, config.loop)
+    warnings = compare_with_telescope(run_controllers(config), telescope, config.loop)
     return {
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
@@ -39,6 +41,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
+        **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
         "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
@@ -79,9 +82,7 @@ def final_metadata(
 
 def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Files of the controllers, the configuration as YAML, tone and states of the start."""
-    content = {
-        f"{name}.json": ("application/json", path.read_bytes()) for name, path in controller_files(config).items()
-    }
+    content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in recorded_files(config).items()}
     text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())

@@ -24,7 +24,7 @@ from los_testbed.cli.plant import plant_app
 from los_testbed.cli.proofs import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
-from los_testbed.cli.run import RUN_EXAMPLES, run, with_live_port
+from los_testbed.cli.run import RUN_EXAMPLES, run, with_lone_options
 from los_testbed.cli.stages import STAGES_EXAMPLES, stages
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.screen import printable
@@ -98,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     sys.unraisablehook = _not_raised
     try:
         command: Callable[..., Any] = typer.main.get_command(app)
-        given = with_live_port(sys.argv[1:] if arguments is None else arguments)
+        given = with_lone_options(sys.argv[1:] if arguments is None else arguments)
         result = command(args=given, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))

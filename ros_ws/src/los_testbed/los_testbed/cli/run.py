@@ -15,11 +15,12 @@ from rich.console import Console
 
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.output import Json, print_json
-from los_testbed.config import NAMESPACE, RunConfig, parse_value, read_yaml
+from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import say
+from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
 
@@ -51,6 +52,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
     los-testbed run --plant my_module:MyPlant          # a plant of your own, checked before the run
 
     los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
+
+    los-testbed run --k-fsm my_module:Observer --disturbance my_module:Wind     # classes of your own
 """
 
 
@@ -66,16 +69,22 @@ def run(
     seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
     noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
     disturbance: Annotated[
-        bool | None, typer.Option("--disturbance/--no-disturbance", help="Wheels and array drive.")
+        str | None,
+        typer.Option(metavar="[MODULE:NAME]", help="Wheels and array drives; or a disturbance of your own, by name."),
     ] = None,
+    no_disturbance: Annotated[bool, typer.Option("--no-disturbance", help="None at all.")] = False,
     camera_rate: Annotated[
         str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
     ] = None,
     plant: Annotated[
         str | None, typer.Option(metavar="MODULE:NAME", help="Plant of your own, or the name of an entry point.")
     ] = None,
-    k_fsm: Annotated[str | None, typer.Option(help="Observer file instead of the stored design.")] = None,
-    k_pma: Annotated[str | None, typer.Option(help="Proof-mass controller file instead of the stored design.")] = None,
+    k_fsm: Annotated[
+        str | None, typer.Option(help="Observer instead of the stored design: file, MODULE:NAME or entry point.")
+    ] = None,
+    k_pma: Annotated[
+        str | None, typer.Option(help="Proof-mass controller instead of the stored design, in the same way.")
+    ] = None,
     designs: Annotated[
         str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")
     ] = None,
@@ -128,8 +137,8 @@ def run(
         sys.stderr.write(f"ROS domain {domain}\n")
     given = {
         "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "worst_of": worst_of, "start": start,
-        "seed": seed, "noise": noise,
-        "disturbance": disturbance, "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
+        "seed": seed, "noise": noise, **_disturbance(disturbance, no_disturbance),
+        "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
         "ramp_duration": ramp_duration, "profile": profile, "parameters": parameters, "namespace": namespace,
@@ -182,8 +191,11 @@ def configure(
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
     settings_given = layered(first, named, drawn, stated, options)
-    if settings_given.get("plant"):  # what is steady, and a worst member, are known of the telescope only
-        chosen = RunConfig.from_mapping({"start": "rest", **settings_given})
+    code = any(is_code(str(settings_given.get(name, ""))) for name in ("k_fsm", "k_pma"))
+    if settings_given.get("plant") or code:  # what is steady is known of the telescope and of linear laws only
+        settings_given = {"start": "rest", **settings_given}
+    if settings_given.get("plant"):
+        chosen = RunConfig.from_mapping(settings_given)
     else:
         chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
     if not chosen.output:
@@ -215,6 +227,8 @@ def check(config: RunConfig) -> tuple[str, ...]:
         from los_testbed.loop.contract import check_plant
 
         check_plant(build_plant(config))
+    if config.disturbance_source and config.disturbance:
+        make_disturbance(config)
     warnings = check_controllers(config)
     if config.mode != "inprocess":
         from los_testbed.run.runner import check_ros
@@ -237,17 +251,36 @@ def telescope_differences(config: RunConfig) -> list[str]:
     return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
 
 
-def with_live_port(arguments: Sequence[str]) -> list[str]:
-    """The command line with the port of ``--live`` where it has none.
+DISTURBANCE_ON = "on"
+"""Value of ``--disturbance`` where it stands alone."""
 
-    >>> with_live_port(["run", "--live", "--seed", "3"]), with_live_port(["run", "--live", "9000"])
+
+def _disturbance(given: str | None, none: bool) -> dict[str, Any]:
+    """Settings that ``--disturbance`` and ``--no-disturbance`` stand for."""
+    if given is not None and none:
+        raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({given})")
+    if given in (None, DISTURBANCE_ON):
+        return {"disturbance": False if none else (True if given else None)}
+    return {"disturbance": True, "disturbance_source": given}
+
+
+def with_lone_options(arguments: Sequence[str]) -> list[str]:
+    """The command line with the values of ``--live`` and ``--disturbance`` where they stand alone.
+
+    >>> with_lone_options(["run", "--live", "--seed", "3"]), with_lone_options(["run", "--live", "9000"])
     (['run', '--live=8765', '--seed', '3'], ['run', '--live', '9000'])
+    >>> with_lone_options(["run", "--disturbance", "--noise"]), with_lone_options(["run", "--disturbance", "my:Wind"])
+    (['run', '--disturbance=on', '--noise'], ['run', '--disturbance', 'my:Wind'])
     """
-    following = [*arguments[1:], ""]
-    return [
-        f"--live={LIVE_PORT}" if a == "--live" and not b.lstrip("+-").isdigit() else a
-        for a, b in zip(arguments, following)
-    ]
+    given = []
+    for a, b in zip(arguments, [*arguments[1:], ""]):
+        if a == "--live" and not b.lstrip("+-").isdigit():
+            given.append(f"--live={LIVE_PORT}")
+        elif a == "--disturbance" and (not b or b.startswith("-")):
+            given.append(f"--disturbance={DISTURBANCE_ON}")
+        else:
+            given.append(a)
+    return given
 
 
 def check_live(config: RunConfig, port: int) -> None:

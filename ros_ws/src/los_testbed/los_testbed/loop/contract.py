@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.factories import Plant
+from los_testbed.plugins import in_one_line
+from los_testbed.user_blocks import UNTOUCHED, ContractError
 from titop_plant.interface import COLUMNS as PORTS
 from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
 
 CAMERA = "camera_los"
-_UNTOUCHED = -1.2345678901234567e-300
-"""Value that no plant writes: what still has it after a step was not written."""
-
-
-class ContractError(ValueError):
-    """An object of the user that is not what the loop needs; the message says what it must be and what it is."""
 
 
 def port_of(vector: NDArray[np.float64], where: NDArray[np.bool_]) -> str:
@@ -71,7 +67,7 @@ def check_plant(plant: Plant) -> None:
     if isinstance(frame, bool) or not isinstance(frame, (int, np.integer)) or not 1 <= frame <= RATE:
         raise ContractError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
     command = np.zeros(COMMANDS)
-    measurement, truth = np.full(MEASUREMENTS, _UNTOUCHED), np.full(TRUTH, _UNTOUCHED)
+    measurement, truth = np.full(MEASUREMENTS, UNTOUCHED), np.full(TRUTH, UNTOUCHED)
     shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
     try:
         trial = copy.deepcopy(plant)
@@ -82,14 +78,13 @@ def check_plant(plant: Plant) -> None:
         trial.step(command, measurement, truth)
         trial.reset()
     except Exception as error:
-        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {what}") from error
+        raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {in_one_line(error)}") from error
     if command.any():
         raise ContractError("plant.step must leave its command alone, got another one after the step")
     camera = np.zeros(MEASUREMENTS, bool)
     camera[PORTS[CAMERA]] = True
     for name, vector, may_be_nan in (("measurement", measurement, camera), ("truth", truth, np.zeros(TRUTH, bool))):
-        untouched = vector == _UNTOUCHED
+        untouched = vector == UNTOUCHED
         if untouched.any():
             raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
         odd = ~np.isfinite(vector) & ~may_be_nan

@@ -21,8 +21,10 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes, run_start
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
+from los_testbed.plugins import in_one_line
 from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
+from los_testbed.user_blocks import BlockFailedError
 from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
 
@@ -116,10 +118,12 @@ def simulate(
                 control(los, y[PLATFORM], u)
                 command[:] = u
                 done += 1
+        except BlockFailedError as error:  # says itself who failed at which tick
+            sink(block, done)
+            raise RunFailedError(str(error)) from error
         except Exception as error:
             sink(block, done)
-            what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            raise RunFailedError(f"{who} failed at tick {first + done}: {what}") from error
+            raise RunFailedError(f"{who} failed at tick {first + done}: {in_one_line(error)}") from error
         sink(block, rows)
         odd = first_not_finite({"measurement": block.measurement, "truth": block.truth, "command": block.command}, rows)
         if odd is not None:

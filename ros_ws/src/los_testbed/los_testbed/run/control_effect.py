@@ -52,8 +52,8 @@ class ControlEffect:
 def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
     """Effect of control in a recorded run; None where it is not known.
 
-    It is known for a stage with fine control, a telescope of constant parameters and a bag that holds how its run
-    started.
+    It is known for a stage with fine control, a telescope of constant parameters, a disturbance of tones and a bag that
+    holds how its run started.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         start = RunStart.from_bytes(run.attachments[START_FILE])
-        if config.ramp_duration or not np.isfinite(summary.rpe_rms):
+        if config.ramp_duration or config.disturbance_source or not np.isfinite(summary.rpe_rms):
             return None
         controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
         with one_thread():

@@ -1,0 +1,15 @@
+"""The same of the nominal design, which breaks the limits over the family (paper: dist2LOS_Nominal).
+
+python examples/paper/figure_stages_nominal.py [FOLDER [SAMPLES]]
+
+SAMPLES random members of the family beside the worst ones of each stage; each takes some seconds.
+"""
+
+import sys
+from pathlib import Path
+
+from los_design.figures import draw
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+for path in draw(folder, int(sys.argv[2]) if len(sys.argv) > 2 else 2, names=["stages_implemented_nominal"]):
+    print(path)

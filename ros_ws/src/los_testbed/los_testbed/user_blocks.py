@@ -1,0 +1,198 @@
+"""Observer, proof-mass law and disturbance of the user: their contract, checked before a run and at every tick.
+
+A block is any object with ``reset`` and ``step``. `step` writes all of `out` and leaves its input alone; after
+`reset` it gives the same values again, to the last bit.
+
+==================  ============================  ==========================================================
+setting             step                          content
+==================  ============================  ==========================================================
+k_fsm               step(measurement, out)        22 measurements to 2 angles; the camera's are NaN between frames
+k_pma               step(accel_Ip, out)           6 accelerations to 6 forces [N], limited afterwards
+disturbance_source  step(out)                     28 forces and torques, :mod:`titop_plant.driven_plant`
+==================  ============================  ==========================================================
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_testbed.config import RunConfig
+from los_testbed.plugins import in_one_line, make
+from lti.ports import Port, port_slices, total_size
+from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+
+FloatArray = NDArray[np.float64]
+UNTOUCHED = -1.2345678901234567e-300
+"""Value that no block writes: what still has it after a step was not written."""
+
+TRIAL_TICKS = 3
+LAWS: Mapping[str, tuple[Sequence[Port], Sequence[Port]]] = MappingProxyType(
+    {"k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
+)
+"""Inputs and outputs of the controllers."""
+
+
+class ContractError(ValueError):
+    """An object of the user that is not what the loop needs; the message says what it must be and what it is."""
+
+
+class BlockFailedError(RuntimeError):
+    """A block of the user failed during a run; the message says which, at which tick and how."""
+
+
+def element(ports: Iterable[Port], where: NDArray[np.bool_]) -> str:
+    """Name of the first marked element of a vector.
+
+    >>> element(K_FSM_INPUTS, np.arange(22) == 8)
+    'accel_M1[2]'
+    """
+    index = int(np.flatnonzero(where)[0])
+    columns = port_slices(ports)
+    name = next(name for name, part in columns.items() if part.start <= index < part.stop)
+    return f"{name}[{index - columns[name].start}]"
+
+
+class UserBlock:
+    """A block of the user, watched: it stands where a controller of a file stands.
+
+    Parameters
+    ----------
+    setting : str
+        ``k_fsm``, ``k_pma`` or ``disturbance_source``.
+    text : str
+        Name under which it was loaded, for messages.
+    block : object
+        With ``reset`` and ``step``.
+    inputs, outputs : sequences of Port
+        A block without inputs has the signature ``step(out)``.
+
+    Raises
+    ------
+    ContractError
+        `step` or `reset` is missing or no method.
+    """
+
+    def __init__(self, setting: str, text: str, block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> None:
+        for name in ("step", "reset"):
+            if not callable(getattr(block, name, None)):
+                raise ContractError(f"{setting} {text}: {name} must be a method, got {getattr(block, name, 'none')!r}")
+        self.name, self.block, self.inputs, self.outputs = f"{setting} {text}", block, tuple(inputs), tuple(outputs)
+        self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
+        self.order, self.tick = 0, 0
+
+    def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
+        """Nothing: code has no ports of its own, `check` tries the step."""
+
+    def start_at(self, state: FloatArray, camera: FloatArray) -> None:
+        """Nothing: a run with code of the user starts at rest."""
+
+    def reset(self, state: FloatArray | None = None) -> None:
+        """Back to the first tick."""
+        self.tick = 0
+        try:
+            self.block.reset()
+        except Exception as error:
+            raise BlockFailedError(f"{self.name}: reset failed: {in_one_line(error)}") from error
+
+    def step(self, *vectors: FloatArray) -> None:
+        """One tick: the input, where the block has one, and `out`.
+
+        Raises
+        ------
+        BlockFailedError
+            The block raised an exception, or wrote a value that is not finite; the message names tick and port.
+        """
+        out = vectors[-1]
+        try:
+            self.block.step(*vectors)
+        except Exception as error:
+            raise BlockFailedError(f"{self.name} failed at tick {self.tick}: {in_one_line(error)}") from error
+        odd = ~np.isfinite(out)
+        if odd.any():
+            where, value = element(self.outputs, odd), out[odd][0]
+            raise BlockFailedError(f"{self.name} failed at tick {self.tick}: {where} is {value:g}")
+        self.tick += 1
+
+    def check(self) -> None:
+        """Try a few ticks on a copy; a block that cannot be copied is tried itself and reset afterwards.
+
+        Raises
+        ------
+        ContractError
+            `step` fails, leaves something unwritten, writes values that are not finite, changes its input, or does not
+            repeat itself after `reset`.
+        """
+        try:
+            trial = UserBlock(self.name, "", copy.deepcopy(self.block), self.inputs, self.outputs)
+        except Exception:
+            trial = UserBlock(self.name, "", self.block, self.inputs, self.outputs)
+        trial.name = self.name
+        first, second = (np.array(list(trial._trial())) for _ in range(2))
+        trial.reset()
+        if not np.array_equal(first, second):
+            tick, index = np.argwhere(first != second)[0]
+            where = element(self.outputs, np.arange(first.shape[1]) == index)
+            pair = f"{first[tick, index]:g} and {second[tick, index]:g}"
+            raise ContractError(f"{self.name} must repeat itself after reset, got {pair} in {where} at tick {tick}")
+
+    def _trial(self) -> Iterable[FloatArray]:
+        """Outputs of the first ticks after a reset, with zeros as input; NaN of the camera from the second tick on."""
+        size, width = total_size(self.inputs), total_size(self.outputs)
+        shapes = ", ".join(f"{port.name} ({port.size},)" for port in (*self.inputs, *self.outputs))
+        try:
+            self.reset()
+        except BlockFailedError as error:
+            raise ContractError(str(error)) from error
+        for tick in range(TRIAL_TICKS):
+            given = np.zeros(size)
+            if tick and self.inputs == K_FSM_INPUTS:
+                given[CAMERA] = np.nan
+            kept, out = given.copy(), np.full(width, UNTOUCHED)
+            try:
+                self.block.step(*((given, out) if size else (out,)))
+            except Exception as error:
+                raise ContractError(f"{self.name}: step must work with {shapes}, got {in_one_line(error)}") from error
+            if not np.array_equal(given, kept, equal_nan=True):
+                raise ContractError(f"{self.name}: step must leave its input alone, got another one after the step")
+            if (untouched := out == UNTOUCHED).any():
+                where = element(self.outputs, untouched)
+                raise ContractError(f"{self.name}: step must write all of out, got nothing in {where}")
+            if (odd := ~np.isfinite(out)).any():
+                where = f"{element(self.outputs, odd)} at tick {tick}"
+                raise ContractError(f"{self.name}: step must write finite values, got {out[odd][0]:g} in {where}")
+            yield out
+
+
+def make_law(config: RunConfig, setting: str) -> UserBlock:
+    """Controller that the setting ``k_fsm`` or ``k_pma`` names, checked.
+
+    Raises
+    ------
+    ValueError
+        It cannot be made, or breaks the contract.
+    """
+    made = UserBlock(setting, getattr(config, setting), make(config, setting), *LAWS[setting])
+    made.check()
+    return made
+
+
+def make_disturbance(config: RunConfig) -> UserBlock:
+    """Disturbance that the configuration names, checked.
+
+    Raises
+    ------
+    ValueError
+        It cannot be made, or breaks the contract.
+    """
+    from titop_plant.driven_plant import DISTURBANCE_PORTS
+
+    setting = "disturbance_source"
+    made = UserBlock(setting, config.disturbance_source, make(config, setting), (), DISTURBANCE_PORTS)
+    made.check()
+    return made

@@ -1,0 +1,297 @@
+"""Observer, proof-mass law and disturbance of the user: contract before the run, failures named, the bag names them."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed import plugins
+from los_testbed.cli import app
+from los_testbed.config import RunConfig
+from los_testbed.factories import build_controller, build_estimator, controller_files, run_start
+from los_testbed.loop.contract import ContractError, RunFailedError
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.user_blocks import BlockFailedError, UserBlock
+from simple_telescope import SimpleTelescope, write_controllers
+
+from lti.ports import Port
+from lti.sampled_system import SampledSystem
+from pointing_analysis.read import Run
+from pointing_analysis.summary import summarise
+from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+
+MODULE = '''
+import numpy as np
+from lti.sampled_system import SampledSystem
+from los_estimator.runtime import LosEstimator
+
+class Observer(LosEstimator):
+    """The test observer of its file, which holds the camera between frames."""
+    def __init__(self):
+        super().__init__(SampledSystem.from_file("k_fsm.json"))
+
+class Law:
+    def __init__(self):
+        self.system = SampledSystem.from_file("k_pma.json")
+    def reset(self):
+        self.system.reset()
+    def step(self, accel_Ip, out):
+        self.system.step(accel_Ip, out)
+
+class Quiet:
+    def reset(self):
+        pass
+    def step(self, out):
+        out[:] = 0.0
+
+class Failing(Observer):
+    def reset(self):
+        super().reset()
+        self.tick = 0
+    def step(self, measurement, out):
+        super().step(measurement, out)
+        if self.tick == 1234:
+            out[1] = np.nan
+        self.tick += 1
+
+class Returning:
+    def reset(self):
+        pass
+    def step(self, measurement, out):
+        return np.zeros(2)
+
+class Restless:
+    def reset(self):
+        pass
+    def step(self, out):
+        out[:] = np.random.default_rng().standard_normal(28)
+'''
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module in the working folder, of a name of its own, beside the files of the test controllers."""
+    name = f"blocks_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text(MODULE)
+    write_controllers(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return name
+
+
+def block(step: Any, reset: Any = lambda: None) -> SimpleNamespace:
+    return SimpleNamespace(step=step, reset=reset)
+
+
+def check(step: Any, setting: str = "k_fsm", **more: Any) -> None:
+    ports = {
+        "k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS),
+        "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS),
+        "disturbance_source": ((), (Port("wheel_imbalance", 20), Port("sadm_torque", 2))),
+    }[setting]
+    UserBlock(setting, "mine:Block", block(step, **more), *ports).check()
+
+
+def fill(value: float, index: Any = slice(None)) -> Any:
+    def step(given: np.ndarray, out: np.ndarray) -> None:
+        out[index] = value
+
+    return step
+
+
+def meddle(given: np.ndarray, out: np.ndarray) -> None:
+    given[3], out[:] = 1.0, 0.0
+
+
+def passes_the_camera_on(given: np.ndarray, out: np.ndarray) -> None:
+    out[:] = given[CAMERA]
+
+
+def of_another_shape(given: np.ndarray, out: np.ndarray) -> None:
+    out[:] = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        (fill(np.nan, 1), "must write all of out, got nothing in los_estimate[0]"),
+        (fill(np.nan), "must write finite values, got nan in los_estimate[0] at tick 0"),
+        (passes_the_camera_on, "must write finite values, got nan in los_estimate[0] at tick 1"),
+        (lambda given, out: np.zeros(2), "must write all of out, got nothing in los_estimate[0]"),
+        (of_another_shape, "los_estimate (2,), got ValueError: could not broadcast"),
+        (lambda given: None, "los_estimate (2,), got TypeError"),
+        (meddle, "must leave its input alone"),
+    ],
+)
+def test_a_broken_contract_is_named_with_port_and_shape(step: Any, words: str) -> None:
+    with pytest.raises(ContractError) as told:
+        check(step)
+    assert str(told.value).startswith("k_fsm mine:Block") and words in str(told.value)
+
+
+def test_missing_methods_and_a_reset_that_fails_are_named() -> None:
+    with pytest.raises(ContractError, match=r"k_pma mine:Law: step must be a method, got 'none'"):
+        UserBlock("k_pma", "mine:Law", SimpleNamespace(reset=print), K_PMA_INPUTS, K_PMA_OUTPUTS)
+    with pytest.raises(ContractError, match=r"reset must be a method, got 3"):
+        UserBlock("k_pma", "mine:Law", SimpleNamespace(step=print, reset=3), K_PMA_INPUTS, K_PMA_OUTPUTS)
+    with pytest.raises(ContractError, match=r"reset failed: ZeroDivisionError"):
+        check(fill(0.0), reset=lambda: 1 / 0)
+
+
+def test_a_block_must_repeat_itself_after_reset() -> None:
+    seen = np.random.default_rng(1)
+    with pytest.raises(
+        ContractError, match=r"must repeat itself after reset, got .* and .* in wheel_imbalance\[0\] at"
+    ):
+        check(lambda out: out.__setitem__(slice(None), seen.standard_normal()), "disturbance_source")
+
+
+def test_the_trial_leaves_the_block_as_it_was() -> None:
+    class Counts:
+        ticks = 0
+
+        def reset(self) -> None:
+            pass
+
+        def step(self, given: np.ndarray, out: np.ndarray) -> None:
+            out[:] = 0.0
+            self.ticks += 1
+
+    counts = Counts()
+    UserBlock("k_pma", "mine:Law", counts, K_PMA_INPUTS, K_PMA_OUTPUTS).check()
+    assert counts.ticks == 0
+
+
+def test_ticks_are_counted_from_the_reset() -> None:
+    watched = UserBlock("k_pma", "mine:Law", block(fill(np.inf, 4)), K_PMA_INPUTS, K_PMA_OUTPUTS)
+    out = np.zeros(6)
+    watched.block.step = fill(0.0)
+    for _ in range(5):
+        watched.step(np.zeros(6), out)
+    watched.block.step = fill(np.inf, 4)
+    with pytest.raises(BlockFailedError, match=r"k_pma mine:Law failed at tick 5: pma_force\[4\] is inf"):
+        watched.step(np.zeros(6), out)
+    watched.reset()
+    with pytest.raises(BlockFailedError, match="tick 0"):
+        watched.step(np.zeros(6), out)
+
+
+def test_classes_give_the_bits_of_the_files_that_they_read(module: str) -> None:
+    common = {"duration": 2.0, "mode": "inprocess", "start": "rest"}
+    files = {"k_fsm": "k_fsm.json", "k_pma": "k_pma.json"}
+    code = {"k_fsm": f"{module}:Observer", "k_pma": f"{module}:Law"}
+    for name, settings in (("files", files), ("code", code)):
+        run_in_process(RunConfig(**common, **settings), Path(name), SimpleTelescope())
+    from_files, from_code = Run.open("files"), Run.open("code")
+    for topic in ("truth/los", "los_estimate", "fsm/command", "pma/command"):
+        np.testing.assert_array_equal(from_files[topic].values, from_code[topic].values)
+    assert np.abs(from_code["pma/command"].values).max() > 0.0
+
+
+def test_the_bag_names_the_classes_and_their_source(module: str) -> None:
+    line = ["run", "--mode", "inprocess", "--duration", "3", "--no-report", "--output", "bag"]
+    line += ["--k-fsm", f"{module}:Observer", "--k-pma", f"{module}:Law", "--disturbance", f"{module}:Quiet"]
+    assert app.main(line) == 0
+    run = Run.open("bag")
+    digest = hashlib.sha256(MODULE.encode()).hexdigest()
+    for setting, name in (("k_fsm", "Observer"), ("k_pma", "Law"), ("disturbance_source", "Quiet")):
+        assert run.parameters[setting] == f"{module}:{name}"
+        assert run.parameters[f"{setting}_source_sha256"] == digest
+    assert run.parameters["start"] == "rest"
+    assert not {"k_fsm.json", "k_pma.json"} & set(run.attachments)
+    assert app.main(["report", "bag", "--output", "page.html"]) in (0, 1)
+
+
+def test_a_value_that_is_not_finite_ends_the_run_and_is_in_the_bag(module: str) -> None:
+    config = RunConfig(duration=3.0, mode="inprocess", start="rest", k_fsm=f"{module}:Failing", k_pma="k_pma.json")
+    message = rf"k_fsm {module}:Failing failed at tick 1234: los_estimate\[1\] is nan"
+    with pytest.raises(RunFailedError, match=f"^{message}$"):
+        run_in_process(config, Path("bag"), SimpleTelescope())
+    run = Run.open("bag")
+    assert len(run["truth/los"]) == 1234
+    assert any("failed at tick 1234" in problem for problem in summarise(run).problems)
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "words"),
+    [
+        ("--k-fsm", "{}:Returning", "must write all of out, got nothing in los_estimate[0]"),
+        ("--k-pma", "{}:Missing", "has no attribute 'Missing'"),
+        ("--k-pma", "{}:Quiet", "k_pma"),
+        ("--k-fsm", "short_name", "k_fsm must be a file, MODULE:NAME or an entry point of los_testbed.k_fsm"),
+        ("--k-fsm", "missing.json", "missing.json"),
+        ("--disturbance", "{}:Restless", "must repeat itself after reset"),
+        ("--disturbance", "no_such_module:Wind", "disturbance_source must be MODULE:NAME or an entry point of"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_before_the_run(
+    option: str, name: str, words: str, module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["run", option, name.format(module), "--mode", "inprocess", "--duration", "1", "--output", "bag"]
+    with pytest.raises(SystemExit) as caught:
+        app.main(line)
+    assert caught.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert words in error and len(error.splitlines()) == 1, error
+    assert not Path("bag").exists()
+
+
+def test_settings_that_exclude_one_another() -> None:
+    with pytest.raises(ValueError, match="start must be rest with k_pma of your own code, got steady"):
+        RunConfig(k_pma="mine:Law")
+    with pytest.raises(ValueError, match="disturbance_source must be empty with a plant of your own"):
+        RunConfig(plant="mine:Plant", start="rest", disturbance_source="mine:Wind")
+    with pytest.raises(ValueError, match="ramp_duration must be 0"):
+        RunConfig(disturbance_source="mine:Wind", ramp_duration=1.0)
+    with pytest.raises(ValueError, match="only `los-testbed run` takes code, got mine:Law"):
+        controller_files(RunConfig(k_fsm="mine:Law", start="rest"))
+
+
+def test_a_file_is_a_file_whatever_it_is_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(write_controllers(tmp_path)["k_fsm"]).rename("observer")
+    config = RunConfig(k_fsm="observer", start="rest", mode="inprocess")
+    assert controller_files(config)["k_fsm"] == Path("observer")
+
+
+def test_entry_points_have_a_group_for_each_setting(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def points(group: str) -> list[Any]:
+        known = {"los_testbed.k_fsm": "Observer", "los_testbed.k_pma": "Law", "los_testbed.disturbances": "Quiet"}
+        found = plugins.load(f"{module}:{known[group]}")
+        return [SimpleNamespace(name="short", load=lambda: found)]
+
+    monkeypatch.setattr(plugins, "entry_points", points)
+    config = RunConfig(k_fsm="short", k_pma="short", start="rest", loop="fsm+pma")
+    estimator = build_estimator(config)
+    assert isinstance(estimator, UserBlock) and type(estimator.block).__name__ == "Observer"
+    law = build_controller(config).k_pma
+    assert isinstance(law, UserBlock) and type(law.block).__name__ == "Law"
+    assert type(plugins.make(RunConfig(disturbance_source="short"), "disturbance_source")).__name__ == "Quiet"
+
+
+def test_the_tone_of_a_run_with_code_is_that_of_the_stage_without_it(module: str) -> None:
+    """No model of the code is known: the tone is worst for the telescope on its isolator."""
+    code = run_start(RunConfig(k_fsm=f"{module}:Observer", start="rest", scenario="worst_case"))
+    isolator = run_start(RunConfig(loop="isolator", start="rest", scenario="worst_case"))
+    assert code.tone is not None and isolator.tone is not None
+    assert code.tone.omega == isolator.tone.omega
+    assert run_start(RunConfig(disturbance_source="mine:Wind", scenario="worst_case")).tone is None
+
+
+def test_the_gain_of_the_mirror_follows_the_design_basis_of_a_class(module: str) -> None:
+    config = RunConfig(k_fsm=f"{module}:Observer", start="rest")
+    telescope = build_controller(RunConfig(start="rest")).los_sensitivity
+    assert build_controller(config).los_sensitivity == telescope
+    Path(f"{module}_other.py").write_text(MODULE + '\nObserver.design_basis = {"los_sensitivity": 0.2}\n')
+    with pytest.raises(ValueError, match=r"fsm.los_sensitivity of its design must be .*, got 0.2"):
+        build_controller(RunConfig(k_fsm=f"{module}_other:Observer", start="rest"))
+
+
+def test_files_are_still_checked_for_their_ports(tmp_path: Path) -> None:
+    files = write_controllers(tmp_path)
+    with pytest.raises(ValueError, match="inputs must be"):
+        build_estimator(RunConfig(k_fsm=files["k_pma"], start="rest"))
+    assert isinstance(build_controller(RunConfig(k_pma=files["k_pma"], start="rest")).k_pma, SampledSystem)
