@@ -28,7 +28,10 @@ app.main(["work"])
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_in_a_callback_is_not_lost(name: str) -> None:
-    prepared = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    prepared = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # under nohup it is ignored
+    )
     done = subprocess.run(
         [sys.executable, "-c", prepared + CODE.replace("{name}", name)], capture_output=True, text=True, timeout=240
     )
