@@ -28,7 +28,6 @@ from los_testbed.topics import (
     ACCEL,
     COMMANDS,
     FSM_COMMAND,
-    HEADER,
     ISOLATOR_ACCEL,
     JOINT_STATE,
     LOS_ESTIMATE,
@@ -51,6 +50,9 @@ HOLD_TICKS = 20
 
 def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec) * NS + int(message.header.stamp.nanosec)
+
+
+from pointing_analysis.message_types import HEADER
 
 
 def read(message: Any, topic: Topic, out: np.ndarray) -> None:
