@@ -41,6 +41,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 
 from lti.threads import one_thread
+from pointing_analysis.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
 NS = 1_000_000_000
@@ -50,9 +51,6 @@ HOLD_TICKS = 20
 
 def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec) * NS + int(message.header.stamp.nanosec)
-
-
-from pointing_analysis.message_types import HEADER
 
 
 def read(message: Any, topic: Topic, out: np.ndarray) -> None:
