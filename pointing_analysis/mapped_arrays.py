@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import mmap
 import os
 import tempfile
@@ -230,8 +231,8 @@ class SortedValues:
     >>> found = SortedValues(np.array([3.0, np.nan, 1.0, 2.0]))
     >>> found.size, found.at([0, 2])
     (3, array([1., 3.]))
-    >>> found.quantile(0.25)
-    1.5
+    >>> found.quantile(0.5), found.quantile(0.7)
+    (2.0, 3.0)
     """
 
     def __init__(self, values: NDArray[np.float64]) -> None:
@@ -268,13 +269,15 @@ class SortedValues:
         return total
 
     def quantile(self, probability: float) -> float:
-        """Quantile with linear interpolation, as `numpy.quantile`; NaN without values."""
+        """Smallest value that at least this share of the values does not exceed; NaN without values.
+
+        No interpolation: a limit between two values is kept by as many values as the smaller one, so that only the values
+        themselves agree with a verdict that counts.
+        """
         if not self.size:
             return float("nan")
-        place = probability * (self.size - 1)
-        rank = min(int(place), self.size - 1)
-        pair = self.at([rank, min(rank + 1, self.size - 1)])
-        return float(np.quantile(pair, place - rank))
+        rank = math.ceil(probability * self.size - 1e-9) - 1
+        return float(self.at(min(max(rank, 0), self.size - 1))[0])
 
 
 _TOP = np.uint64(1 << 63)

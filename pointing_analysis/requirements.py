@@ -62,7 +62,7 @@ class Verdict:
         if math.isinf(self.missing):
             return False
         above = self.exceeding * self.samples + self.missing
-        return above <= (1 - self.requirement.probability) * (self.samples + self.missing)
+        return above <= (1 - self.requirement.probability) * (self.samples + self.missing) + 1e-9
 
     @property
     def statement(self) -> str:

@@ -78,7 +78,7 @@ class Performance:
             instant = metrics.rpe_instant(error, dt, WINDOW)
             p997 = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)).quantile(0.997)
             sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
-            of_windows = float(np.quantile(sizes, 0.997)) if sizes.size else nan
+            of_windows = SortedValues(sizes).quantile(0.997)
         return cls(
             float(ape.at(ape.size - 1)[0]),
             ape.quantile(0.997),

@@ -326,6 +326,19 @@ def test_a_requirement_of_windows_has_one_value_of_each() -> None:
     assert instants.max() / rms.max() == pytest.approx(math.sqrt(3.0), rel=0.05)
 
 
+@pytest.mark.parametrize("probability", [0.5, 0.9, 0.95, 0.997])
+def test_the_quantile_is_below_the_limit_exactly_where_the_limit_is_kept(probability: float) -> None:
+    """Two of 500 windows above 40 mas are more than 0.3 %: no quantile of 38 mas may stand beside that verdict."""
+    rng = np.random.default_rng(0)
+    for size in (*range(1, 40), 500, 1000, 1999):
+        values = rng.exponential(20 * MAS, size)
+        for rank in {0, size // 2, size - 1, max(size - 2, 0), int(probability * size) % size}:
+            limit = np.sort(values)[rank] * (1 + 1e-9) / MAS
+            asked = parse(f"prob(rms RPE(20 ms) < {limit:.12g} mas) >= {probability} at 95 % confidence")
+            verdict = requirements.decide(asked, values, float(size), 1.0)
+            assert verdict.keeps == (verdict.quantile.value < asked.limit), (size, rank)
+
+
 @pytest.mark.parametrize("quantity", ["rms APE", "rms |RPE(20 ms)|", "|RPE(20 ms)", "RPE(20 ms)|"])
 def test_other_forms_are_refused(quantity: str) -> None:
     with pytest.raises(RequirementError):

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis.confidence import exceedance_lower, exceedance_upper, samples_needed
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.mapped_arrays import SortedValues
 from pointing_analysis.requirements import Requirement, load
 
 FloatArray = NDArray[np.float64]
@@ -146,7 +147,7 @@ def model_verdicts(total: FloatArray, status: Sequence[str], loop: str) -> list[
 def _quantile(values: FloatArray, requirement: Requirement, mean: bool = False) -> float:
     if mean:
         return float(np.mean(values))
-    return float(np.quantile(values, requirement.probability, method="higher"))
+    return SortedValues(values).quantile(requirement.probability)
 
 
 def _decided(
