@@ -271,8 +271,8 @@ class SortedValues:
     def quantile(self, probability: float) -> float:
         """Smallest value that at least this share of the values does not exceed; NaN without values.
 
-        No interpolation: a limit between two values is kept by as many values as the smaller one, so that only the values
-        themselves agree with a verdict that counts.
+        No interpolation: a limit between two values is kept by as many values as the smaller one, so that only the
+        values themselves agree with a verdict that counts.
         """
         if not self.size:
             return float("nan")
