@@ -25,7 +25,7 @@ class DesignOptions:
     wall_limit : float
         Limit of the computing time [s].
     workers : int
-        Processes for the starts.
+        Processes for random starts and for searches; the result does not depend on them.
     progress : bool
         Show a progress bar.
     short : bool

@@ -3,7 +3,7 @@
 The controllers' continuous state spaces are tuned as they will be sampled (bilinear), behind the washout of the
 accelerometers, with one tick of delay; a camera value that is held between frames is the mean of the delays of one
 frame period. So the tuned loop is that of :class:`los_design.implemented_loop.ImplementedLoop`, and what is tuned is
-what :class:`los_design.worst_points.Search` measures.
+what :class:`los_design.worst_case_search.Search` measures.
 
 The gains are those of :func:`los_design.implemented_loop.loop_metrics` for the two stages, with the shares of the
 budget as limits. Those of the mirror alone have the suffix ``, alone``.

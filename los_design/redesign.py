@@ -19,9 +19,8 @@ import numpy as np
 from los_design.options import DesignOptions
 from los_design.synthesis import design_pair
 from los_design.verification import ImplementedCheck, broken_requirements, check_implemented, verification_points
+from los_design.worst_case_search import Search, SearchOptions
 from los_design.worst_points import (
-    Search,
-    SearchOptions,
     WorstPoint,
     load_worst_points,
     store_worst_points,

@@ -1,8 +1,8 @@
 """Design in rounds: tune on samples, search the implemented loop for worse parameters, add them, repeat.
 
 The descent (:mod:`robust_design.frequency_domain`) sees the implemented loop at the frequencies and parameter points
-of :mod:`los_design.pair_problem`; the search (:mod:`los_design.worst_points`) sees it everywhere, by ascents. What is
-added are the worst points of the bands in which a requirement exceeds what the descent reached. A design is
+of :mod:`los_design.pair_problem`; the search (:mod:`los_design.worst_case_search`) sees it everywhere, by ascents.
+What is added are the worst points of the bands in which a requirement exceeds what the descent reached. A design is
 ``converged`` when a thorough search finds none.
 """
 
@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
 from los_design.sampled_loop import sampled_loop
-from los_design.worst_points import Search, SearchOptions, WorstPoint
+from los_design.worst_case_search import Search, SearchOptions
+from los_design.worst_points import WorstPoint
 from lti import SampledSystem
 from lti.ordinary_file import read_ordinary_file
+from lti.workers import Workers
 from pointing_analysis.atomic_output import write_text
 from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
 from titop_plant.interface import FRAME_TICKS
@@ -79,6 +81,8 @@ class Task:
     seed : int
     wall_limit : float
         Of the whole design [s].
+    workers : Workers
+        Processes of the searches; the result does not depend on them.
     """
 
     samples: Samples
@@ -87,6 +91,7 @@ class Task:
     sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]]
     seed: int = 0
     wall_limit: float = np.inf
+    workers: Workers = field(default_factory=Workers)
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
@@ -312,7 +317,7 @@ def _search(
         search = task.search(x, stage, replace(options, seed=seed))
         starts = [p for points in known.values() for p in points if p.stage == STAGE_NAMES[stage]]
         names = [n for n in limits(search.loop.parameters, stage) if n in search.metrics and near[named(n, stage)]]
-        found.update({named(name, stage): points for name, points in search.run(names, starts).items()})
+        found.update({named(name, stage): points for name, points in search.run(names, starts, task.workers).items()})
     return found
 
 

@@ -11,17 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
+from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric
 from los_design.margins import change_names, changed_loops, doubtful
 from los_design.sampled_loop import SampledLoop, radius_of, sampled_loop, slow_modes
-from los_design.worst_points import Search, WorstPoint
+from los_design.worst_case_search import Search
+from los_design.worst_points import WorstPoint
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
+from lti.workers import Workers
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.parameters import Parameters
 
@@ -30,12 +33,12 @@ Values = Mapping[str, float]
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
 FINE_FROM, FINE_TO = 60.0, 1000.0
-NEAR, NEAR_MODE = 0.8, 0.98
-"""Peaks above this part of the largest one of their metric are refined; the second one is for values at the frequency
-of a slow mode, which is that of the peak to a fraction of its width."""
+NEAR = 0.8
+"""Peaks above this part of the largest one of their metric are refined."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
-CHUNK = 100
+CHUNK = 50
+"""Parameter points that a process looks at together."""
 NARROW, AROUND = 0.01, 3e-3
 """Damping ratio of the modes that are looked at one by one, and the relative half-width of their brackets."""
 
@@ -66,16 +69,12 @@ class StageCheck:
 
 @dataclass(frozen=True)
 class Bracket:
-    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point.
-
-    It is refined if the value is above the part `near` of the largest one of its metric.
-    """
+    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point."""
 
     value: float
     omega: float
     ends: tuple[float, float]
-    point: int
-    near: float = NEAR
+    point: FloatArray
 
 
 def grid() -> FloatArray:
@@ -95,6 +94,7 @@ def check_stage(
     *,
     changes: bool = True,
     tick: Callable[[], None] = lambda: None,
+    workers: Workers | None = None,
 ) -> StageCheck:
     """Evaluate a stage at parameter points.
 
@@ -110,29 +110,64 @@ def check_stage(
     changes : bool
         Check the changed loops, too.
     tick : callable
-        Called after each point's eigenvalues.
+        Called once for each point.
+    workers : Workers, optional
+        Processes; the result does not depend on them.
     """
     if not points:
         raise ValueError("points must hold at least one parameter point, got none")
+    workers = workers or Workers()
     search = Search(system, parameters, *pair, stage)
-    stable, modes = [], list[FloatArray]()
-    for values in points:
+    chunks = [_Chunk(points[k : k + CHUNK], changes, k == 0) for k in range(0, len(points), CHUNK)]
+    parts: list[_Part] = []
+    for part in workers.each(partial(_look, search), chunks):
+        parts.append(part)
+        for _ in part.stable:
+            tick()
+    stable = np.concatenate([part.stable for part in parts])
+    brackets = {name: [b for part in parts for b in part.brackets[name]] for name in search.metrics}
+    found = workers.map(partial(_worst, search), list(brackets.items()) if stable.any() else [])
+    unstable = [names for part in parts for names in part.unstable_changes]
+    envelope = {name: np.max([part.envelope[name] for part in parts], axis=0) for name in search.metrics}
+    return StageCheck(stage, dict(zip(search.metrics, found)), stable, unstable, envelope)
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Parameter points that are looked at together, whether with changed loops, and whether they are the first ones."""
+
+    points: Sequence[Values]
+    changes: bool
+    first: bool
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What :class:`StageCheck` holds, for a chunk, with brackets of the largest values of each metric."""
+
+    stable: NDArray[np.bool_]
+    brackets: dict[str, list[Bracket]]
+    unstable_changes: list[list[str]]
+    envelope: dict[str, FloatArray]
+
+
+def _look(search: Search, chunk: _Chunk) -> _Part:
+    """Stability, largest values and changed loops of a chunk of points."""
+    found, modes = [], list[FloatArray]()
+    for values in chunk.points:
         multipliers = _loop(search, values).multipliers()
-        stable.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
+        found.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
         modes.append(slow_modes(multipliers, FRAME_TICKS, FINE_FROM, NARROW))
-        tick()
-    cube = np.array([search.loop.point(dict(values)) for values in points])
-    metrics, omega = loop_metrics(parameters, stage), grid()
-    doubt = np.zeros((len(points), len(change_names(stage))), dtype=bool)
-    doubt[0] = True  # one point is checked by eigenvalues, whatever its responses say
-    peaks, envelope = _largest(search.loop, metrics, omega, cube, np.array(stable), doubt)
-    narrow = _at_modes(search.loop, metrics, modes, cube, np.array(stable), doubt)
-    unstable = [_lost(search, values, doubt[i]) if changes else [] for i, values in enumerate(points)]
-    worst = {}
-    if any(stable):
-        worst = {name: _worst(search, metrics[name], _brackets(metrics[name], omega, *peaks[name]) + narrow[name], cube)
-                 for name in metrics}  # fmt: skip
-    return StageCheck(stage, worst, np.array(stable), unstable, envelope)
+    stable = np.array(found)
+    cube = np.array([search.loop.point(dict(values)) for values in chunk.points])
+    metrics, omega = search.metrics, grid()
+    doubt = np.zeros((len(cube), len(change_names(search.loop.stage))), dtype=bool)
+    doubt[0] |= chunk.first  # one point is checked by eigenvalues, whatever its responses say
+    peaks, envelope = _largest(search.loop, metrics, omega, cube, stable, doubt)
+    narrow = _at_modes(search.loop, metrics, modes, cube, stable, doubt)
+    unstable = [_lost(search, values, doubt[i]) if chunk.changes else [] for i, values in enumerate(chunk.points)]
+    brackets = {name: _brackets(metrics[name], omega, *peaks[name], cube) + narrow[name] for name in metrics}
+    return _Part(stable, brackets, unstable, envelope)
 
 
 def _loop(search: Search, values: Values) -> SampledLoop:
@@ -162,24 +197,22 @@ def _largest(
     doubt: NDArray[np.bool_],
 ) -> tuple[dict[str, tuple[FloatArray, NDArray[np.intp]]], dict[str, FloatArray]]:
     """For each metric the largest value of every point with its place in the grid, and the envelope; marks `doubt`."""
-    value = {name: np.zeros(len(cube)) for name in metrics}
-    place = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
+    value: dict[str, FloatArray] = {name: np.zeros(len(cube)) for name in metrics}
+    place: dict[str, NDArray[np.intp]] = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
     envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
     whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
     for k, w in enumerate(omega):
         closed = loop.at(float(w))
-        for begin in range(0, len(cube), CHUNK):
-            part = slice(begin, begin + CHUNK)
-            T = loop.responses(closed, whole, loop.delta(cube[part]))
-            doubt[part] |= doubtful(T[:, 2:, 22:], float(w), loop.stage)
-            for name, metric in metrics.items():
-                if metric.band[0] <= w <= metric.band[1]:
-                    gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))
-                    gains = np.where(stable[part], gains, 0.0)
-                    higher = gains > value[name][part]
-                    value[name][part] = np.where(higher, gains, value[name][part])
-                    place[name][part] = np.where(higher, k, place[name][part])
-                    envelope[name][k] = max(envelope[name][k], float(gains.max()))
+        T = loop.responses(closed, whole, loop.delta(cube))
+        doubt |= doubtful(T[:, 2:, 22:], float(w), loop.stage)
+        for name, metric in metrics.items():
+            if metric.band[0] <= w <= metric.band[1]:
+                gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))
+                gains = np.where(stable, gains, 0.0)
+                higher = gains > value[name]
+                value[name] = np.where(higher, gains, value[name])
+                place[name] = np.where(higher, k, place[name])
+                envelope[name][k] = float(gains.max())
     return {name: (value[name], place[name]) for name in metrics}, envelope
 
 
@@ -200,34 +233,36 @@ def _at_modes(
             for name, metric in metrics.items():
                 if metric.band[0] <= w <= metric.band[1]:
                     value = float(loop.gains(closed, metric, cube[i][None])[0])
-                    found[name].append(
-                        Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), int(i), NEAR_MODE)
-                    )
+                    found[name].append(Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), cube[i]))
     return found
 
 
-def _brackets(metric: LoopMetric, omega: FloatArray, value: FloatArray, place: NDArray[np.intp]) -> list[Bracket]:
+def _brackets(
+    metric: LoopMetric, omega: FloatArray, value: FloatArray, place: NDArray[np.intp], cube: FloatArray
+) -> list[Bracket]:
     """The largest value of each point on the grid, with the neighbouring frequencies."""
     found = []
-    for i, (v, k) in enumerate(zip(value, place)):
+    for v, k, point in zip(value, place, cube):
         low, high = np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band)
-        found.append(Bracket(float(v), float(omega[k]), (float(low), float(high)), i))
+        found.append(Bracket(float(v), float(omega[k]), (float(low), float(high)), point))
     return found
 
 
-def _worst(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], cube: FloatArray) -> WorstPoint:
+def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     """Worst point of a metric, its peak and those near it refined."""
-    best = (0.0, 0.0, 0)
+    name, brackets = item
+    metric, best = search.metrics[name], (0.0, 0.0, search.loop.point({}))
     for bracket in sorted(brackets, key=lambda b: -b.value):
-        if bracket.value < bracket.near * best[0]:
-            continue
-        point = cube[bracket.point]
+        if bracket.value < NEAR * best[0]:
+            break
+        point = bracket.point[None]
 
         def lower(x: float, point: FloatArray = point) -> float:
-            return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point[None])[0])
+            return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point)[0])
 
         ends = np.log(np.clip(bracket.ends, *metric.band))
         found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
         refined = max((-float(found.fun), float(np.exp(found.x))), (bracket.value, bracket.omega))
-        best = max(best, (*refined, bracket.point))
-    return search.confirmed(metric, best[1], cube[best[2]])
+        if refined[0] > best[0]:
+            best = (*refined, bracket.point)
+    return search.confirmed(metric, *best[1:])

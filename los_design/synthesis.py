@@ -24,7 +24,7 @@ from los_design.provenance import commit
 from los_design.rounds import Effort, Outcome, Task, design_in_rounds
 from los_design.starts import random_law, random_start, screened, stored_start
 from los_design.store import DESIGN_PACKAGES, continuous, design_ports
-from los_design.worst_points import SearchOptions
+from los_design.worst_case_search import SearchOptions
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space

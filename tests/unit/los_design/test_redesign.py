@@ -16,7 +16,8 @@ from los_design import redesign
 from los_design.redesign import design_all, digest
 from los_design.store import load_designs
 from los_design.verification import check_implemented, verification_points
-from los_design.worst_points import Search, load_worst_points
+from los_design.worst_case_search import Search
+from los_design.worst_points import load_worst_points
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash

@@ -12,7 +12,8 @@ import pytest
 from los_design import rounds
 from los_design.pair_problem import BOTH
 from los_design.rounds import MAX_NEW, Effort, Task, design_in_rounds
-from los_design.worst_points import SearchOptions, WorstPoint
+from los_design.worst_case_search import SearchOptions
+from los_design.worst_points import WorstPoint
 from robust_design.frequency_domain import Descent
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)

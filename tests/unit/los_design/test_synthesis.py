@@ -19,7 +19,7 @@ from los_design.sampled_loop_norms import weighted_response
 from los_design.starts import screened, zero_controller
 from los_design.store import continuous, load_designs
 from los_design.trade_off import TradeOffPoint, undominated
-from los_design.worst_points import SearchOptions
+from los_design.worst_case_search import SearchOptions
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import StateSpace
 from robust_design import certify

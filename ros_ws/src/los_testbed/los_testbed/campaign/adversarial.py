@@ -28,7 +28,7 @@ MOST_ASCENTS = 200
 @lru_cache(maxsize=1)
 def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[str, float]], ...]:
     """Value and parameters of the worst point of each band of each metric, worst first."""
-    from los_design.worst_points import Search, SearchOptions
+    from los_design.worst_case_search import Search, SearchOptions
     from titop_plant.simulation import PlantFamily
 
     controllers = load_controllers(base)
@@ -44,7 +44,7 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
 
 
 def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
-    """Parameters of the members: worst points of :class:`los_design.worst_points.Search`, then uniform ones.
+    """Parameters of the members: worst points of :class:`los_design.worst_case_search.Search`, then uniform ones.
 
     The search finds the worst point of each frequency band for slow and for fast tones, some thirty points; the first
     member is the worst one of all.

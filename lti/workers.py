@@ -1,0 +1,79 @@
+"""Work in several processes with the results of one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import connection, get_context, parent_process
+from types import TracebackType
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unused-ignore]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Workers:
+    """Maps functions over items, in this process or in others: a context manager.
+
+    Each item is computed by itself, with one thread of linear algebra, and results come in the order of the items: they
+    do not depend on the number of processes. Processes start with the first items and end with the context, or with
+    this process, however it ends.
+
+    Parameters
+    ----------
+    count : int
+        Processes; 1: this one.
+
+    Examples
+    --------
+    >>> with Workers() as workers:
+    ...     workers.map(abs, [-1, 2])
+    [1, 2]
+    """
+
+    def __init__(self, count: int = 1) -> None:
+        if count < 1:
+            raise ValueError(f"workers must be at least 1, got {count}")
+        self.count = count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """Results of the function for the items; functions and items that go to other processes must be picklable."""
+        return list(self.each(function, items))
+
+    def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+        """What :meth:`map` gives, one by one."""
+        if self.count == 1 or len(items) < 2:
+            return map(function, items)
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self.count, mp_context=get_context("spawn"), initializer=_begin)
+        return self._pool.map(function, items)
+
+
+def _begin() -> None:
+    """In a new process: one thread of linear algebra, no interrupts of its own, and an end with the parent's end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(limits=1, user_api="blas")
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)
