@@ -224,7 +224,9 @@ def _near_modes(open_loop: OpenLoop, point: FloatArray, low: float, high: float)
     return np.sort(np.concatenate([modes * (1.0 + offset) for offset in MODE_OFFSETS]))
 
 
-def pair_problem(samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Sequence[int]) -> ResponseProblem:
+def pair_problem(
+    samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Sequence[int], threads: int = 1
+) -> ResponseProblem:
     """The design problem of one or both controllers.
 
     Parameters
@@ -233,6 +235,7 @@ def pair_problem(samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Seq
     stages : sequence of {ALONE, BOTH}
         Whose requirements count.
     tuned : sequence of {OBSERVER, ACTUATORS}
+    threads : int
     """
     parameters = samples.open_loop.parameters
     return ResponseProblem(
@@ -240,4 +243,5 @@ def pair_problem(samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Seq
         samples.all(),
         gains(parameters, stages),
         noises(samples.open_loop, stages),
+        threads,
     )

@@ -28,6 +28,7 @@ from los_design.worst_points import (
 )
 from lti import SampledSystem, UncertainSystem
 from lti.threads import one_thread
+from lti.workers import Workers
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import Telescope, build_telescope
@@ -83,6 +84,7 @@ def design_all(
     resume: bool = True,
     wall_limit: float = 3600.0,
     nominal: bool = False,
+    workers: int = 1,
 ) -> DesignSummary:
     """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
 
@@ -102,6 +104,8 @@ def design_all(
         Of the design of the controllers [s].
     nominal : bool
         Tune at the nominal parameters alone; the verification is that of the whole box.
+    workers : int
+        Processes; the result does not depend on their number.
 
     Raises
     ------
@@ -111,21 +115,21 @@ def design_all(
     if effort not in EFFORTS:
         raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
     _check_writable(folder)
-    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit, nominal=nominal)
-    with one_thread():
+    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit, nominal=nominal, workers=workers)
+    with one_thread(), Workers(workers) as processes:
         assembled = build_telescope(parameters)
 
         key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
         k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
         report("worst points of the stages")
-        points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort])
+        points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort], processes)
         save_worst_points(folder / "worst_points.json", parameters, k_fsm, k_pma, points)
         system = control_loop_plant(assembled, parameters)
         at = verification_points(parameters, system, SAMPLES[effort], seed + 1)
         at = at if effort == "full" else [at[0], *at[1:129:8], *at[129:]]
         adversarial = [dict(p.parameters) for p in points if p.stage in MIRROR_STAGES]
         report(f"verification at {len(at) + len(adversarial)} parameter points")
-        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial])
+        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=processes)
     not_met = broken_requirements(check)
     content = {"implemented": check.to_mapping(), "not_met": not_met}
     (folder / "verification.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -133,7 +137,11 @@ def design_all(
 
 
 def worst_points_of(
-    parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, options: SearchOptions
+    parameters: Parameters,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    options: SearchOptions,
+    workers: Workers | None = None,
 ) -> list[WorstPoint]:
     """Worst points of all stages: APE, slow and fast tones, and what else the stage has; ``RPE`` by name, too.
 
@@ -146,9 +154,8 @@ def worst_points_of(
     found, stored = [], load_worst_points()
     for stage in STAGES:
         search = Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options)
-        found += [
-            replace(p, requirement=name) for name, p in worst_of(search.run(starts=stored[stage].values())).items()
-        ]
+        worst = worst_of(search.run(starts=stored[stage].values(), workers=workers))
+        found += [replace(p, requirement=name) for name, p in worst.items()]
     return found
 
 

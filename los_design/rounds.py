@@ -36,7 +36,7 @@ MAX_NEW = 12
 SLACK = 3e-3
 """A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
 NEAR = 0.9
-"""The searches of the rounds look at requirements above this part of the largest value; the thorough one at all."""
+"""Searches look at requirements above this part of the largest value; the last one of a round at all."""
 APART = 0.01
 """Least relative distance of the frequencies of two new points of a requirement."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
@@ -53,16 +53,16 @@ class Effort:
         Random parameter points of the first round: half of them corners.
     first, iterations : int
         Of the descent in the first and in the other rounds.
-    quick, thorough : SearchOptions or None
-        Search of the rounds, and of the end; None: one descent at the first points, nothing is searched.
+    searches : tuple of SearchOptions
+        Of a round: the next one where those before find nothing worse. The last one decides, and is made in the last
+        round in any case. Empty: one descent at the first points, nothing is searched.
     """
 
     rounds: int
     points: int
     first: int
     iterations: int
-    quick: SearchOptions | None
-    thorough: SearchOptions | None
+    searches: tuple[SearchOptions, ...]
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def design_in_rounds(
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
     while True:
-        problem = pair_problem(task.samples, task.stages, task.tuned)
+        problem = pair_problem(task.samples, task.stages, task.tuned, task.workers.count)
         left = task.wall_limit - (time.monotonic() - begin)
         iterations = effort.first if state.number == 0 else effort.iterations
 
@@ -224,7 +224,7 @@ def design_in_rounds(
         worst, values = _worst(task, found)
         report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
         if last or not new:
-            status = descent.status if effort.quick is None else _status(bool(new), late)
+            status = descent.status if not effort.searches else _status(bool(new), late)
             active = [task.samples.open_loop.values(p) for p in state.points]
             return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
         state.known = {name: points[:3] for name, points in found.items()}
@@ -264,16 +264,17 @@ def _searched(
     effort: Effort,
     last: bool,
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
-    """Worst points by name, and those that are worse than what is known; thorough if nothing is, or at the end."""
-    if effort.quick is None or effort.thorough is None:
-        return {}, []
-    near = {g.name: bool(v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
-    found = _search(task, state.x, effort.quick, state.known, state.number, near)
-    new = _new(task, found, descent)
-    if last or not new:
-        found = _search(task, state.x, effort.thorough, state.known, state.number, dict.fromkeys(near, True))
-        new = _new(task, found, descent)
-    return found, new
+    """Worst points by name, and those that are worse than what is known."""
+    found: dict[str, list[WorstPoint]] = {}
+    for k, options in enumerate(effort.searches):
+        final = k == len(effort.searches) - 1
+        if last and not final:
+            continue
+        near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+        found = _search(task, state.x, options, state.known, state.number, near)
+        if new := _new(task, found, descent):
+            return found, new
+    return found, []
 
 
 def _stabilising(

@@ -28,6 +28,7 @@ from los_design.worst_case_search import SearchOptions
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space
+from lti.workers import Workers
 from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
 from robust_design.frequency_domain import gain_matrices, parameters_of
 from titop_plant.simulation import control_loop_plant
@@ -42,12 +43,13 @@ design, not the wall limit: otherwise the result would depend on the speed of th
 WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 """Effort of the worst-case search of the paper's problem, see :class:`robust_design.WorstCaseOptions`."""
 
-QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=20)
+ROUGH = SearchOptions(frequencies=250, points=40, ascents=24, iterations=12, patience=0)
+QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=20, seed=250)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500)
-EFFORT = Effort(rounds=24, points=30, first=60, iterations=24, quick=QUICK, thorough=THOROUGH)
+EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, searches=(ROUGH, QUICK, THOROUGH))
 SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12)
-SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, quick=SHORT_SEARCH, thorough=SHORT_SEARCH)
-NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, quick=None, thorough=None)
+SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, searches=(SHORT_SEARCH,))
+NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
 
 Report = Callable[[str], None]
@@ -175,9 +177,10 @@ def _implemented(
 
     samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
     effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
-    task = Task(samples, stages, tuned, pair, options.seed, options.wall_limit)
-    start = _start(task, telescope, parameters, options, observer, report)
-    outcome = design_in_rounds(task, start, effort, report, kept)
+    with Workers(options.workers) as workers:
+        task = Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers)
+        start = _start(task, telescope, parameters, options, observer, report)
+        outcome = design_in_rounds(task, start, effort, report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": commit(),

@@ -19,6 +19,7 @@ from los_design.stage_check import StageCheck, check_stage, grid
 from los_design.store import continuous
 from los_estimator.problem import observer_plant, observer_requirements
 from lti import SampledSystem, StateSpace, UncertainSystem
+from lti.workers import Workers
 from robust_design import certify
 from titop_plant.interface import FORCES, FRAME_TICKS, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
@@ -205,6 +206,7 @@ def check_implemented(
     at: Iterable[Values],
     tick: Callable[[], None] = lambda: None,
     changes: bool = True,
+    workers: Workers | None = None,
 ) -> ImplementedCheck:
     """Evaluate a pair of implemented designs at the given parameter points.
 
@@ -222,10 +224,13 @@ def check_implemented(
         Called twice for each point.
     changes : bool
         Check gains and one more tick of delay, too.
+    workers : Workers, optional
+        Processes; the result does not depend on them.
     """
     points, pair = list(at), (k_fsm, k_pma)
     alone, both = (
-        check_stage(system, parameters, pair, stage, points, changes=changes, tick=tick) for stage in MIRROR_STAGES
+        check_stage(system, parameters, pair, stage, points, changes=changes, tick=tick, workers=workers)
+        for stage in MIRROR_STAGES
     )
     nominal, noise = system.data_at({}), {}
     for stage in MIRROR_STAGES:

@@ -49,9 +49,9 @@ starts: the arrays' modes have a damping ratio of 0.1 %."""
 STEP = 1e-6
 """Step of log frequency for the slope."""
 
-LEADING, VARIED, CLIMBS, PATIENCE = 0.75, (7, 40), 3, 3
+LEADING, VARIED, CLIMBS = 0.75, (7, 40), 3
 """Bands whose best value is above this part of the largest one are searched again around their best point: number of
-frequencies and of varied points at each, ascents from the best of them, and rounds without success until it ends."""
+frequencies and of varied points at each, and ascents from the best of them."""
 
 TOGETHER = 10
 """Frequencies of a screening, or ascents, that a process does at a time."""
@@ -78,6 +78,8 @@ class SearchOptions:
     iterations : int
         Most steps of an ascent.
     seed : int
+    patience : int
+        Rounds without success after which the search around a band's best point ends; 0: there is none.
     """
 
     frequencies: int = 500
@@ -85,6 +87,7 @@ class SearchOptions:
     ascents: int = 300
     iterations: int = 30
     seed: int = 0
+    patience: int = 3
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "points", "ascents", "iterations"):
@@ -216,7 +219,7 @@ class Search:
         Most worst points have several parameters at their bounds; an ascent cannot change one from bound to bound.
         """
         failed, count = 0, len(self.loop.names)
-        while failed < PATIENCE:
+        while failed < self.options.patience:
             tried = []
             for omega in best[1] * np.exp(SPREAD * rng.standard_normal(VARIED[0])):
                 points = np.tile(best[2], (VARIED[1], 1))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from lti.batched_linalg import solve
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.intp]
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
 
 
@@ -96,64 +98,134 @@ def entry_sizes(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class BlockFactors:
+    """What a block has at N frequencies whatever its gain matrix is: variable, factors before and after it."""
+
+    variable: ComplexArray
+    before: ComplexArray
+    after: ComplexArray
+
+    @classmethod
+    def of(cls, block: ControllerBlock, omega: FloatArray) -> BlockFactors:
+        """At frequencies [rad/s]."""
+        return cls(block.variable(omega), block.before(omega), block.after(omega))
+
+    def chosen(self, index: IntArray) -> BlockFactors:
+        """Those at some of the frequencies."""
+        return BlockFactors(self.variable[index], self.before[index], self.after[index])
+
+
 class BlockResponse:
-    """A block at N frequencies: ``dK = after left dM right before`` with the gain matrix M.
+    """A block at N frequencies: ``dK = left dM right`` with the gain matrix M.
 
     Parameters
     ----------
-    left : ndarray, complex, shape (N, commands, order + commands)
-        ``after [C (v I - A)^-1, I]``.
-    right : ndarray, complex, shape (N, order + measurements, measurements)
-        ``[(v I - A)^-1 B; I] before``.
-    K : ndarray, complex, shape (N, commands, measurements)
+    M : ndarray, shape (order + commands, order + measurements)
+    order : int
+    factors : BlockFactors
     """
 
-    left: ComplexArray
-    right: ComplexArray
-    K: ComplexArray
+    def __init__(self, M: FloatArray, order: int, factors: BlockFactors) -> None:
+        self._M, self._n, self._factors = M, order, factors
+        shifted = factors.variable[:, None, None] * np.eye(order) - M[:order, :order]
+        given = np.broadcast_to(np.eye(order), (len(shifted), order, order)).astype(complex)
+        self._inverse = solve(shifted.astype(complex), given) if order else given
+
+    @cached_property
+    def _observed(self) -> ComplexArray:
+        """``C (v I - A)^-1``."""
+        return np.asarray(self._M[self._n :, : self._n] @ self._inverse)
+
+    @cached_property
+    def K(self) -> ComplexArray:
+        """Response, shape (N, commands, measurements)."""
+        n, factors = self._n, self._factors
+        inner = self._M[n:, n:] + self._observed @ self._M[:n, n:]
+        return np.asarray(factors.after[:, None, None] * inner * factors.before[:, None, :])
+
+    @cached_property
+    def left(self) -> ComplexArray:
+        """``after [C (v I - A)^-1, I]``, shape (N, commands, order + commands)."""
+        eye = np.eye(len(self._M) - self._n)
+        both = np.concatenate([self._observed, np.broadcast_to(eye, (len(self._inverse), *eye.shape))], axis=2)
+        return np.asarray(both * self._factors.after[:, None, None])
+
+    @cached_property
+    def right(self) -> ComplexArray:
+        """``[(v I - A)^-1 B; I] before``, shape (N, order + measurements, measurements)."""
+        n, eye = self._n, np.eye(self._M.shape[1] - self._n)
+        states = self._inverse @ self._M[:n, n:]
+        both = np.concatenate([states, np.broadcast_to(eye, (len(states), *eye.shape))], axis=1)
+        return np.asarray(both * self._factors.before[:, None, :])
+
+
+class ControllerResponse:
+    """All blocks of a loop at N frequencies.
+
+    Parameters
+    ----------
+    blocks : sequence of ControllerBlock
+    x : ndarray
+        Entries of all gain matrices.
+    factors : sequence of BlockFactors
+        Of each block.
+    measurements : int
+        Of the plant.
+    """
+
+    def __init__(
+        self, blocks: Sequence[ControllerBlock], x: FloatArray, factors: Sequence[BlockFactors], measurements: int
+    ) -> None:
+        self.blocks, self.measurements = tuple(blocks), measurements
+        self.parts = tuple(
+            BlockResponse(M, block.order, own) for block, M, own in zip(blocks, gain_matrices(blocks, x), factors)
+        )
+
+    def matrix(self, active: Sequence[int], index: IntArray) -> ComplexArray:
+        """Commands of the active blocks, one after the other, by measurements: (len(index), commands, measurements)."""
+        rows = active_commands(self.blocks, active)
+        K = np.zeros((len(index), len(rows.commands), self.measurements), complex)
+        for b in active:
+            K[:, rows.of_block[b], self.blocks[b].measurements] = self.parts[b].K[index]
+        return K
 
 
 @dataclass(frozen=True)
-class ControllerResponse:
-    """All blocks of a loop at N frequencies."""
+class ActiveCommands:
+    """Commands of the blocks of a loop.
 
-    blocks: tuple[ControllerBlock, ...]
-    parts: tuple[BlockResponse, ...]
-    measurements: int
-    commands: int
+    Parameters
+    ----------
+    commands : ndarray of int
+        Numbers of the plant's commands, one block after the other.
+    of_block : dict of int to slice
+        Places of a block's commands among them.
+    """
 
-    @classmethod
-    def of(
-        cls,
-        blocks: Sequence[ControllerBlock],
-        x: FloatArray,
-        omega: FloatArray,
-        measurements: int,
-        commands: int,
-    ) -> ControllerResponse:
-        """Evaluate all blocks."""
-        parts = []
-        for block, M in zip(blocks, gain_matrices(blocks, x)):
-            n = block.order
-            v = block.variable(omega)
-            shifted = v[:, None, None] * np.eye(n) - M[:n, :n]
-            # one solution gives (v I - A)^-1 [B, I]
-            given = np.broadcast_to(np.hstack([M[:n, n:], np.eye(n)]), (len(omega), n, M.shape[1])).astype(complex)
-            solved = solve(shifted.astype(complex), given) if n else given
-            states, inverse = solved[:, :, : M.shape[1] - n], solved[:, :, M.shape[1] - n :]
-            before, after = block.before(omega), block.after(omega)[:, None, None]
-            eye_y, eye_u = np.eye(M.shape[1] - n), np.eye(M.shape[0] - n)
-            right = np.concatenate([states, np.broadcast_to(eye_y, (len(omega), *eye_y.shape))], axis=1)
-            left = np.concatenate([M[n:, :n] @ inverse, np.broadcast_to(eye_u, (len(omega), *eye_u.shape))], axis=2)
-            right, left = right * before[:, None, :], left * after
-            K = after * (M[n:, n:] + M[n:, :n] @ states) * before[:, None, :]
-            parts.append(BlockResponse(left, right, K))
-        return cls(tuple(blocks), tuple(parts), measurements, commands)
+    commands: IntArray
+    of_block: dict[int, slice]
 
-    def matrix(self, active: Sequence[int], index: NDArray[np.intp]) -> ComplexArray:
-        """Commands by measurements at the frequencies `index`: (len(index), commands, measurements)."""
-        K = np.zeros((len(index), self.commands, self.measurements), complex)
-        for b in active:
-            block = self.blocks[b]
-            K[:, block.commands, block.measurements] += self.parts[b].K[index]
-        return K
+    def places(self, commands: slice) -> IntArray:
+        """Places of some commands of the plant among those of the loop.
+
+        Raises
+        ------
+        ValueError
+            Another command than those of the loop.
+        """
+        asked = np.arange(commands.start, commands.stop)
+        table = {int(command): place for place, command in enumerate(self.commands)}
+        if missing := [int(k) for k in asked if int(k) not in table]:
+            raise ValueError(f"commands must be of the blocks that are active, got {missing}")
+        return np.array([table[int(k)] for k in asked], dtype=np.intp)
+
+
+def active_commands(blocks: Sequence[ControllerBlock], active: Sequence[int]) -> ActiveCommands:
+    """The commands of some blocks."""
+    numbers, of_block, at = [], {}, 0
+    for b in active:
+        own = np.arange(blocks[b].commands.start, blocks[b].commands.stop)
+        numbers.append(own)
+        of_block[b] = slice(at, at + len(own))
+        at += len(own)
+    return ActiveCommands(np.concatenate(numbers), of_block)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robust_design.frequency_domain.blocks import ControllerResponse
+from robust_design.frequency_domain.blocks import ControllerResponse, active_commands
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,15 +24,15 @@ def chained(
         Blocks of the loop.
     at_frequency : ndarray of int, shape (n,)
         Frequencies of the response.
-    a, b : ndarray, complex, shapes (n, commands) and (n, measurements)
+    a, b : ndarray, complex, shapes (n, commands of the active blocks) and (n, measurements)
     """
-    out = []
+    out, rows_of = [], active_commands(response.blocks, active).of_block
     for k, (block, part) in enumerate(zip(response.blocks, response.parts)):
         rows, columns = block.shape
         if k not in active:
             out.append(np.zeros((len(at_frequency), rows * columns)))
             continue
-        p = np.einsum("nij,ni->nj", part.left[at_frequency].conj(), a[:, block.commands])
+        p = np.einsum("nij,ni->nj", part.left[at_frequency].conj(), a[:, rows_of[k]])
         q = np.einsum("nij,nj->ni", part.right[at_frequency], b[:, block.measurements])
         out.append(np.real(p.conj()[:, :, None] * q[:, None, :]).reshape(len(at_frequency), rows * columns))
     return np.concatenate(out, axis=1)
@@ -53,10 +53,10 @@ def gram_sum(
     sizes = [block.shape[0] * block.shape[1] for block in response.blocks]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     H = np.zeros((int(offsets[-1]), int(offsets[-1])))
-    left, right = {}, {}
+    left, right, rows_of = {}, {}, active_commands(response.blocks, active).of_block
     for k in active:
         block, part = response.blocks[k], response.parts[k]
-        left[k] = L[:, :, block.commands] @ part.left[at_frequency]
+        left[k] = L[:, :, rows_of[k]] @ part.left[at_frequency]
         right[k] = part.right[at_frequency] @ R[:, block.measurements]
     for i in active:
         for j in active:

@@ -13,14 +13,22 @@ Every change has the form ``d(part) = L dK R`` with ``L = Peu S`` or rows of S, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lti.batched_linalg import largest_gains, singular_triples, solve
-from robust_design.frequency_domain.blocks import ControllerBlock, ControllerResponse
+from robust_design.frequency_domain.blocks import (
+    ActiveCommands,
+    BlockFactors,
+    ControllerBlock,
+    ControllerResponse,
+    active_commands,
+)
 from robust_design.frequency_domain.gains import ResponseGain, ResponseNoise
 from robust_design.frequency_domain.metric import chained, gram_sum
 from robust_design.frequency_domain.samples import PlantSamples
@@ -28,7 +36,10 @@ from robust_design.frequency_domain.samples import PlantSamples
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.intp]
-CHUNK = 4000
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+CHUNK = 1000
+"""Pairs that a thread looks at together."""
 CLOSE = 0.85
 """Second singular values above this part of the first are looked at, too."""
 MIXTURES = ((0.0, 1.0), (1.0, 1.0), (1.0, -1.0), (1.0, 1.0j), (1.0, -1.0j))
@@ -37,7 +48,7 @@ MIXTURES = ((0.0, 1.0), (1.0, 1.0), (1.0, -1.0), (1.0, 1.0j), (1.0, -1.0j))
 
 @dataclass(frozen=True)
 class Closed:
-    """Closed loops at N pairs: S, C, T and the plant's parts."""
+    """Closed loops at N pairs: S, C, T and the plant's parts, with the commands of the loop."""
 
     S: ComplexArray
     C: ComplexArray
@@ -46,32 +57,37 @@ class Closed:
     Pyu: ComplexArray
     Peu: ComplexArray
 
+    rows: ActiveCommands
+
     def part(self, gain: ResponseGain) -> ComplexArray:
         """The response whose largest singular value a gain is."""
         if gain.inputs is None:
-            return self.T if gain.outputs is None else self.C[:, gain.outputs]
-        rows = self.Peu @ self.S if gain.outputs is None else self.S[:, gain.outputs]
-        return np.asarray(rows[:, :, gain.inputs])
+            return self.T if gain.outputs is None else self._of(self.C, gain.outputs)
+        return np.asarray(self.left(gain)[:, :, self.rows.places(gain.inputs)])
 
     def left(self, gain: ResponseGain) -> ComplexArray:
         """L of a gain."""
-        return np.asarray(self.Peu @ self.S if gain.outputs is None else self.S[:, gain.outputs])
+        return np.asarray(self.Peu @ self.S if gain.outputs is None else self._of(self.S, gain.outputs))
 
     def right(self, gain: ResponseGain) -> ComplexArray:
         """R of a gain."""
         if gain.inputs is None:
             return np.asarray(self.Pyw + self.Pyu @ self.C)
-        return np.asarray(self.Pyu @ self.S[:, :, gain.inputs])
+        return np.asarray(self.Pyu @ self.S[:, :, self.rows.places(gain.inputs)])
+
+    def _of(self, matrix: ComplexArray, commands: slice) -> ComplexArray:
+        return np.asarray(matrix[:, self.rows.places(commands)])
 
 
-def close(samples: PlantSamples, K: ComplexArray) -> Closed:
-    """Close loops with the controllers K, shape (N, commands, measurements)."""
+def close(samples: PlantSamples, K: ComplexArray, rows: ActiveCommands) -> Closed:
+    """Close loops with the controllers K, shape (N, commands of the loop, measurements); other commands are zero."""
     P, ny, nw = samples.response, samples.measurements, samples.disturbances
-    Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], P[:, :ny, nw:], P[:, ny:, :nw], P[:, ny:, nw:]
-    eye = np.eye(samples.commands)
+    u = nw + rows.commands
+    Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], P[:, :ny, u], P[:, ny:, :nw], P[:, ny:, u]
+    eye = np.eye(len(u))
     S = solve(np.asarray(eye - K @ Pyu), np.broadcast_to(eye, (len(K), *eye.shape)).astype(complex))
     C = S @ (K @ Pyw)
-    return Closed(S, C, Pew + Peu @ C, Pyw, Pyu, Peu)
+    return Closed(S, C, Pew + Peu @ C, Pyw, Pyu, Peu, rows)
 
 
 @dataclass(frozen=True)
@@ -84,21 +100,41 @@ class ResponseProblem:
     samples : PlantSamples
     gains : sequence of ResponseGain
     noises : sequence of ResponseNoise
+    threads : int
+        The result does not depend on their number.
+
+    Raises
+    ------
+    ValueError
+        Two blocks with the same command.
     """
 
     blocks: tuple[ControllerBlock, ...]
     samples: PlantSamples
     gains: tuple[ResponseGain, ...]
     noises: tuple[ResponseNoise, ...] = ()
+    threads: int = 1
     scales: FloatArray = field(init=False, repr=False)
-    _omega: FloatArray = field(init=False, repr=False)
     _index: IntArray = field(init=False, repr=False)
+    _factors: tuple[BlockFactors, ...] = field(init=False, repr=False)
+    _noise_factors: tuple[tuple[BlockFactors, ...], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        commands = active_commands(self.blocks, range(len(self.blocks))).commands.tolist()
+        if len(set(commands)) < len(commands):
+            raise ValueError(f"blocks must have commands of their own, got {sorted(commands)}")
         omega, at_frequency = np.unique(self.samples.omega, return_inverse=True)
-        scales = np.array([gain.scale(self.samples.omega) for gain in self.gains])
-        for name, value in (("_omega", omega), ("_index", at_frequency), ("scales", scales)):
+        made: dict[str, Any] = {
+            "scales": np.array([gain.scale(self.samples.omega) for gain in self.gains]),
+            "_index": at_frequency,
+            "_factors": self._factors_at(omega),
+            "_noise_factors": tuple(self._factors_at(noise.samples.omega) for noise in self.noises),
+        }
+        for name, value in made.items():
             object.__setattr__(self, name, value)
+
+    def _factors_at(self, omega: FloatArray) -> tuple[BlockFactors, ...]:
+        return tuple(BlockFactors.of(block, omega) for block in self.blocks)
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -110,57 +146,75 @@ class ResponseProblem:
         """Which gains are hard."""
         return np.array([gain.hard for gain in self.gains])
 
-    def controllers(self, x: FloatArray) -> ControllerResponse:
-        """Responses of the controllers at the samples' different frequencies."""
-        s = self.samples
-        return ControllerResponse.of(self.blocks, x, self._omega, s.measurements, s.commands)
+    def controllers(self, x: FloatArray, pairs: IntArray) -> tuple[ControllerResponse, IntArray]:
+        """Responses of the controllers at the different frequencies of some pairs, and the place of each pair there."""
+        at, places = np.unique(self._index[pairs], return_inverse=True)
+        factors = [own.chosen(at) for own in self._factors]
+        return ControllerResponse(self.blocks, x, factors, self.samples.measurements), places
 
     def values(self, x: FloatArray, index: IntArray | None = None) -> FloatArray:
         """Scaled gains, shape (gains, pairs), of all pairs or those at `index`; not finite where a loop is singular."""
-        response = self.controllers(x)
         chosen = np.arange(len(self.samples)) if index is None else index
+        response, places = self.controllers(x, chosen)
         found = np.zeros((len(self.gains), len(chosen)))
-        for begin in range(0, len(chosen), CHUNK):
-            part = chosen[begin : begin + CHUNK]
-            samples = self.samples.chosen(part)
-            for active in self._active():
-                closed = close(samples, response.matrix(active, self._index[part]))
+
+        def fill(begin: int) -> None:
+            own = slice(begin, begin + CHUNK)
+            samples = self.samples.chosen(chosen[own])
+            for active, rows in self._active().items():
+                closed = close(samples, response.matrix(active, places[own]), rows)
                 for g, gain in enumerate(self.gains):
                     if gain.active == active:
-                        scaled = largest_gains(closed.part(gain)) * self.scales[g, part]
-                        found[g, begin : begin + CHUNK] = scaled
+                        counts = np.flatnonzero(self.scales[g, chosen[own]])
+                        gains = largest_gains(closed.part(gain)[counts])
+                        found[g, begin + counts] = gains * self.scales[g, chosen[own]][counts]
+
+        self._each(fill, range(0, len(chosen), CHUNK))
         return found
+
+    def _each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+        """Results of a function for the items, in several threads: its work is in the linear algebra."""
+        if self.threads == 1:
+            return [function(item) for item in items]
+        with ThreadPoolExecutor(self.threads) as pool:
+            return list(pool.map(function, items))
 
     def slopes(self, x: FloatArray, entries: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Values and gradients of entries (gain, pair): shapes (n,), (n, parameters), and the gain of each.
 
         There are more of them than entries where singular values are close.
         """
-        response = self.controllers(x)
-        values, gradients, owners = [], [], []
-        for g in np.unique(entries[:, 0]):
-            gain, pairs = self.gains[g], entries[entries[:, 0] == g, 1]
-            at_frequency, scale = self._index[pairs], self.scales[g, pairs]
-            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, at_frequency))
-            U, sigma, Vh = singular_triples(closed.part(gain))
-            L, R = closed.left(gain), closed.right(gain)
-            for weights in ((1.0, 0.0), *MIXTURES):
-                w = np.array(weights) / np.sqrt(np.sum(np.abs(weights) ** 2))
-                first = weights == (1.0, 0.0)
-                if not first and sigma.shape[1] < 2:
-                    break
-                at = np.arange(len(pairs)) if first else np.flatnonzero(sigma[:, 1] > CLOSE * sigma[:, 0])
-                if len(at) == 0:
-                    continue
-                m = min(2, sigma.shape[1])
-                u = U[at][:, :, :m] @ w[:m]
-                v = np.einsum("nji,j->ni", Vh[at][:, :m].conj(), w[:m])
-                a = np.einsum("nij,ni->nj", L[at].conj(), u)
-                b = np.einsum("nij,nj->ni", R[at], v)
-                values.append((sigma[at][:, :m] @ np.abs(w[:m]) ** 2) * scale[at])
-                gradients.append(chained(response, gain.active, at_frequency[at], a, b) * scale[at][:, None])
-                owners.append(np.full(len(at), g))
+        values: list[FloatArray] = []
+        gradients: list[FloatArray] = []
+        owners: list[IntArray] = []
+        parts = [(int(g), entries[entries[:, 0] == g, 1]) for g in np.unique(entries[:, 0])]
+        chunks = [(g, pairs[k : k + CHUNK]) for g, pairs in parts for k in range(0, len(pairs), CHUNK)]
+        for (g, _), found in zip(chunks, self._each(lambda chunk: self._planes(x, *chunk), chunks)):
+            values.append(found[0])
+            gradients.append(found[1])
+            owners.append(np.full(len(found[0]), g))
         return np.concatenate(values), np.vstack(gradients), np.concatenate(owners)
+
+    def _planes(self, x: FloatArray, g: int, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Values and gradients of a gain at pairs, those of the pairs first, then those of mixtures."""
+        gain, scale = self.gains[g], self.scales[g, pairs]
+        response, places = self.controllers(x, pairs)
+        closed = close(self.samples.chosen(pairs), response.matrix(gain.active, places), self._active()[gain.active])
+        U, sigma, Vh = singular_triples(closed.part(gain))
+        L, R = closed.left(gain), closed.right(gain)
+        m, values, gradients = min(2, sigma.shape[1]), list[FloatArray](), list[FloatArray]()
+        for weights in ((1.0, 0.0), *MIXTURES):
+            w, first = np.array(weights) / np.sqrt(np.sum(np.abs(weights) ** 2)), weights == (1.0, 0.0)
+            if not first and m < 2:
+                break
+            at = np.arange(len(pairs)) if first else np.flatnonzero(sigma[:, 1] > CLOSE * sigma[:, 0])
+            u = U[at][:, :, :m] @ w[:m]
+            v = np.einsum("nji,j->ni", Vh[at][:, :m].conj(), w[:m])
+            a = np.einsum("nij,ni->nj", L[at].conj(), u)
+            b = np.einsum("nij,nj->ni", R[at], v)
+            values.append((sigma[at][:, :m] @ np.abs(w[:m]) ** 2) * scale[at])
+            gradients.append(chained(response, gain.active, places[at], a, b) * scale[at][:, None])
+        return np.concatenate(values), np.vstack(gradients)
 
     def noise(self, x: FloatArray) -> FloatArray:
         """Scaled noise, shape (noises,)."""
@@ -174,8 +228,8 @@ class ResponseProblem:
 
     def _noise(self, x: FloatArray, slope: bool) -> list[tuple[float, FloatArray]]:
         found = []
-        for noise in self.noises:
-            response, _, closed, K = self._noise_loop(x, noise)
+        for n, noise in enumerate(self.noises):
+            response, _, closed, K = self._noise_loop(x, n)
             L, Kn = closed.Peu @ closed.S, K * noise.density[:, None, :]
             T = L @ Kn
             power = float(np.sum(noise.step * np.sum(np.abs(T) ** 2, axis=(1, 2))))
@@ -190,14 +244,12 @@ class ResponseProblem:
             found.append((value / noise.limit, gradient))
         return found
 
-    def _noise_loop(
-        self, x: FloatArray, noise: ResponseNoise
-    ) -> tuple[ControllerResponse, IntArray, Closed, ComplexArray]:
-        s = noise.samples
-        response = ControllerResponse.of(self.blocks, x, s.omega, s.measurements, s.commands)
-        index = np.arange(len(s))
+    def _noise_loop(self, x: FloatArray, n: int) -> tuple[ControllerResponse, IntArray, Closed, ComplexArray]:
+        noise = self.noises[n]
+        response = ControllerResponse(self.blocks, x, self._noise_factors[n], noise.samples.measurements)
+        index = np.arange(len(noise.samples))
         K = response.matrix(noise.active, index)
-        return response, index, close(s, K), K
+        return response, index, close(noise.samples, K, active_commands(self.blocks, noise.active)), K
 
     def metric(self, x: FloatArray, index: IntArray, values: FloatArray, sharpness: float) -> FloatArray:
         """Gauss-Newton matrix of the logarithms of errors and noise, shape (parameters, parameters).
@@ -212,8 +264,7 @@ class ResponseProblem:
         sharpness : float
             A pair of the value f has the weight ``exp(sharpness (f / max - 1))``.
         """
-        response, size = self.controllers(x), len(x)
-        noise = self.noise(x)
+        size, noise = len(x), self.noise(x)
         top = max(float(values.max()), float(noise.max(initial=0.0)))
         H, total = np.zeros((size, size)), 0.0
         for g, gain in enumerate(self.gains):
@@ -222,13 +273,15 @@ class ResponseProblem:
                 continue
             pairs = index[near]
             weight = np.exp(sharpness * (values[g, near] / top - 1.0))
-            closed = close(self.samples.chosen(pairs), response.matrix(gain.active, self._index[pairs]))
+            response, places = self.controllers(x, pairs)
+            matrix = response.matrix(gain.active, places)
+            closed = close(self.samples.chosen(pairs), matrix, self._active()[gain.active])
             each = weight * (self.scales[g, pairs] / values[g, near]) ** 2
-            H += gram_sum(response, gain.active, self._index[pairs], each, closed.left(gain), closed.right(gain))
+            H += gram_sum(response, gain.active, places, each, closed.left(gain), closed.right(gain))
             total += float(weight.sum())
         H /= max(total, 1.0)
         for k, entry in enumerate(self.noises):
-            at, indices, closed, K = self._noise_loop(x, entry)
+            at, indices, closed, K = self._noise_loop(x, k)
             Kn = K * entry.density[:, None, :]
             R = np.eye(K.shape[2]) * entry.density[:, None, :] + closed.Pyu @ (closed.S @ Kn)
             weight = np.exp(sharpness * (noise[k] / top - 1.0))
@@ -236,18 +289,19 @@ class ResponseProblem:
             H += gram_sum(at, entry.active, indices, each, closed.Peu @ closed.S, R)
         return H
 
-    def _active(self) -> Sequence[tuple[int, ...]]:
-        return sorted({gain.active for gain in self.gains})
+    def _active(self) -> dict[tuple[int, ...], ActiveCommands]:
+        """The loops that are asked for, with their commands."""
+        return {active: active_commands(self.blocks, active) for active in sorted({g.active for g in self.gains})}
 
 
 def _matrix_chain(response: ControllerResponse, active: tuple[int, ...], inner: ComplexArray) -> FloatArray:
     """Sum over frequencies of ``Re(inner' dK)`` as a gradient over all entries."""
-    out = []
+    out, rows_of = [], active_commands(response.blocks, active).of_block
     for b, (block, part) in enumerate(zip(response.blocks, response.parts)):
         if b not in active:
             out.append(np.zeros(block.shape[0] * block.shape[1]))
             continue
-        own = inner[:, block.commands, block.measurements]
+        own = inner[:, rows_of[b], block.measurements]
         whole = part.left.conj().swapaxes(1, 2) @ own @ part.right.conj().swapaxes(1, 2)
         out.append(np.real(whole.sum(axis=0)).ravel())
     return np.concatenate(out)
