@@ -127,8 +127,8 @@ class ImplementedLoop:
     def __init__(
         self, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> None:
-        self.system, self.parameters, self.stage = system, parameters, stage
         self.open = OpenLoop(system, parameters)
+        self.system, self.parameters, self.stage = system, self.open.parameters, stage
         self.names = self.open.names
         self._controllers = (k_fsm, k_pma)
         self._gains = self._stage_gains(k_fsm)

@@ -35,7 +35,7 @@ class OpenLoop:
     """
 
     def __init__(self, system: UncertainSystem, parameters: Parameters) -> None:
-        self.system, self.parameters = system, parameters
+        self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
         self.names = tuple(p.name for p in system.parameters)
         self.channels = len(system.channels)
         self.channel = np.array([self.names.index(c) for c in system.channels])

@@ -205,7 +205,12 @@ class ActiveCommands:
     commands: IntArray
     of_block: dict[int, slice]
 
-    def places(self, commands: slice) -> IntArray:
+    @property
+    def index(self) -> slice | IntArray:
+        """Of the plant's commands: a slice if they follow each other, so that arrays are not copied."""
+        return _slice_if_consecutive(self.commands)
+
+    def places(self, commands: slice) -> slice | IntArray:
         """Places of some commands of the plant among those of the loop.
 
         Raises
@@ -217,7 +222,12 @@ class ActiveCommands:
         table = {int(command): place for place, command in enumerate(self.commands)}
         if missing := [int(k) for k in asked if int(k) not in table]:
             raise ValueError(f"commands must be of the blocks that are active, got {missing}")
-        return np.array([table[int(k)] for k in asked], dtype=np.intp)
+        return _slice_if_consecutive(np.array([table[int(k)] for k in asked], dtype=np.intp))
+
+
+def _slice_if_consecutive(index: IntArray) -> slice | IntArray:
+    first, count = int(index[0]), len(index)
+    return slice(first, first + count) if np.array_equal(index, np.arange(first, first + count)) else index
 
 
 def active_commands(blocks: Sequence[ControllerBlock], active: Sequence[int]) -> ActiveCommands:

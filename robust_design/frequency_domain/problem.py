@@ -82,9 +82,9 @@ class Closed:
 def close(samples: PlantSamples, K: ComplexArray, rows: ActiveCommands) -> Closed:
     """Close loops with the controllers K, shape (N, commands of the loop, measurements); other commands are zero."""
     P, ny, nw = samples.response, samples.measurements, samples.disturbances
-    u = nw + rows.commands
-    Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], P[:, :ny, u], P[:, ny:, :nw], P[:, ny:, u]
-    eye = np.eye(len(u))
+    held = P[:, :, nw:][:, :, rows.index]
+    Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], held[:, :ny], P[:, ny:, :nw], held[:, ny:]
+    eye = np.eye(len(rows.commands))
     S = solve(np.asarray(eye - K @ Pyu), np.broadcast_to(eye, (len(K), *eye.shape)).astype(complex))
     C = S @ (K @ Pyw)
     return Closed(S, C, Pew + Peu @ C, Pyw, Pyu, Peu, rows)
