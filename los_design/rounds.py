@@ -53,6 +53,8 @@ class Effort:
         Random parameter points of the first round: half of them corners.
     first, iterations : int
         Of the descent in the first and in the other rounds.
+    target : float
+        A descent ends below this value: the search finds what is above 1, and further points raise it.
     searches : tuple of SearchOptions
         Of a round: the next one where those before find nothing worse. The last one decides, and is made in the last
         round in any case. Empty: one descent at the first points, nothing is searched.
@@ -62,6 +64,7 @@ class Effort:
     points: int
     first: int
     iterations: int
+    target: float
     searches: tuple[SearchOptions, ...]
 
 
@@ -215,7 +218,7 @@ def design_in_rounds(
         def step(iteration: int, value: float, number: int = state.number + 1) -> None:
             report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
 
-        options = DescentOptions(iterations=iterations, wall_limit=left)
+        options = DescentOptions(iterations=iterations, target=effort.target, wall_limit=left)
         descent = _stabilising(task, problem, state, options, step)
         state.x, state.number = descent.x, state.number + 1
         late = descent.status == "out_of_time"

@@ -46,10 +46,10 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 ROUGH = SearchOptions(frequencies=250, points=40, ascents=24, iterations=12, patience=0)
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=20, seed=250)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500)
-EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, searches=(ROUGH, QUICK, THOROUGH))
+EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(ROUGH, QUICK, THOROUGH))
 SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12)
-SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, searches=(SHORT_SEARCH,))
-NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, searches=())
+SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
+NOMINAL_EFFORT = Effort(rounds=1, points=0, first=300, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
 
 Report = Callable[[str], None]

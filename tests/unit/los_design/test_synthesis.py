@@ -66,7 +66,7 @@ def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path, 
 
 
 SMALL = SearchOptions(frequencies=12, points=4, ascents=2, iterations=2)
-TINY = Effort(rounds=1, points=0, first=6, iterations=0, searches=(SMALL,))
+TINY = Effort(rounds=1, points=0, first=6, iterations=0, target=0.0, searches=(SMALL,))
 
 
 def measured(parameters, pair, values) -> dict[str, float]:

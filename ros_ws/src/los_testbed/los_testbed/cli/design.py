@@ -14,13 +14,14 @@ from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.output import Json, number, print_json
-from los_testbed.cli.redesign import ALL_EXAMPLES, design_all, verify_folder
+from los_testbed.cli.redesign import ALL_EXAMPLES, WorkersOption, design_all, processes, verify_folder
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
     from los_design.options import DesignOptions
     from lti import SampledSystem
+    from lti.workers import Workers
 
 MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
 
@@ -209,6 +210,7 @@ def table(json_: Json = False) -> None:
 def verify(
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    workers: WorkersOption = 0,
     json_: Json = False,
 ) -> None:
     """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
@@ -218,12 +220,13 @@ def verify(
     """
     number("--samples", samples, 0, 1_000_000)
     from lti.threads import one_thread
+    from lti.workers import Workers
 
     if folder is not None:
-        verify_folder(folder, samples, json_)
+        verify_folder(folder, samples, processes(workers), json_)
         return
-    with one_thread():
-        result, failed = _verified(samples)
+    with one_thread(), Workers(processes(workers)) as pool:
+        result, failed = _verified(samples, pool)
     if json_:
         print_json({**result, "failures": failed})
     else:
@@ -235,7 +238,7 @@ def verify(
         raise typer.Exit(1)
 
 
-def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
+def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]]:
     from los_design.margins import rounded
     from los_design.store import load_designs
     from los_design.verification import (
@@ -261,10 +264,10 @@ def _verified(samples: int) -> tuple[dict[str, Any], list[str]]:
     some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     with Progress("loops as implemented") as bar:
         step = _counted(bar, 2 * (len(at) + len(some) + 1))
-        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step)
+        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step, workers=workers)
         nominal = load_designs("implemented_nominal")
         alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
-        spread = check_implemented(system, parameters, *nominal, some, step, changes=False)
+        spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=workers)
     paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
     robust = load_designs("paper")
     for design in robust:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,6 +32,12 @@ interrupted design of the same telescope goes on after its last round. The exit 
 
     los-testbed design verify designs/soft
 """
+
+WorkersOption = Annotated[
+    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
+]
+    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
+]
 
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
@@ -67,6 +75,7 @@ def design_all(
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
+    workers: WorkersOption = 0,
     json_: Json = False,
 ) -> None:
     """See ALL_EXAMPLES."""
@@ -79,9 +88,15 @@ def design_all(
         sys.stderr.write(f"telescope: {line}\n")
     summary = redesign.design_all(
         load_parameters(parameters or REFERENCE), output, seed=seed, effort=effort, resume=resume,
-        report=_say, nominal=nominal,
+        report=_say, nominal=nominal, workers=processes(workers),
     )  # fmt: skip
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
+
+
+def processes(workers: int) -> int:
+    """The number of processes that an option asks for."""
+    number("--workers", workers, 0, 1000)
+    return workers or len(os.sched_getaffinity(0))
 
 
 def _say(text: str) -> None:
@@ -89,7 +104,7 @@ def _say(text: str) -> None:
     sys.stderr.flush()
 
 
-def verify_folder(folder: Path, samples: int, json_: bool) -> None:
+def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None:
     """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
 
     Raises
@@ -100,6 +115,7 @@ def verify_folder(folder: Path, samples: int, json_: bool) -> None:
     from los_design.verification import broken_requirements, check_implemented, verification_points
     from lti import SampledSystem
     from lti.threads import one_thread
+    from lti.workers import Workers
     from titop_plant.interface import design_warnings
     from titop_plant.simulation import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
@@ -112,11 +128,13 @@ def verify_folder(folder: Path, samples: int, json_: bool) -> None:
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
     for warning in design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True):
         sys.stderr.write(f"warning: {warning}\n")
-    with one_thread(), Progress(f"{folder.name} as implemented") as bar:
+    with one_thread(), Workers(workers) as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)
         at = [*verification_points(parameters, system, samples), *_worst(folder)]
-        done = iter(range(1, 4 * len(at) + 10))
-        check = check_implemented(system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), len(at) + 1))
+        done = count(1)
+        check = check_implemented(
+            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), 2 * len(at)), workers=pool
+        )
     _show(folder, check.to_mapping(), broken_requirements(check), json_)
 
 
