@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -122,12 +122,14 @@ def design_all(
         key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
         k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
         report("worst points of the stages")
-        points = worst_points_of(parameters, k_fsm, k_pma, SEARCHES[effort], processes)
-        save_worst_points(folder / "worst_points.json", parameters, k_fsm, k_pma, points)
+        found = search_stages(parameters, k_fsm, k_pma, SEARCHES[effort], processes)
+        adversarial = adversarial_points(found, (k_fsm, k_pma))
+        basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
+        worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
+        store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
         system = control_loop_plant(assembled, parameters)
         at = verification_points(parameters, system, SAMPLES[effort], seed + 1)
         at = at if effort == "full" else [at[0], *at[1:129:8], *at[129:]]
-        adversarial = [dict(p.parameters) for p in points if p.stage in MIRROR_STAGES]
         report(f"verification at {len(at) + len(adversarial)} parameter points")
         check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=processes)
     not_met = broken_requirements(check)
@@ -136,14 +138,14 @@ def design_all(
     return DesignSummary(folder, check, not_met)
 
 
-def worst_points_of(
+def search_stages(
     parameters: Parameters,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     options: SearchOptions,
     workers: Workers | None = None,
-) -> list[WorstPoint]:
-    """Worst points of all stages: APE, slow and fast tones, and what else the stage has; ``RPE`` by name, too.
+) -> dict[str, dict[str, list[WorstPoint]]]:
+    """Worst points of all bands by stage and requirement: APE, slow and fast tones, and what else a stage has.
 
     The worst points of the stored designs are climbed from, too.
     """
@@ -151,20 +153,22 @@ def worst_points_of(
         isolated: control_loop_plant(build_telescope(parameters, isolated=isolated), parameters)
         for isolated in (False, True)
     }
-    found, stored = [], load_worst_points()
-    for stage in STAGES:
-        search = Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options)
-        worst = worst_of(search.run(starts=stored[stage].values(), workers=workers))
-        found += [replace(p, requirement=name) for name, p in worst.items()]
-    return found
+    stored = load_worst_points()
+    return {
+        stage: Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options).run(
+            starts=stored[stage].values(), workers=workers
+        )
+        for stage in STAGES
+    }
 
 
-def save_worst_points(
-    path: Path, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, points: list[WorstPoint]
-) -> None:
-    """Write worst points with the names of the parameters and controllers that they belong to."""
-    basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
-    store_worst_points(path, points, basis)
+def adversarial_points(
+    found: Mapping[str, Mapping[str, Sequence[WorstPoint]]], pair: Sequence[SampledSystem]
+) -> list[dict[str, float]]:
+    """Different parameters of the worst points of all bands with fine control, and those that a design was tuned at."""
+    points = [dict(p.parameters) for stage in MIRROR_STAGES for table in found[stage].values() for p in table]
+    points += [dict(values) for system in pair for values in system.provenance.get("active_models", []) if values]
+    return list({tuple(values.items()): values for values in points}.values())
 
 
 def digest(system: SampledSystem) -> str:

@@ -15,6 +15,7 @@ from lti.ordinary_file import read_ordinary_file
 from titop_plant.disturbances import CHANNELS
 
 ComplexArray = NDArray[np.complex128]
+FILE = "worst_points.json"
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 
 
@@ -86,12 +87,21 @@ def worst_of(found: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]
     return worst
 
 
-def store_worst_points(path: Path, found: Iterable[WorstPoint], basis: Mapping[str, str]) -> None:
-    """Write points as JSON by stage and metric; `basis` says for which parameters and controllers they hold."""
+def store_worst_points(
+    path: Path, found: Iterable[WorstPoint], basis: Mapping[str, str], adversarial: Sequence[Mapping[str, float]] = ()
+) -> None:
+    """Write points as JSON by stage and metric; `basis` says for which parameters and controllers they hold.
+
+    Parameters
+    ----------
+    adversarial : sequence of mapping
+        Parameters at which a verification looks, too: worst points of all frequency bands.
+    """
     stages: dict[str, dict[str, Any]] = {}
     for point in found:
         stages.setdefault(point.stage, {})[point.requirement] = point.to_mapping()
-    path.write_text(json.dumps({**basis, "stages": stages}, indent=1) + "\n", encoding="utf-8")
+    content = {**basis, "stages": stages, "adversarial": [dict(values) for values in adversarial]}
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPoint]]:
@@ -102,11 +112,26 @@ def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPo
     ValueError
         The file is missing.
     """
-    path = (folder or Path(__file__).parent) / "worst_points.json"
-    if not path.exists():
-        raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
-    content = json.loads(read_ordinary_file(path))["stages"]
     return {
         stage: {name: WorstPoint.from_mapping(stage, name, values) for name, values in table.items()}
-        for stage, table in content.items()
+        for stage, table in _content(folder)["stages"].items()
     }
+
+
+def load_adversarial(folder: Path | None = None) -> list[dict[str, float]]:
+    """Parameters at which a verification looks: of a folder of designs, or of the stored designs.
+
+    Raises
+    ------
+    ValueError
+        The file is missing.
+    """
+    return [dict(values) for values in _content(folder).get("adversarial", [])]
+
+
+def _content(folder: Path | None) -> dict[str, Any]:
+    path = (folder or Path(__file__).parent) / FILE
+    if not path.exists():
+        raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
+    found: dict[str, Any] = json.loads(read_ordinary_file(path))
+    return found

@@ -17,7 +17,7 @@ from los_design.redesign import design_all, digest
 from los_design.store import load_designs
 from los_design.verification import check_implemented, verification_points
 from los_design.worst_case_search import Search
-from los_design.worst_points import load_worst_points
+from los_design.worst_points import load_adversarial, load_worst_points
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
@@ -41,18 +41,18 @@ def stand_ins(monkeypatch) -> list[str]:
         kept[0].write_text("{}")
         return k_fsm, k_pma
 
-    def points(parameters, *pair_and_options):
-        *pair, _ = pair_and_options
+    def points(parameters, k_fsm, k_pma, options, workers):
         system = control_loop_plant(build_telescope(parameters), parameters)
-        search = Search(system, parameters, *pair, "fsm")
-        return [search.confirmed(search.metrics["slow"], 5.0, np.full(7, 0.5))]
+        search = Search(system, parameters, k_fsm, k_pma, "fsm")
+        found = [search.confirmed(search.metrics["slow"], 5.0, np.full(7, share)) for share in (0.6, 0.3, 0.6)]
+        return {"fsm": {"slow": found}, "fsm+pma": {"slow": []}}
 
-    def check(system, parameters, k_fsm, k_pma, at):
+    def check(system, parameters, k_fsm, k_pma, at, workers):
         made.append(f"check at {len(at)}")
         return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, fsm=[0.5], pma=[0.6])
 
     monkeypatch.setattr(redesign, "design_pair", pair)
-    monkeypatch.setattr(redesign, "worst_points_of", points)
+    monkeypatch.setattr(redesign, "search_stages", points)
     monkeypatch.setattr(redesign, "check_implemented", check)
     monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["fsm: APE 1.200 of its limit"])
     return made
@@ -65,14 +65,18 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, param
     assert {p.name for p in folder.iterdir()} == {
         "k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"
     }  # fmt: skip
-    assert stand_ins == ["pair, seed 0, short", "begins", f"check at {1 + 16 + 20 + 1}"]
+    tuned_at = len({tuple(v.values()) for k in load_designs("implemented") for v in k.provenance["active_models"] if v})
+    assert stand_ins == ["pair, seed 0, short", "begins", f"check at {1 + 16 + 20 + tuned_at + 2}"]
     assert not found.met and found.not_met == ["fsm: APE 1.200 of its limit"]
     assert found.gammas == {"fsm": [0.5], "pma": [0.6]}
     assert "round 1: fine" in lines
     content = json.loads((folder / "verification.json").read_text())
-    assert content == {"implemented": {"samples": 38}, "not_met": found.not_met}
+    assert content == {"implemented": {"samples": 39 + tuned_at}, "not_met": found.not_met}
     assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == parameters_hash(parameters)
     assert load_worst_points(folder)["fsm"]["slow"].omega == 5.0
+    adversarial = load_adversarial(folder)
+    assert len(adversarial) == tuned_at + 2, "two different points of the search, and those of the design"
+    assert all(set(values) == set(adversarial[0]) for values in adversarial)
 
 
 def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, parameters, tmp_path) -> None:

@@ -248,8 +248,8 @@ def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]
         failures,
         verification_points,
     )
-    from los_design.worst_points import load_worst_points
-    from titop_plant.interface import MIRROR_STAGES, design_warnings
+    from los_design.worst_points import load_adversarial
+    from titop_plant.interface import design_warnings
     from titop_plant.simulation import control_loop_plant, telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
@@ -259,8 +259,7 @@ def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]
             sys.stderr.write(f"warning: {warning}\n")
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
-    adversarial = load_worst_points()
-    at += [dict(p.parameters) for stage in MIRROR_STAGES for p in adversarial[stage].values()]
+    at += load_adversarial()
     some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     with Progress("loops as implemented") as bar:
         step = _counted(bar, 2 * (len(at) + len(some) + 1))

@@ -16,7 +16,6 @@ from rich.table import Table
 
 from los_testbed.cli.output import Json, number, print_json
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
-from lti.ordinary_file import read_ordinary_file
 from lti.progress import Progress
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
@@ -34,8 +33,6 @@ interrupted design of the same telescope goes on after its last round. The exit 
 """
 
 WorkersOption = Annotated[
-    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
-]
     int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
 ]
 
@@ -113,6 +110,7 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
         A file is missing.
     """
     from los_design.verification import broken_requirements, check_implemented, verification_points
+    from los_design.worst_points import load_adversarial
     from lti import SampledSystem
     from lti.threads import one_thread
     from lti.workers import Workers
@@ -130,23 +128,13 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
         sys.stderr.write(f"warning: {warning}\n")
     with one_thread(), Workers(workers) as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)
-        at = [*verification_points(parameters, system, samples), *_worst(folder)]
+        adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
+        at = [*verification_points(parameters, system, samples), *adversarial]
         done = count(1)
         check = check_implemented(
             system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), 2 * len(at)), workers=pool
         )
     _show(folder, check.to_mapping(), broken_requirements(check), json_)
-
-
-def _worst(folder: Path) -> list[dict[str, float]]:
-    """Parameter points of the stored worst points with fine control."""
-    from titop_plant.interface import MIRROR_STAGES
-
-    path = folder / WORST_POINTS
-    if not path.exists():
-        return []
-    stages = json.loads(read_ordinary_file(path))["stages"]
-    return [dict(point["parameters"]) for stage in MIRROR_STAGES for point in stages[stage].values()]
 
 
 def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: bool) -> None:
