@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
 from los_design.sampled_loop import sampled_loop
-from los_design.worst_case_search import Search, SearchOptions
+from los_design.worst_case_search import Search, SearchOptions, apart
 from los_design.worst_points import WorstPoint
 from lti import SampledSystem
 from lti.ordinary_file import read_ordinary_file
@@ -37,8 +37,6 @@ SLACK = 3e-3
 """A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
-APART = 0.01
-"""Least relative distance of the frequencies of two new points of a requirement."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
 
 
@@ -218,7 +216,9 @@ def design_in_rounds(
         def step(iteration: int, value: float, number: int = state.number + 1) -> None:
             report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
 
-        options = DescentOptions(iterations=iterations, target=effort.target, wall_limit=left)
+        options = DescentOptions(
+            iterations=iterations, target=effort.target, wall_limit=left, confirm=not effort.searches
+        )
         descent = _stabilising(task, problem, state, options, step)
         state.x, state.number = descent.x, state.number + 1
         late = descent.status == "out_of_time"
@@ -347,9 +347,13 @@ def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent
         if _value(task, name, point) > level * (1.0 + SLACK)
     ]
     new: list[WorstPoint] = []
+
+    def pair(point: WorstPoint) -> tuple[float, FloatArray]:
+        return point.omega, task.samples.open_loop.point(dict(point.parameters))
+
     for _, point in sorted(excess, key=lambda entry: -entry[0]):
         same = [p for p in new if p.requirement == point.requirement and p.stage == point.stage]
-        if len(new) < MAX_NEW and all(abs(point.omega - p.omega) > APART * p.omega for p in same):
+        if len(new) < MAX_NEW and all(apart(pair(point), pair(p)) for p in same):
             new.append(point)
     return new
 

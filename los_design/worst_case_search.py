@@ -56,6 +56,9 @@ frequencies and of varied points at each, and ascents from the best of them."""
 TOGETHER = 10
 """Frequencies of a screening, or ascents, that a process does at a time."""
 
+APART = 0.01, 0.25
+"""Least differences of log frequency, or of a parameter of the unit cube, of two points of a band."""
+
 SPREAD = 0.01
 """Standard deviation of log frequency in that search."""
 
@@ -80,6 +83,8 @@ class SearchOptions:
     seed : int
     patience : int
         Rounds without success after which the search around a band's best point ends; 0: there is none.
+    several : int
+        Most points of a band, with other parameters or frequencies than better ones; only the best is searched around.
     """
 
     frequencies: int = 500
@@ -88,6 +93,7 @@ class SearchOptions:
     iterations: int = 30
     seed: int = 0
     patience: int = 3
+    several: int = 1
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "points", "ascents", "iterations"):
@@ -151,7 +157,7 @@ class Search:
         climbed: dict[str, list[Found]] = {name: [] for name in names}
         for (name, _), reached in zip(begun, workers.map(self._climbs, begun)):
             climbed[name] += reached
-        bands = [(name, *entry) for name in names for entry in _best_of_bands(climbed[name])]
+        bands = [(name, *entry) for name in names for entry in self._best_of_bands(climbed[name])]
         found: dict[str, list[WorstPoint]] = {name: [] for name in names}
         for (name, *_), point in zip(bands, workers.map(self._finished, bands)):
             found[name].append(point)
@@ -204,6 +210,20 @@ class Search:
         """What ascents from some pairs reach."""
         name, pairs = item
         return [self.climb(self.metrics[name], *pair) for pair in pairs]
+
+    def _best_of_bands(self, climbed: Sequence[Found]) -> list[tuple[int, bool, Found]]:
+        """The best points of each band, and whether it is one to search around: the first, and leading."""
+        best: dict[int, list[Found]] = {}
+        for entry in sorted(climbed, key=lambda entry: -entry[0]):
+            own = best.setdefault(int(np.searchsorted(BANDS, entry[1])), [])
+            if entry[0] > 0.0 and len(own) < self.options.several and all(apart(entry[1:], other[1:]) for other in own):
+                own.append(entry)
+        largest = max((own[0][0] for own in best.values() if own), default=0.0)
+        return [
+            (band, k == 0 and entry[0] >= LEADING * largest, entry)
+            for band, own in best.items()
+            for k, entry in enumerate(own)
+        ]
 
     def _finished(self, item: tuple[str, int, bool, Found]) -> WorstPoint:
         """The best point of a band, searched around if the band is a leading one, with its value confirmed."""
@@ -284,22 +304,16 @@ class Search:
         return WorstPoint(loop.stage, metric.name, gamma, metric.limit, omega, values, right, left)
 
 
+def apart(one: Pair, other: Pair) -> bool:
+    """Whether two points differ: in frequency by 1 %, or in a parameter by a quarter of its range."""
+    return abs(np.log(one[0] / other[0])) > APART[0] or float(np.abs(one[1] - other[1]).max()) > APART[1]
+
+
 def _half_corners(rng: np.random.Generator, count: int, size: int) -> FloatArray:
     """Random points of the unit cube, the first half of them corners."""
     points = rng.uniform(size=(count, size))
     points[: count // 2] = np.round(points[: count // 2])
     return points
-
-
-def _best_of_bands(climbed: Sequence[Found]) -> list[tuple[int, bool, Found]]:
-    """The best point of each band, and whether it is above :data:`LEADING` of the largest of all."""
-    best: dict[int, Found] = {}
-    for entry in climbed:
-        band = int(np.searchsorted(BANDS, entry[1]))
-        if entry[0] > best.get(band, (0.0,))[0]:
-            best[band] = entry
-    largest = max((entry[0] for entry in best.values()), default=0.0)
-    return [(band, entry[0] >= LEADING * largest, entry) for band, entry in best.items()]
 
 
 def _best(table: Sequence[Found], count: int) -> list[Pair]:

@@ -33,6 +33,10 @@ ENTRIES, NEAR = 4000, 0.5
 """Gains that are linearised: those above this part of the largest value, and their largest number."""
 PLANES = 300
 """Of the first quadratic program of a step; others are added while they are violated."""
+VISIBLE = 1e-3
+"""Relative decrease that refutes a local minimum."""
+RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
+"""Directions that are tried at a local minimum, and the lengths of the steps, of the entries' sizes."""
 SHARPNESS = 6.0
 RIDGE, PROPORTION = 1e-4, 1e-2
 
@@ -50,12 +54,16 @@ class DescentOptions:
         It ends when the largest value is below.
     wall_limit : float
         [s].
+    confirm : bool
+        Where it would be ``stalled``, try steps in the metric of the entries' sizes and random directions; the descent
+        goes on where they lower the value by 0.1 %, and is ``converged`` where none does.
     """
 
     iterations: int = 300
     tolerance: float = 2e-3
     target: float = 0.0
     wall_limit: float = np.inf
+    confirm: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,7 +81,7 @@ class Descent:
     noise : ndarray, shape (noises,)
     worst_pair : ndarray of int, shape (gains,)
         Pair of each largest value.
-    status : {"target", "stalled", "iterations", "out_of_time"}
+    status : {"converged", "target", "stalled", "iterations", "out_of_time"}
     iterations : int
     """
 
@@ -88,10 +96,11 @@ class Descent:
 
 @dataclass
 class _State:
-    """Point, its linearisation, and the weight of the quadratic term."""
+    """Point, its linearisation, the weight of the quadratic term, and whether its metric is of the entries' sizes."""
 
     x: FloatArray
     weight: float = 1.0
+    plain: bool = False
     pairs: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     factor: tuple[FloatArray, bool] | None = None
 
@@ -150,7 +159,37 @@ def descend(
             iteration += REFRESH
             failures = 0 if moved else failures + 1
             continue
+        if status == "stalled" and options.confirm:
+            lower = _lower_point(problem, best, history[-1], stable)
+            if lower is None:
+                status = "converged"
+            elif iteration < options.iterations:
+                state, history, failures, status = _State(lower, pairs=state.pairs), [], 0, "iterations"
+                continue
         return _result(problem, best, status, iteration)
+
+
+def _lower_point(
+    problem: ResponseProblem, x: FloatArray, value: float, stable: Callable[[FloatArray], bool]
+) -> FloatArray | None:
+    """A stable point with a visibly lower largest value, by steps in another metric or in random directions."""
+
+    def lower(at: FloatArray) -> bool:
+        return _merit(problem, problem.values(at), problem.noise(at)) < value * (1.0 - VISIBLE) and stable(at)
+
+    state = _State(x.copy(), plain=True)
+    _collect(state, problem.values(x), value)
+    for _ in range(4):
+        _several(problem, state, stable)
+        if lower(state.x):
+            return state.x
+    rng, sizes = np.random.default_rng(len(x)), entry_sizes(problem.blocks, x) * problem.free
+    for _ in range(RANDOM_DIRECTIONS):
+        direction = sizes * rng.standard_normal(len(x))
+        for length in STEP_LENGTHS:
+            if lower(x + length * direction):
+                return np.asarray(x + length * direction)
+    return None
 
 
 def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
@@ -206,8 +245,11 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
     G = np.vstack([gradients * (lift / np.maximum(values * lift, 1e-12))[:, None], noise_gradients / noise[:, None]])
     G, f = G[:, free], np.log(np.maximum(f, 1e-12))
     if state.factor is None:
-        H = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[free][:, free]
-        state.factor = _factor(H, entry_sizes(problem.blocks, state.x)[free])
+        sizes = entry_sizes(problem.blocks, state.x)[free]
+        metric: FloatArray = np.zeros((len(sizes), len(sizes)))
+        if not state.plain:
+            metric = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[free][:, free]
+        state.factor = _factor(metric, sizes)
     current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
     for _ in range(10):
         direction, predicted, planes = _direction(f, G, state.factor, state.weight, planes)

@@ -20,6 +20,7 @@ from robust_design.frequency_domain import (
     gain_matrices,
     parameters_of,
 )
+from robust_design.frequency_domain.blocks import entry_sizes
 from robust_design.frequency_domain.metric import gram_sum
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
@@ -217,6 +218,22 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     assert max(ends) < 0.3 * 3.7  # of the least start
     again = descend(one, x, stable, DescentOptions(60, 1e-4))
     np.testing.assert_array_equal(again.x, found.x)
+
+
+def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
+    """Random directions of another seed than the descent's own find nothing 0.1 % lower; a start is not converged."""
+    omega = np.geomspace(0.02, 50.0, 40)
+    one = ResponseProblem(BLOCKS, samples(omega), GAINS[:1])
+    found = descend(one, controller(1, 0.05), stable, DescentOptions(2000, 1e-3, confirm=True))
+    assert found.status == "converged"
+    rng, sizes = np.random.default_rng(77), entry_sizes(BLOCKS, found.x)
+    for length in (1e-3, 1e-2, 1e-1):
+        for _ in range(50):
+            x = found.x + length * sizes * rng.standard_normal(len(found.x))
+            assert one.values(x).max() > 0.999 * found.value or not stable(x)
+    further = descend(one, found.x, stable, DescentOptions(60, 1e-6))
+    assert further.value > 0.995 * found.value, "a descent that goes on from there"
+    assert descend(one, controller(1, 0.05), stable, DescentOptions(6, 1e-3, confirm=True)).status == "iterations"
 
 
 def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:
