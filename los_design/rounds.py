@@ -8,7 +8,6 @@ What is added are the worst points of the bands in which a requirement exceeds w
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
+from los_design.round_state import RoundState
 from los_design.sampled_loop import sampled_loop
 from los_design.worst_case_search import Search, SearchOptions, apart
 from los_design.worst_points import WorstPoint
 from lti import SampledSystem
-from lti.ordinary_file import read_ordinary_file
 from lti.workers import Workers
-from pointing_analysis.atomic_output import write_text
 from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
 from titop_plant.interface import FRAME_TICKS
 
@@ -54,8 +52,9 @@ class Effort:
     target : float
         A descent ends below this value: the search finds what is above 1, and further points raise it.
     searches : tuple of SearchOptions
-        Of a round: the next one where those before find nothing worse. The last one decides, and is made in the last
-        round in any case. Empty: one descent at the first points, nothing is searched.
+        Of a round: the next one where those before find nothing worse. Of several, the first one looks only at what was
+        too large in the round before. The last one looks at everything and decides; it is made in the last round in any
+        case. Empty: one descent at the first points, nothing is searched.
     """
 
     rounds: int
@@ -151,41 +150,6 @@ class Outcome:
         ]
 
 
-@dataclass
-class _Progress:
-    """State between rounds; kept in a file, so that an interrupted design goes on."""
-
-    x: FloatArray
-    number: int = 0
-    points: list[FloatArray] = field(default_factory=list)
-    around: list[tuple[float, FloatArray]] = field(default_factory=list)
-    known: dict[str, list[WorstPoint]] = field(default_factory=dict)
-
-    def save(self, path: Path, key: Mapping[str, Any]) -> None:
-        content = {
-            "key": dict(key), "x": self.x.tolist(), "number": self.number,
-            "points": [p.tolist() for p in self.points],
-            "around": [[omega, p.tolist()] for omega, p in self.around],
-            "known": {name: [[p.stage, p.requirement, p.to_mapping()] for p in found]
-                      for name, found in self.known.items()},
-        }  # fmt: skip
-        write_text(path, json.dumps(content))
-
-    @classmethod
-    def load(cls, path: Path, key: Mapping[str, Any]) -> _Progress | None:
-        try:
-            content = json.loads(read_ordinary_file(path))
-            if content["key"] != dict(key):
-                return None
-            points = [np.array(p, dtype=float) for p in content["points"]]
-            around = [(float(omega), np.array(p, dtype=float)) for omega, p in content["around"]]
-            known = {name: [WorstPoint.from_mapping(*entry) for entry in found]
-                     for name, found in content["known"].items()}  # fmt: skip
-            return cls(np.array(content["x"], dtype=float), int(content["number"]), points, around, known)
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
-
-
 def design_in_rounds(
     task: Task,
     start: FloatArray,
@@ -231,6 +195,7 @@ def design_in_rounds(
             active = [task.samples.open_loop.values(p) for p in state.points]
             return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
         state.known = {name: points[:3] for name, points in found.items()}
+        state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
         _add(task, state, new)
         if kept:
             state.save(*kept)
@@ -242,16 +207,17 @@ def _begin(
     effort: Effort,
     report: Report,
     kept: tuple[Path, Mapping[str, Any]] | None,
-) -> _Progress:
+) -> RoundState:
     """The state that is kept, or a new one; its parameter points are sampled."""
-    state = _Progress.load(*kept) if kept else None
+    state = RoundState.load(*kept) if kept else None
     if state is None:
-        state = _Progress(np.array(start, dtype=float), points=_first_points(task, effort))
+        state = RoundState(np.array(start, dtype=float), points=_first_points(task, effort))
     else:
         report(f"goes on after {state.number} rounds")
-    task.samples.add(np.array(state.points))
-    for omega, point in state.around:
-        task.samples.add_around(omega, point)
+    first = len(state.points) - sum(state.added)
+    task.samples.add(np.array(state.points[:first]))
+    for end, count in zip(np.cumsum(state.added), state.added):
+        _sample(task, state.around[end - count : end])
     return state
 
 
@@ -261,7 +227,7 @@ def _status(worse: bool, late: bool) -> str:
 
 def _searched(
     task: Task,
-    state: _Progress,
+    state: RoundState,
     problem: ResponseProblem,
     descent: Descent,
     effort: Effort,
@@ -274,6 +240,8 @@ def _searched(
         if last and not final:
             continue
         near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+        if k == 0 and not final and state.exceeded:
+            near = {name: name in state.exceeded for name in near}
         found = _search(task, state.x, options, state.known, state.number, near)
         if new := _new(task, found, descent):
             return found, new
@@ -281,7 +249,7 @@ def _searched(
 
 
 def _stabilising(
-    task: Task, problem: ResponseProblem, state: _Progress, options: DescentOptions, step: Callable[[int, float], None]
+    task: Task, problem: ResponseProblem, state: RoundState, options: DescentOptions, step: Callable[[int, float], None]
 ) -> Descent:
     """A descent with a result that is stable at all parameter points; it is repeated with those at which it is not."""
     loop = task.samples.open_loop
@@ -325,10 +293,13 @@ def _search(
     return found
 
 
+def _stage(point: WorstPoint) -> tuple[int, ...]:
+    return BOTH if point.stage == STAGE_NAMES[BOTH] else (0,)
+
+
 def _value(task: Task, name: str, point: WorstPoint) -> float:
     """Value of a worst point, 1 being the share or limit that is tuned for."""
-    stage = BOTH if point.stage == STAGE_NAMES[BOTH] else (0,)
-    share = limits(task.samples.open_loop.parameters, stage)[point.requirement]
+    share = limits(task.samples.open_loop.parameters, _stage(point))[point.requirement]
     return point.gamma * point.limit / share
 
 
@@ -358,15 +329,20 @@ def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent
     return new
 
 
-def _add(task: Task, state: _Progress, new: Sequence[WorstPoint]) -> None:
+def _add(task: Task, state: RoundState, new: Sequence[WorstPoint]) -> None:
     """Sample new points on the whole grid, and closely around their frequency."""
-    loop = task.samples.open_loop
-    points = [loop.point(dict(p.parameters)) for p in new]
-    task.samples.add(np.array(points))
-    for point, at in zip(new, points):
-        task.samples.add_around(point.omega, at)
-    state.points += points
-    state.around += [(float(p.omega), at) for p, at in zip(new, points)]
+    around = [(float(p.omega), task.samples.open_loop.point(dict(p.parameters))) for p in new]
+    _sample(task, around)
+    state.points += [at for _, at in around]
+    state.around += around
+    state.added.append(len(around))
+
+
+def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:
+    """Sample the points that a round added: in the same order when a design goes on, for the same bits."""
+    task.samples.add(np.array([at for _, at in around]))
+    for omega, at in around:
+        task.samples.add_around(omega, at)
 
 
 def _tuned(problem: ResponseProblem, descent: Descent) -> dict[str, float]:
