@@ -29,10 +29,12 @@ from titop_plant.interface import FRAME_TICKS
 
 FloatArray = NDArray[np.float64]
 Report = Callable[[str], None]
-MAX_NEW = 12
+MAX_NEW = 16
 """Points that a round adds at most."""
 SLACK = 3e-3
 """A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
+UNSEEN = 0.01
+"""Where there is one, all points that exceed what the descent reached by this part are added: the next would be they."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
@@ -52,9 +54,8 @@ class Effort:
     target : float
         A descent ends below this value: the search finds what is above 1, and further points raise it.
     searches : tuple of SearchOptions
-        Of a round: the next one where those before find nothing worse. Of several, the first one looks only at what was
-        too large in the round before. The last one looks at everything and decides; it is made in the last round in any
-        case. Empty: one descent at the first points, nothing is searched.
+        Of a round: the next one where those before find nothing worse. The last one looks at everything and decides; it
+        is made in the last round in any case. Empty: one descent at the first points, nothing is searched.
     """
 
     rounds: int
@@ -195,7 +196,6 @@ def design_in_rounds(
             active = [task.samples.open_loop.values(p) for p in state.points]
             return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
         state.known = {name: points[:3] for name, points in found.items()}
-        state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
         _add(task, state, new)
         if kept:
             state.save(*kept)
@@ -240,8 +240,6 @@ def _searched(
         if last and not final:
             continue
         near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
-        if k == 0 and not final and state.exceeded:
-            near = {name: name in state.exceeded for name in near}
         found = _search(task, state.x, options, state.known, state.number, near)
         if new := _new(task, found, descent):
             return found, new
@@ -309,14 +307,11 @@ def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[
 
 
 def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent) -> list[WorstPoint]:
-    """Worst points above what the descent reached, the largest excess first."""
-    level = max(1.0, descent.value)
-    excess = [
-        (_value(task, name, point), point)
-        for name, points in found.items()
-        for point in points
-        if _value(task, name, point) > level * (1.0 + SLACK)
-    ]
+    """Worst points above what the descent reached, the largest first; none if none of them is above 1."""
+    values = [(_value(task, name, point), point) for name, points in found.items() for point in points]
+    if not any(value > max(1.0, descent.value) * (1.0 + SLACK) for value, _ in values):
+        return []
+    excess = [entry for entry in values if entry[0] > descent.value * (1.0 + UNSEEN)]
     new: list[WorstPoint] = []
 
     def pair(point: WorstPoint) -> tuple[float, FloatArray]:
