@@ -34,7 +34,7 @@ MAX_NEW = 16
 SLACK = 3e-3
 """A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
 UNSEEN = 0.01
-"""Where there is one, all points that exceed what the descent reached by this part are added: the next would be they."""
+"""Where there is one, all points that exceed what the descent reached by this part are added."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}

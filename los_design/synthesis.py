@@ -46,7 +46,7 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6)
 EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(QUICK, THOROUGH))
-SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12)
+SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, several=6)
 SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
