@@ -31,6 +31,8 @@ FEW, PER_CELL = 64, 6
 
 MAPS = 3
 ERROR = "relative error [mas]"
+MAP = "viridis_r"
+"""Large values stand out from the paper, also where a dark scheme inverts the lightness."""
 
 
 def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any], path: Path) -> Path:
@@ -150,11 +152,11 @@ def _map(
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
         if len(metric) < FEW:
-            image: Any = axis.scatter(x[finite], y[finite], c=metric[finite], cmap="viridis", s=30)
+            image: Any = axis.scatter(x[finite], y[finite], c=metric[finite], cmap=MAP, s=30)
             axis.scatter(x[~finite], y[~finite], c=LIMIT, marker="x", s=30)
         else:
             edges, cells = _cells((x, y), np.where(finite, metric, 1.2 * top), [ranges[p] for p in pair])
-            image = axis.pcolormesh(*edges, cells, cmap="viridis", rasterized=True)
+            image = axis.pcolormesh(*edges, cells, cmap=MAP, rasterized=True)
             axis.grid(False)
         figure.colorbar(image, label=ERROR if len(metric) < FEW else f"largest {ERROR}")
         axis.set(xlim=ranges[pair[0]], ylim=ranges[pair[1]], xlabel=_label(pair[0]), ylabel=_label(pair[1]))
