@@ -69,6 +69,7 @@ def campaign(
     from los_testbed.factories import check_controllers
     from los_testbed.variants import of_designs
 
+    number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--workers", workers, 0, 10_000)
     number("--keep", keep, 0, 1000)
     if resume and output is None:
