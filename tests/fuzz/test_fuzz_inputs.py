@@ -102,8 +102,10 @@ def test_any_command_line(folder: Path, data: st.DataObject) -> None:
     arguments = [*command.split(), f"{option}={data.draw(TEXTS)}"]
     if command == "run":
         arguments.append("--mode=inprocess")
-    if command in ("run", "stages", "campaign"):
+    if command in ("run", "stages"):
         arguments.append(f"--output={folder / 'bag'}")  # exists: no run begins
+    if command == "campaign":
+        arguments += [f"--output={folder / 'work' / 'new'}", "--scheduler=none://"]  # is no address: no campaign begins
     if command in ("analyse", "bag topics", "budget"):
         arguments.append(str(folder / "bag" / "metadata.yaml"))
     if command == "design verify":

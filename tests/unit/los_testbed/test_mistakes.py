@@ -140,6 +140,7 @@ def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path)
         (["run", "--output=" + "x" * 300], ["name of at most"]),
         (["design", "verify", "--samples=-1"], ["--samples", "-1"]),
         (["campaign", "--samples=-1"], ["samples", "-1"]),
+        (["campaign", "--samples=99999999999"], ["--samples", "99999999999"]),
         (["stages", "--samples=-1"], ["--samples", "-1"]),
         (["campaign", "--keep=-1"], ["--keep", "-1"]),
         (["design", "all", "--output=new", "--seed=-1"], ["--seed", "-1"]),

@@ -22,6 +22,7 @@ from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
+from pointing_analysis.atomic_output import check_output
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
@@ -132,27 +133,50 @@ class ResultFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
+    def check(self, resume: bool) -> None:
+        """Refuse, before anything is computed, a folder where no rows can be written.
+
+        Raises
+        ------
+        ValueError
+            It exists and `resume` is not asked for; it holds no campaign; it cannot be made or written to.
+        """
+        if resume:
+            read_manifest(self.path)
+        elif self.path.exists():
+            raise ValueError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
+        check_output(self.path, "output", folder=True)
+
+    def compare(self, campaign: Campaign) -> None:
+        """Refuse another campaign than the one that the folder holds.
+
+        Raises
+        ------
+        ValueError
+            Another campaign, or none.
+        """
+        present = read_manifest(self.path)
+        for key, value in campaign.manifest().items():
+            if present.get(key) != value:
+                raise ValueError(
+                    f"{self.path} holds another campaign: {key} must be {_short(present.get(key))} as there, "
+                    f"got {_short(value)}"
+                )
+
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
         """Make the folder, or go on in it; the chunks that are there already, those without crashed members.
 
         Raises
         ------
         ValueError
-            The folder exists and `resume` is not asked for; it holds another campaign, or no campaign.
+            What :meth:`check` and :meth:`compare` refuse.
         """
+        self.check(resume)
         if not resume:
-            if self.path.exists():
-                raise ValueError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
             (self.path / ROWS).mkdir(parents=True)
             _write_whole(self.path / MANIFEST, (json.dumps(campaign.manifest(), indent=1) + "\n").encode())
             return frozenset()
-        asked, present = campaign.manifest(), read_manifest(self.path)
-        for key, value in asked.items():
-            if present.get(key) != value:
-                raise ValueError(
-                    f"{self.path} holds another campaign: {key} must be {_short(present.get(key))} as there, "
-                    f"got {_short(value)}"
-                )
+        self.compare(campaign)
         (self.path / ROWS).mkdir(exist_ok=True)
         for left in (self.path / ROWS).glob("*.partial"):
             left.unlink()

@@ -20,6 +20,7 @@ import numpy as np
 
 from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.local_cluster import local_cluster
 from los_testbed.campaign.member import CRASHED, DEPTHS, MemberEvaluator, finished_row
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files
@@ -81,7 +82,7 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
         The extra is not installed; no scheduler at the address, or one without workers.
     """
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError:
         raise ValueError("dask.distributed must be installed: pip install 'los-testbed[campaign]'") from None
     if scheduler:
@@ -99,14 +100,25 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     count = workers or len(os.sched_getaffinity(0))
-    with (
-        tempfile.TemporaryDirectory(prefix="los_testbed_campaign_") as local,
-        LocalCluster(
-            n_workers=count, threads_per_worker=1, dashboard_address=":0", local_directory=local, silence_logs=40
-        ) as processes,
-        Client(processes) as client,
-    ):
+    with local_cluster(count) as processes, Client(processes) as client:
         yield client
+
+
+def check_workers(campaign: Campaign, client: Any) -> None:
+    """Refuse a cluster before work begins: workers that join later are compared before their first member.
+
+    Raises
+    ------
+    ValueError
+        Workers with another version of the package, other parameters or controllers.
+    """
+    content = _portable(campaign.base, campaign.identity)
+    for address, found in client.run(worker_identity, content, on_error="return").items():
+        if isinstance(found, BaseException):
+            reason = " ".join(str(found).split()) or type(found).__name__
+            raise ValueError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
+        if difference := _difference(campaign.identity, found):
+            raise ValueError(f"worker {address}: {difference}")
 
 
 def run_campaign(
@@ -131,15 +143,12 @@ def run_campaign(
 
     Raises
     ------
-    ValueError
-        Workers with another version of the package, other parameters or controllers.
     RuntimeError
-        The scheduler was lost, or rows cannot be written; what was written stays.
+        The scheduler was lost, a worker has another installation, or rows cannot be written; what was written stays.
     """
     from distributed import as_completed
 
     content = _portable(campaign.base, campaign.identity)
-    _check_workers(campaign, client, content)
     waiting = campaign.chunks(done)
     known: dict[Any, tuple[int, list[dict[str, Any]]]] = {}
 
@@ -246,15 +255,6 @@ def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campai
         reason = f"its worker ended: {type(error).__name__}"
         rows.append(finished_row(member["index"], member, nothing, CRASHED, reason))
     return rows
-
-
-def _check_workers(campaign: Campaign, client: Any, content: str) -> None:
-    for address, found in client.run(worker_identity, content, on_error="return").items():
-        if isinstance(found, BaseException):
-            reason = " ".join(str(found).split()) or type(found).__name__
-            raise ValueError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
-        if difference := _difference(campaign.identity, found):
-            raise ValueError(f"worker {address}: {difference}")
 
 
 def _difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:

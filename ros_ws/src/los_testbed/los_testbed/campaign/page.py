@@ -9,7 +9,9 @@ from typing import Any
 
 import jinja2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
@@ -24,7 +26,13 @@ from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
 FloatArray = NDArray[np.float64]
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")
 BINS, CELLS, LEVELS = 40, 16, 200
+FEW, PER_CELL = 64, 6
+"""Members that a map shows as points; members a cell of a map of more, so that hardly any cell is empty."""
+
 MAPS = 3
+ERROR = "relative error [mas]"
+MAP = "viridis_r"
+"""Large values stand out from the paper, also where a dark scheme inverts the lightness."""
 
 
 def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any], path: Path) -> Path:
@@ -85,16 +93,25 @@ def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray, c
     ]
 
 
+def _limits(axis: Axes, limits: Sequence[float]) -> None:
+    for number, limit in enumerate(limits):
+        axis.axvline(limit, color=LIMIT, linestyle="--", linewidth=0.9, label="" if number else "limit")
+
+
 def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
+    bins = min(BINS, max(8, int(2.0 * np.sqrt(len(metric)))))
+
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        axis.hist(metric, bins=BINS, color=COLOURS[0])
-        for limit in limits:
-            axis.axvline(limit, color=LIMIT, linestyle="--", linewidth=0.9)
-        axis.set_xlabel(name)
+        axis.hist(metric, bins=bins, color=COLOURS[0], label="members")
+        _limits(axis, limits)
+        axis.set_xlabel(ERROR)
         axis.set_ylabel("members")
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=2)
 
-    return picture("distribution", "Distribution", f"Histogram of {name} over the members; dashed: limits.", 2.6, draw)
+    alt = f"Histogram of {name} over the members; dashed: limits."
+    return picture("distribution", f"Distribution of {name}", alt, 2.8, draw)
 
 
 def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
@@ -105,15 +122,18 @@ def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        axis.step(levels, 100.0 * share, where="post", color=COLOURS[0], label="members below the level")
+        axis.step(levels, 100.0 * share, where="post", color=COLOURS[0], label="below the level")
         axis.plot(levels, 100.0 * bound, color=COLOURS[1], linestyle=":", label="at least, 95 % confidence")
-        for limit in limits:
-            axis.axvline(limit, color=LIMIT, linestyle="--", linewidth=0.9)
-        axis.set_xlabel(f"level of {name}")
-        axis.set_ylabel("yield [%]")
-        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+        _limits(axis, limits)
+        axis.set_xlabel(f"level of the {ERROR}")
+        axis.set_ylabel("members [%]")
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=3, columnspacing=1.2)
 
     return picture("yield", "Yield", f"Share of the members below each level of {name}; dashed: limits.", 2.8, draw)
+
+
+def _label(parameter: str) -> str:
+    return parameter if parameter == "tau" else f"{parameter} [rad/s]"
 
 
 def _map(
@@ -124,25 +144,35 @@ def _map(
     ranges: dict[str, tuple[float, float]],
     number: int,
 ) -> Picture:
-    cells = np.full((CELLS, CELLS), np.nan)
-    place = []
-    for parameter in pair:
-        low, high = ranges[parameter]
-        unit = (points[:, COLUMNS.index(parameter)] - low) / (high - low)
-        place.append(np.clip((CELLS * unit).astype(int), 0, CELLS - 1))
+    """Largest value in cells of two parameters; few members as points, those that are lost as red crosses."""
     finite = np.isfinite(metric)
     top = float(metric[finite].max())
-    for i, j, value in zip(place[0], place[1], np.where(finite, metric, 1.2 * top)):
-        cells[j, i] = np.fmax(cells[j, i], value)
-    edges = [np.linspace(*ranges[parameter], CELLS + 1) for parameter in pair]
+    x, y = (points[:, COLUMNS.index(parameter)] for parameter in pair)
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        image = axis.pcolormesh(edges[0], edges[1], cells, cmap="viridis", rasterized=True)
-        figure.colorbar(image, label=f"largest {name}")
-        axis.set_xlabel(pair[0])
-        axis.set_ylabel(pair[1])
-        axis.grid(False)
+        if len(metric) < FEW:
+            image: Any = axis.scatter(x[finite], y[finite], c=metric[finite], cmap=MAP, s=30)
+            axis.scatter(x[~finite], y[~finite], c=LIMIT, marker="x", s=30)
+        else:
+            edges, cells = _cells((x, y), np.where(finite, metric, 1.2 * top), [ranges[p] for p in pair])
+            image = axis.pcolormesh(*edges, cells, cmap=MAP, rasterized=True)
+            axis.grid(False)
+        figure.colorbar(image, label=ERROR if len(metric) < FEW else f"largest {ERROR}")
+        axis.set(xlim=ranges[pair[0]], ylim=ranges[pair[1]], xlabel=_label(pair[0]), ylabel=_label(pair[1]))
 
     title = f"Largest value over {pair[0]} and {pair[1]}"
     return picture(f"map-{number}", title, f"Map of the largest {name} over {pair[0]} and {pair[1]}.", 3.2, draw)
+
+
+def _cells(
+    points: tuple[FloatArray, FloatArray], values: FloatArray, ranges: Sequence[tuple[float, float]]
+) -> tuple[list[FloatArray], FloatArray]:
+    """Edges of the cells of two parameters, and the largest value in each; NaN where no member is."""
+    count = min(CELLS, int(np.sqrt(len(values) / PER_CELL)))
+    cells = np.full((count, count), np.nan)
+    place = [
+        np.clip((count * (x - low) / (high - low)).astype(int), 0, count - 1) for x, (low, high) in zip(points, ranges)
+    ]
+    np.fmax.at(cells, (place[1], place[0]), values)
+    return [np.linspace(*limits, count + 1) for limits in ranges], cells

@@ -62,26 +62,31 @@ def campaign(
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import cluster, identity, run_campaign
+    from los_testbed.campaign.execution import check_workers, cluster, identity, run_campaign
     from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
     from los_testbed.variants import of_designs
 
+    number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--workers", workers, 0, 10_000)
     number("--keep", keep, 0, 1000)
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
+    folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
+    folder.check(resume)
     files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
     settings: dict[str, Any] = {**of_designs(designs), **{name: value for name, value in files.items() if value}}
     base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
     for warning in check_controllers(base):
         sys.stderr.write(f"warning: {warning}\n")
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
-    folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
+    if resume:
+        folder.compare(asked)
     console = Console(stderr=json_)
     with cluster(scheduler, workers) as client:
+        check_workers(asked, client)
         done = folder.open(asked, resume)
         console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         with Progress("members") as bar:
