@@ -78,15 +78,21 @@ def measure(seconds: float) -> dict[str, list[float]]:
 def draw(files: list[Path], output: Path) -> None:
     """Picture of one or more runs."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     for file in files:
         rows = json.loads(file.read_text())
         axes.step(rows["cpu_seconds"], rows["value"], where="post", marker=".", label=file.stem)
-    axes.set(xscale="log", yscale="log", xlabel="CPU time [s]", ylabel="largest soft value")
-    axes.grid(visible=True, which="both", alpha=0.3)
-    axes.legend()
+    axes.set(xlabel="CPU time [s]", ylabel="largest soft value", yscale="log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlim(left=0.0)
+    axes.grid(visible=True, alpha=0.3)
+    if len(files) > 1:
+        axes.legend()
     figure.savefig(output, dpi=110)
 
 

@@ -241,7 +241,7 @@ def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:
     import matplotlib.pyplot as plt
     import numpy as np
 
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), constrained_layout=True)
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.3), layout="constrained")
     edges = np.geomspace(50, 20_000, 90)
     for name, counts in cells.items():
         values, weights = np.array(list(counts)), np.array(list(counts.values()))
@@ -254,7 +254,7 @@ def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:
         ax.axvline(1000, color="0.7", zorder=0)
         ax.set_xlabel("wake-up of the plant to mirror command [µs]; grey: one period")
     axes[0].set_ylabel("share of ticks")
-    axes[0].legend(fontsize=7)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=8)
     axes[1].set(yscale="log", ylabel="share of ticks that took longer", xlim=(50, 20_000))
     path.parent.mkdir(exist_ok=True)
     figure.savefig(path, dpi=110)

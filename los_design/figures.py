@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,8 +43,8 @@ STAGES = {
 LOWEST, HIGHEST, BINS = 1e-2, 2e3, 420
 """Frequencies of the curves [rad/s]; each point is the largest value within one of these bins."""
 
-SAME = 0.08
-"""Curves that differ by less than this share are drawn once."""
+WIDTHS = (3.4, 2.6, 1.7, 0.9)
+"""Widths of the curves of the stages: where two are the same, the wider one shows on both sides of the other."""
 
 
 FIGURES = ("stages_implemented", "stages_implemented_nominal", "controllers", "sensitivity")
@@ -127,37 +126,28 @@ def _stages(
     title: str,
     members: Mapping[str, Sequence[Mapping[str, float]]],
 ) -> Figure:
-    """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency.
-
-    Where a stage has the curve of the stage after it, only that one is drawn.
-    """
+    """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
     figure = Figure(figsize=(9.6, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     table = parameters["weights"]
     edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
     middle = np.sqrt(edges[1:] * edges[:-1])
-    later = dict(itertools.pairwise(STAGES))
-    del later["isolator"]
-    curves: dict[str, FloatArray] = {}
-    for stage in STAGES:
-        largest = curves[stage] = np.full((2, BINS), np.nan)
+    for (stage, (label, colour)), width in zip(STAGES.items(), WIDTHS):
+        largest = np.full((2, BINS), np.nan)
         for values in members[stage]:
             omega, los = stage_curves(parameters, pair, stage, values)
             error = los * rpe_weight(omega, table["rpe_window"])
             index = np.clip(np.searchsorted(edges, omega) - 1, 0, BINS - 1)
             for row, curve in enumerate((los / ARCSEC, 1e3 * error / ARCSEC)):
                 np.fmax.at(largest[row], index, curve)
-    for stage, (label, colour) in STAGES.items():
-        for axes, curve, other in zip((left, right), curves[stage], curves[later.get(stage, stage)]):
-            differs = stage not in later or np.abs(np.log(curve / other)) > SAME
-            shown = np.where(differs, curve, np.nan)
+        for axes, curve in zip((left, right), largest):
             there = ~np.isnan(curve)
-            axes.loglog(middle[there], shown[there], color=colour, lw=1.3, label=label)
+            axes.loglog(middle[there], curve[there], color=colour, lw=width, label=label)
     left.axhline(table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label="APE 10 arcsec")
     for limit, style in ((table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")):
         value = 1e3 * limit / ARCSEC
         right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")
-    left.set(xlim=(LOWEST, 30.0), ylim=(3e-3, 300.0), title="line of sight [arcsec]")
+    left.set(xlim=(LOWEST, 30.0), ylim=(1e-2, 300.0), title="line of sight [arcsec]")
     right.set(xlim=(1.0, 1500.0), ylim=(1.0, 2e4), title="relative error, 20 ms [mas]")
     for axes, place in ((left, "lower left"), (right, "upper left")):
         axes.set_xlabel("frequency [rad/s]")
@@ -205,7 +195,6 @@ def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
     worst = load_worst_points()
     rng = np.random.default_rng(seed)
     figure = Figure(figsize=(7.2, 3.2), layout="constrained")
-    omega = np.geomspace(0.1, 3e3, 500)
     for axes, (stage, name, channels, title) in zip(
         figure.subplots(1, 2, sharey=True),
         (
@@ -216,11 +205,14 @@ def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
         loop = ImplementedLoop(system, parameters, *pair, stage)
         members = [{}, *system.sample_values(rng, samples), dict(worst[stage][name].parameters)]
         points = np.array([loop.point(values) for values in members])
+        peak = worst[stage][name].omega  # of a mode that is narrower than the steps of the grid
+        omega = np.union1d(np.geomspace(0.1, 3e3, 500), peak * np.linspace(0.98, 1.02, 41))
         S = [loop.sensitivities(loop.at(float(w)), points)[:, channels, channels] for w in omega]
         gains = np.array([largest_gains(at) for at in S])
-        axes.semilogx(omega, gains[:, 1:-1], color="#1f5fa8", lw=0.5, alpha=0.45)
-        axes.semilogx(omega, gains[:, 0], color="#1f5fa8", lw=1.1, label="nominal")
-        axes.semilogx(omega, gains[:, -1], color="#c2308f", lw=1.1, label="worst point found")
+        axes.semilogx(omega, gains[:, -1], color="#c2308f", lw=2.4, label="worst point found")
+        for k in range(1, len(members) - 1):
+            axes.semilogx(omega, gains[:, k], color="#7fa3cc", lw=0.6, label="random points" if k == 1 else None)
+        axes.semilogx(omega, gains[:, 0], color="#143f70", lw=0.9, label="nominal")
         axes.axhline(MAX_SENSITIVITY, color="#b00020", ls="--", lw=1.3, label="limit: 6 dB, 29 deg")
         axes.set(title=title, xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]), ylim=(0.0, 2.4))
         axes.legend(loc="lower left")

@@ -15,11 +15,11 @@ from pointing_analysis.figures import (
     Floats,
     Picture,
     RunView,
-    _legend,
     _mark_tones,
     _panels,
-    _stroke,
+    legend_above,
     picture,
+    stroke,
 )  # fmt: skip
 
 CLOSE = 3.0
@@ -42,8 +42,8 @@ def cumulative(views: Sequence[RunView]) -> Picture:
         axis = _panels(figure, 1)[0]
         axis.set_xscale("log")
         for i, view, frequency, whole, part in curves:
-            axis.step(frequency, whole, where="post", label=view.label, **_stroke(i, len(views)))
-            axis.step(frequency, part, where="post", ls="--", **_stroke(i, len(views)))
+            axis.step(frequency, whole, where="post", label=view.label, **stroke(i, len(views)))
+            axis.step(frequency, part, where="post", ls="--", **stroke(i, len(views)))
         totals = [float(min(whole[-1], part[-1])) for *_, whole, part in curves]
         if len(curves) > 1 and min(totals) > 0:
             axis.set_yscale("log")
@@ -55,7 +55,7 @@ def cumulative(views: Sequence[RunView]) -> Picture:
         _name_steps(axis, curves)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("RMS below frequency [mas]")
-        _legend(figure, axis)
+        legend_above(figure, axis)
 
     alt = "Root mean square of the line of sight below each frequency, whole and weighted for the relative error"
     return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)

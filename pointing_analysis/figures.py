@@ -109,14 +109,14 @@ def _largest(view: RunView) -> float:
     return _greatest(metrics.radial(view.series.values))
 
 
-def _legend(figure: Figure, axis: Axes, columns: int = 3) -> None:
+def legend_above(figure: Figure, axis: Axes, columns: int = 3) -> None:
     """Legend above the picture: it never covers a curve."""
     handles, names = axis.get_legend_handles_labels()
     if handles:
         figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=1.6, columnspacing=1.2)
 
 
-def _stroke(i: int, runs: int) -> dict[str, Any]:
+def stroke(i: int, runs: int) -> dict[str, Any]:
     """Colour, width, gid of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
     return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i), "gid": f"run-{i}"}
 
@@ -152,7 +152,7 @@ def time_history(views: Sequence[RunView]) -> Picture:
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
             axis.set_title(view.label)
             axis.set_ylabel("LOS error [arcsec]")
-        _legend(figure, axes[0])
+        legend_above(figure, axes[0])
         axes[-1].set_xlabel("time [s]")
 
     alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
@@ -187,7 +187,7 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
             axis.set_ylabel(f"LOS y [{unit}]")
             for one in (axis.xaxis, axis.yaxis):
                 one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        _legend(figure, max(axes, key=lambda a: len(a.get_lines())))
+        legend_above(figure, max(axes, key=lambda a: len(a.get_lines())))
 
     alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
     rows = -(-len(views) // 2)
@@ -210,12 +210,12 @@ def density(views: Sequence[RunView]) -> Picture:
         for i, view in enumerate(views):
             if view.spectrum is not None:
                 total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
-                axis.loglog(view.spectrum.frequency[1:], total, label=view.label, **_stroke(i, len(views)))
+                axis.loglog(view.spectrum.frequency[1:], total, label=view.label, **stroke(i, len(views)))
         axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS density [mas²/Hz]")
-        _legend(figure, axis)
+        legend_above(figure, axis)
 
     alt = "Power spectral density of the line of sight against frequency on logarithmic axes"
     return picture("psd", "Power spectral density", alt, 3.8, draw)
@@ -258,7 +258,7 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
             axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS rms at the line [mas]")
-        _legend(figure, axis)
+        legend_above(figure, axis)
 
     alt = "Line-of-sight rms at each disturbance line, run by run: how much of each line every stage lets through"
     return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
@@ -278,14 +278,14 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
             # Even steps in the logarithm of the share: the tail keeps all of its points.
             pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
             pick = pick if r.size else pick[:0]
-            axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **_stroke(i, len(views)))
+            axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **stroke(i, len(views)))
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
         _few_decades(axis)
         axis.set_xlabel(f"radial {kind} [{unit}]")
         axis.set_ylabel("share of time above")
-        _legend(figure, axis)
+        legend_above(figure, axis)
 
     what = "absolute performance error" if kind == "APE" else "relative performance error"
     alt = f"Share of time in which the {what} exceeds each value, against the limits"
@@ -345,7 +345,7 @@ def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> 
         axis.set_yscale("log")
         axis.set_xlabel(label)
         axis.set_ylabel("ticks")
-        _legend(figure, axis)
+        legend_above(figure, axis)
 
     alt = f"{title}: " + "; ".join(
         f"{name} median {v.quantile(0.5):.0f}, 99.9 % {v.quantile(0.999):.0f} microseconds"

@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import signal
 
 from pointing_analysis import metrics
 from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.figures import COLOURS, LIMIT, Picture, RunView, picture
+from pointing_analysis.figures import LIMIT, Picture, RunView, legend_above, picture, stroke
 from pointing_analysis.motion import Motion, motion_of
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,11 @@ COLUMNS, DECADES = 300, 4.0
 
 PIECES = 400
 """Stretches of time whose worst window is drawn."""
+
+GUIDE = {"color": "#c8c8c8", "linewidth": 1.0, "linestyle": (0, (1, 5))}
+"""Lines on a spectrum that leave the ridge below them visible; grey shows on the dark picture and on a white legend."""
+
+MODES = "#ff9d5c"
 
 HARMONICS = 6
 """Rays of a Campbell diagram: the lowest harmonics."""
@@ -70,10 +76,10 @@ def _spectra(view: RunView) -> tuple[Floats, Floats, Floats]:
 
 def _image(figure: Figure, x: Floats, omega: Floats, values: Floats) -> Any:
     axis = figure.subplots()
-    floor = values.max() * 10.0**-DECADES
-    shown = np.log10(np.maximum(values, floor))
-    image = axis.pcolormesh(x, omega, shown, shading="nearest", rasterized=True, cmap="viridis")
-    figure.colorbar(image, label="log10 of mas/√Hz", location="bottom", aspect=40)
+    highest = float(values.max()) or 1.0
+    scale = LogNorm(highest * 10.0**-DECADES, highest, clip=True)
+    image = axis.pcolormesh(x, omega, values, shading="nearest", rasterized=True, cmap="viridis", norm=scale)
+    figure.colorbar(image, label="line of sight [mas/√Hz]", location="bottom", aspect=40)
     axis.set_ylabel("frequency [rad/s]")
     axis.set_ylim(0.0, omega[-1])
     axis.grid(False)
@@ -89,10 +95,11 @@ def waterfall(view: RunView, motion: Motion, k: int) -> Picture:
         axis.set_xlabel("time [s]")
         if motion.turns:
             speed = np.abs(np.interp(time, motion.time, motion.speed[:, motion.wheel]))
-            axis.plot(time, speed, color="white", linewidth=0.6, linestyle="--")
+            axis.plot(time, speed, **GUIDE, label=f"speed of wheel {motion.wheel + 1}")
+            legend_above(figure, axis)
 
     title = f"Waterfall: {view.label}"
-    alt = f"Spectrum of the line of sight over time, {view.label}; dashed: speed of wheel {motion.wheel + 1}."
+    alt = f"Spectrum of the line of sight over time, {view.label}; dotted: speed of wheel {motion.wheel + 1}."
     return picture(f"waterfall-{k + 1}", title, alt, 4.0, draw)
 
 
@@ -108,19 +115,20 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
 
     def draw(figure: Figure) -> None:
         axis = _image(figure, x, omega, shown[:, first])
-        for harmonic in np.sort(motion.harmonics)[:HARMONICS]:
-            axis.plot(x, harmonic * np.abs(x), color="white", linewidth=0.6, linestyle="--")
-        for at, modes in motion.modes:
+        for i, harmonic in enumerate(np.sort(motion.harmonics)[:HARMONICS]):
+            axis.plot(x, harmonic * np.abs(x), **GUIDE, label=None if i else "harmonics of the speed")
+        for i, (at, modes) in enumerate(motion.modes):
             below = modes[modes < top]
-            axis.plot(np.full(below.size, np.interp(at, motion.time, motion.speed[:, motion.wheel])), below, ".",
-                      color="#ff9d5c", markersize=2.0, clip_on=False)  # fmt: skip
+            axis.plot(np.full(below.size, np.interp(at, motion.time, motion.speed[:, motion.wheel])), below, "_",
+                      color=MODES, markersize=4.0, mew=0.7, label=None if i else "modes of the structure")  # fmt: skip
+        legend_above(figure, axis)
         axis.set_xlabel(f"speed of wheel {motion.wheel + 1} [rad/s]")
         axis.set_xlim(x[0], x[-1])
         axis.set_ylim(0.0, top)
 
     alt = (
-        f"Spectrum of the line of sight over the speed of wheel {motion.wheel + 1}, {view.label}; dashed: harmonics of "
-        f"the speed; dots: modes of the structure."
+        f"Spectrum of the line of sight over the speed of wheel {motion.wheel + 1}, {view.label}; dotted: harmonics of "
+        f"the speed; dashes: modes of the structure."
     )
     return picture(f"campbell-{k + 1}", f"Campbell diagram: {view.label}", alt, 4.0, draw)
 
@@ -138,13 +146,13 @@ def error_over_time(views: Sequence[RunView], limits: Sequence[float]) -> Pictur
             worst = np.fmax.reduce(error[: count * size].reshape(count, size), axis=1)
             first = np.asarray(found.start)[: count * size : size]
             time = view.series.start + view.series.dt * first + 0.5 * size * view.window
-            axis.semilogy(time, np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS, color=COLOURS[i % 6],
-                          label=view.label)  # fmt: skip
-        for limit in limits:
-            axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", linewidth=0.9)
+            shown = np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS
+            axis.semilogy(time, shown, label=view.label, **stroke(i, len(views)))
+        for i, limit in enumerate(limits):
+            axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", lw=0.9, label=None if i else "limits")
         axis.set_xlabel("time [s]")
         axis.set_ylabel("relative error [mas rms]")
-        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.6)
+        legend_above(figure, axis)
 
     alt = "Relative error over time, rms of the worst windows of 20 ms, one curve a run; dashed: limits."
     return picture("rpe-over-time", "Relative error over time", alt, 2.8, draw)

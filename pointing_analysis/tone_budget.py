@@ -27,6 +27,17 @@ METADATA = "rpe_budget_mas"
 EDGE = "band_edge_rad_s"
 
 
+def _short(value: float) -> str:
+    """Three digits without an exponent.
+
+    >>> [_short(value) for value in (4779.2, 18.66, 0.0, 1e-5)]
+    ['4779', '18.7', '0', '< 0.01']
+    """
+    if value >= 1000.0:
+        return f"{value:.0f}"
+    return "< 0.01" if 0.0 < value < 0.01 else f"{value:.3g}"
+
+
 @dataclass(frozen=True)
 class ToneBudget:
     """Parts of the relative error of one run [mas].
@@ -49,7 +60,7 @@ class ToneBudget:
         texts = []
         for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", "total (99.7 %) {}")):
             value, allowed = getattr(self, part), self.allowances.get(part)
-            texts.append(name.format(f"{value:.3g}") + (f" of {allowed:.3g}" if allowed is not None else ""))
+            texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))
         return f"budget of the RPE [mas]: {', '.join(texts)}"
 
     def as_dict(self) -> dict[str, Any]:

@@ -14,10 +14,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg
 
-from lti import StateSpace
+from lti import sampled
 from lti.ports import port_slices, total_size
 from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.plant_config import PlantConfig, parameter_values
@@ -111,23 +109,5 @@ def held_disturbance(config: PlantConfig, dt: float) -> FloatArray:
     whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
     ports = tuple(port.name for port in DISTURBANCE_PORTS)
     driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
-    data = driven.data_at(parameter_values(config, parameters))
-    return held_inputs(data, dt)[:, -DISTURBANCE_SIZE:]
-
-
-def held_inputs(data: StateSpace, dt: float) -> FloatArray:
-    """Next state and output by inputs held for one tick [s], stacked: ``[B_h; D]``.
-
-    Examples
-    --------
-    A mass of 1 kg under 1 N for 2 s moves by 2 m and has 2 m/s:
-
-    >>> from lti import Port, state_space
-    >>> mass = state_space([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]], [Port("force", 1, "N")], [Port("x", 1, "m")])
-    >>> held_inputs(mass.data_at({}), 2.0).ravel().tolist()
-    [2.0, 2.0, 0.0]
-    """
-    n, m = data.B.shape
-    whole: NDArray[np.float64] = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = data.A, data.B
-    return np.vstack([linalg.expm(whole * dt)[:n, n:], data.D])
+    held = sampled(driven.data_at(parameter_values(config, parameters)), dt, method="hold")
+    return np.vstack([held.B, held.D])[:, -DISTURBANCE_SIZE:]

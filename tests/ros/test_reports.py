@@ -7,10 +7,10 @@ import pytest
 pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import CodecError
-from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.bags.diagnostics import HARDWARE, Status, read_diagnostics, write_diagnostics
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.nodes.support.source_watch import UNKNOWN_LOOKS, SourceWatch
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 pytestmark = pytest.mark.ros
 VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}
@@ -31,6 +31,19 @@ def test_reports_are_read_as_the_middleware_writes_them(count):
     frame, found = read_diagnostics(report(count))
     assert frame == "0a1b"
     assert [(status.name, status.values) for status in found] == [(f"telescope: {i}", VALUES) for i in range(count)]
+
+
+@pytest.mark.parametrize("name", ["", "a", "ab", "abc", "abcd", "µ"])
+def test_reports_of_the_nodes_are_read_by_the_middleware(name):
+    stamp = 1_234_567_890_123_456_789
+    data = write_diagnostics(stamp, name, Status(2, f"telescope: {name}", name * 3, {**VALUES, name: name * 7}))
+    array = deserialize_message(data, DiagnosticArray)
+    assert array.header.stamp.sec * 10**9 + array.header.stamp.nanosec == stamp and array.header.frame_id == name
+    (status,) = array.status
+    assert (status.level, status.name, status.message) == (b"\2", f"telescope: {name}", name * 3)
+    assert status.hardware_id == HARDWARE
+    assert {pair.key: pair.value for pair in status.values} == {**VALUES, name: name * 7}
+    assert deserialize_message(serialize_message(array), DiagnosticArray) == array
 
 
 def test_a_report_cut_anywhere_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("rclpy")
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from ros_runs import config_for, topic_hashes
+from ros_runs import PLANT, config_for, topic_hashes
 
 from pointing_analysis.read import Run
 
@@ -42,6 +43,22 @@ class Law:
     def step(self, accel_Ip, out):
         self.law.step(accel_Ip, out)
         np.tanh(out, out=out)
+        self.tick += 1
+
+class Raising(Law):
+    def step(self, accel_Ip, out):
+        super().step(accel_Ip, out)
+        if self.tick > 300:
+            {}["no such key"]
+
+class Plant:
+    frame_ticks = 20
+    def reset(self):
+        self.tick = 0
+    def step(self, command, measurement, truth):
+        if self.tick == 700:
+            np.linalg.inv(np.zeros((2, 2)))
+        measurement[:], truth[:] = 0.0, 0.0
         self.tick += 1
 
 class Failing(Law):
@@ -86,3 +103,70 @@ def test_a_value_that_is_not_finite_ends_the_run_and_names_tick_and_port(tmp_pat
     config = config_for(tmp_path, mode="lockstep", duration=2.0, **settings(module, k_pma=f"{module}:Failing"))
     with pytest.raises(RunError, match=rf"k_pma {module}:Failing failed at tick 300: pma_force\[2\] is nan"):
         Runner(config, lambda ticks: None).run()
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize(
+    ("setting", "name", "ticks", "words"),
+    [
+        ("k_pma", "Raising", 300, r"controller: k_pma {module}:Raising failed at tick 30\d: KeyError: 'no such key' "
+         r"\(Raising.step, {module}.py:{line}\)"),
+        ("plant", "Plant", 700, r"plant: failed at tick 700: LinAlgError: Singular matrix "
+         r"\(Plant.step, {module}.py:{line}\)"),
+    ],
+)  # fmt: skip
+def test_any_exception_of_the_user_ends_the_run_with_one_line_and_a_whole_bag(
+    tmp_path: Path, module: str, mode: str, setting: str, name: str, ticks: int, words: str
+) -> None:
+    """It does not start the node again as if it had been killed: the same exception would come again."""
+    config = config_for(tmp_path, mode=mode, duration=60.0, **{setting: f"{module}:{name}"})
+    raised = {"k_pma": '{}["no such key"]', "plant": "np.linalg.inv"}[setting]
+    line = next(i for i, text in enumerate(MODULE.splitlines(), 1) if raised in text)
+    runner = Runner(config, lambda ticks: None)
+    with pytest.raises(RunError, match=words.format(module=module, line=line)) as error:
+        runner.run()
+    assert error.value.code == 1 and "\n" not in str(error.value) and "started again" not in str(error.value)
+    run = Run.open(tmp_path / "bag")
+    assert run.problems == () and len(run["truth/los"]) >= ticks - 100
+
+
+BUILT = """
+import sys
+from los_testbed.nodes import {node}
+
+class Own:
+    frame_ticks = 20
+    tick = 0
+    def reset(self):
+        self.tick = 0
+    def step(self, *vectors):
+        for vector in vectors[{outputs}:]:
+            vector[:] = 0.0
+        self.tick += 1
+        if self.tick == 500:
+            [][3]
+
+sys.exit({node}.main(sys.argv[1:], build=lambda config: {made}))
+"""
+
+
+@pytest.mark.parametrize(("node", "outputs"), [("plant", 1), ("estimator", -1), ("controller", -1)])
+def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, node: str, outputs: int) -> None:
+    file = tmp_path / "own_node.py"
+    file.write_text(BUILT.format(node=node, outputs=outputs, made="Own()"))
+    commands = {"plant": PLANT, node: [sys.executable, str(file)]}
+    with pytest.raises(RunError, match=rf"{node}: .*failed.*: IndexError: .* \(Own.step, {file}:15\)") as error:
+        Runner(config_for(tmp_path, duration=60.0), lambda ticks: None, commands=commands).run()
+    assert error.value.code == 1
+    assert len(Run.open(tmp_path / "bag")["truth/los"]) > 300
+
+
+@pytest.mark.parametrize("node", ["plant", "estimator", "controller"])
+def test_a_function_that_makes_nothing_for_a_node_is_a_mistake_of_the_user(tmp_path: Path, node: str) -> None:
+    file = tmp_path / "own_node.py"
+    file.write_text(BUILT.format(node=node, outputs=1, made='{}["telescope"]'))
+    commands = {"plant": PLANT, node: [sys.executable, str(file)]}
+    with pytest.raises(RunError, match=rf"{node} must be made .*, got KeyError: 'telescope' \(<lambda>, ") as error:
+        Runner(config_for(tmp_path), lambda ticks: None, commands=commands).run()
+    assert error.value.code == 2
+    assert not (tmp_path / "bag").exists() or not len(Run.open(tmp_path / "bag").topics)

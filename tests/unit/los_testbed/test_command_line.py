@@ -8,7 +8,7 @@ import sys
 import los_testbed.loop.simulate
 import numpy as np
 import pytest
-from los_testbed.cli import app as cli
+from command_line import call_command
 from los_testbed.cli.run import configure
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -30,12 +30,7 @@ def run(tmp_path, monkeypatch, capsys):
     own = write_controllers(tmp_path / "files")
 
     def call(*arguments):
-        try:
-            code = cli.main([str(a) for a in arguments])
-        except SystemExit as stop:
-            code = stop.code
-        out, err = capsys.readouterr()
-        return code, out, err
+        return call_command(capsys, *arguments)
 
     call.controllers = [f"--{name.replace('_', '-')}={path}" for name, path in own.items()]
     call.files = tmp_path / "files"

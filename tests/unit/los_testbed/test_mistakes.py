@@ -4,51 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
-from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
-from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.bag_metadata import METADATA_NAME
 from pointing_analysis.read import Run
 from pointing_analysis.synthetic import write_bag
 
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("made")
-    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(folder))
-    run_in_process(config, folder / "bag", SimpleTelescope())
-    return folder
-
-
-@pytest.fixture
-def bag(made: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(made / "bag", tmp_path / "bag"))
-
-
-@pytest.fixture
-def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        try:
-            code = cli.main([str(a) for a in arguments])
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 def one_line(err: str) -> bool:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import call_command
 from los_testbed import factories
-from los_testbed.cli import app as cli
 from los_testbed.cli.run import configure
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
@@ -29,12 +29,7 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path / "here")
 
     def call(*arguments):
-        try:
-            code = cli.main([str(a) for a in arguments])
-        except SystemExit as stop:
-            code = stop.code
-        out, err = capsys.readouterr()
-        return code, out, err
+        return call_command(capsys, *arguments)
 
     call.files = tmp_path
     call.here = tmp_path / "here"

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from command_line import call_command
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
@@ -33,11 +34,7 @@ def call(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path / "here")
 
     def run(*arguments):
-        try:
-            code = cli.main(["replay", *map(str, arguments)])
-        except SystemExit as stop:
-            code = stop.code
-        return code, *capsys.readouterr()
+        return call_command(capsys, "replay", *arguments)
 
     run.here = tmp_path / "here"
     return run

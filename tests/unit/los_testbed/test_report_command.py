@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed.cli import app as cli
+from command_line import call_command
 
 from pointing_analysis import read
 from pointing_analysis.synthetic import write_bag
@@ -20,11 +20,7 @@ def call(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path / "here")
 
     def run(*arguments):
-        try:
-            code = cli.main(["report", *map(str, arguments)])
-        except SystemExit as stop:
-            code = stop.code
-        return code, *capsys.readouterr()
+        return call_command(capsys, "report", *arguments)
 
     run.here = tmp_path / "here"
     return run

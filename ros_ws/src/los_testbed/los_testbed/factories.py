@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig, is_code
-from los_testbed.plugins import in_one_line, make
+from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import RunStart, find_run_start, with_tones
 from los_testbed.user_blocks import UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
@@ -269,7 +269,7 @@ def _user_plant(config: RunConfig) -> Plant:
     own: Plant = make(config)
     try:
         own.reset()
-    except Exception as error:
+    except RAISED as error:
         raise ValueError(f"plant {config.plant} must have a reset that works, got {in_one_line(error)}") from error
     return own
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import inspect
+import itertools
+import os
 import sys
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import MappingProxyType
+from types import FrameType, MappingProxyType
 from typing import Any
 
+import pointing_analysis
 from los_testbed.config import RunConfig, is_code
 
 GROUPS: Mapping[str, str] = MappingProxyType(
@@ -23,6 +28,15 @@ GROUPS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Groups of entry points by setting: a package that names its class there makes it known by a short name."""
+
+RAISED = (Exception, SystemExit)
+"""What code of the user may raise: `sys.exit` in it ends a run as every other exception does."""
+
+CALLERS = (
+    "<frozen importlib",
+    *(f"{Path(str(file)).parent}{os.sep}" for file in (__file__, pointing_analysis.__file__, importlib.__file__)),
+)
+"""Where files begin that import or call code of the user."""
 
 
 def load(text: str, setting: str = "plant") -> Any:
@@ -58,7 +72,7 @@ module 'math' has no attribute 'no_such')
         if text not in known:
             raise LookupError(f"known are {', '.join(sorted(known)) or 'none'}")
         return known[text].load()
-    except Exception as error:
+    except RAISED as error:
         file = "a file, " if setting.startswith("k_") else ""
         raise ValueError(
             f"{setting} must be {file}MODULE:NAME or an entry point of {group}, got {text!r} ({in_one_line(error)})"
@@ -85,9 +99,23 @@ def make(config: RunConfig, setting: str = "plant") -> Any:
     try:
         wants = "config" in inspect.signature(made).parameters
         return made(config=config) if wants else made()
-    except Exception as error:
+    except RAISED as error:
         what = in_one_line(error)
         raise ValueError(f"{setting} {text} must be made without arguments or with config, got {what}") from error
+
+
+def made_by(build: Callable[[RunConfig], Any], config: RunConfig, what: str) -> Any:
+    """What a function of the user makes for a node.
+
+    Raises
+    ------
+    ValueError
+        The function raised an exception.
+    """
+    try:
+        return build(config)
+    except RAISED as error:
+        raise ValueError(f"{what} must be made from the configuration, got {in_one_line(error)}") from error
 
 
 def source_hashes(config: RunConfig) -> dict[str, str]:
@@ -111,10 +139,39 @@ def source_hashes(config: RunConfig) -> dict[str, str]:
     return hashes
 
 
-def in_one_line(error: Exception) -> str:
-    """Type and text of an exception.
+def in_one_line(error: BaseException) -> str:
+    """Type and text of an exception; if code of the user raised it, also class and method, file and line.
 
+    The method is the one that was called from here, the line the last one in its file.
+
+    Examples
+    --------
     >>> in_one_line(KeyError("a"))
     "KeyError: 'a'"
     """
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}{': ' if text else ''}{text}{_place(error)}"
+
+
+def _place(error: BaseException) -> str:
+    """Place of an exception in code of the user, `` (Law.step, my_module.py:12)``; empty if it came from elsewhere."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    users = list(itertools.dropwhile(lambda one: one[0].f_code.co_filename.startswith(CALLERS), frames))
+    if not users:
+        return ""
+    called = users[0][0]
+    file = called.f_code.co_filename
+    line = [line for frame, line in users if frame.f_code.co_filename == file][-1]
+    folder = Path.cwd()
+    shown = Path(file).relative_to(folder) if Path(file).is_relative_to(folder) else file
+    return f" ({_method(called)}{shown}:{line})"
+
+
+def _method(frame: FrameType) -> str:
+    """Class and name of a called method, with a comma; the class is that of the object, which may inherit it."""
+    code, name = frame.f_code, frame.f_code.co_name
+    if name == "<module>":
+        return ""
+    first = frame.f_locals.get(code.co_varnames[0]) if code.co_argcount else None
+    owner = f"{type(first).__name__}." if hasattr(type(first), name) else ""
+    return f"{owner}{name}, "

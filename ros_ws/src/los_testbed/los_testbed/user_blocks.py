@@ -15,7 +15,7 @@ disturbance_source  step(out)                     28 forces and torques, :mod:`t
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.config import RunConfig
-from los_testbed.plugins import in_one_line, make
+from los_testbed.plugins import RAISED, in_one_line, make
 from lti.ports import Port, port_slices, total_size
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
@@ -79,11 +79,17 @@ class UserBlock:
     """
 
     def __init__(self, setting: str, text: str, block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> None:
-        for name in ("step", "reset"):
-            if not callable(getattr(block, name, None)):
-                raise ContractError(f"{setting} {text}: {name} must be a method, got {getattr(block, name, 'none')!r}")
+        try:
+            found = {name: getattr(block, name, "none") for name in ("step", "reset")}
+            self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
+        except RAISED as error:
+            raise ContractError(f"{setting} {text}: attributes must have values, got {in_one_line(error)}") from error
+        for name, method in found.items():
+            if not callable(method):
+                raise ContractError(f"{setting} {text}: {name} must be a method, got {method!r}")
         self.name, self.block, self.inputs, self.outputs = f"{setting} {text}", block, tuple(inputs), tuple(outputs)
-        self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
+        if not isinstance(self.design_basis, Mapping):
+            raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
         self.order, self.tick = 0, 0
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
@@ -97,7 +103,7 @@ class UserBlock:
         self.tick = 0
         try:
             self.block.reset()
-        except Exception as error:
+        except RAISED as error:
             raise BlockFailedError(f"{self.name}: reset failed: {in_one_line(error)}") from error
 
     def step(self, *vectors: FloatArray) -> None:
@@ -111,7 +117,7 @@ class UserBlock:
         out = vectors[-1]
         try:
             self.block.step(*vectors)
-        except Exception as error:
+        except RAISED as error:
             raise BlockFailedError(f"{self.name} failed at tick {self.tick}: {in_one_line(error)}") from error
         odd = ~np.isfinite(out)
         if odd.any():
@@ -156,7 +162,7 @@ class UserBlock:
             kept, out = given.copy(), np.full(width, UNTOUCHED)
             try:
                 self.block.step(*((given, out) if size else (out,)))
-            except Exception as error:
+            except RAISED as error:
                 raise ContractError(f"{self.name}: step must work with {shapes}, got {in_one_line(error)}") from error
             if not np.array_equal(given, kept, equal_nan=True):
                 raise ContractError(f"{self.name}: step must leave its input alone, got another one after the step")
@@ -167,6 +173,20 @@ class UserBlock:
                 where = f"{element(self.outputs, odd)} at tick {tick}"
                 raise ContractError(f"{self.name}: step must write finite values, got {out[odd][0]:g} in {where}")
             yield out
+
+
+def watched(method: Callable[..., None], name: str) -> Callable[..., None]:
+    """A method of an object that a node was given; an exception that it raises becomes a `BlockFailedError`."""
+
+    def call(*vectors: FloatArray) -> None:
+        try:
+            method(*vectors)
+        except BlockFailedError:  # says itself what failed
+            raise
+        except RAISED as error:
+            raise BlockFailedError(f"{name} failed: {in_one_line(error)}") from error
+
+    return call
 
 
 def make_law(config: RunConfig, setting: str) -> UserBlock:

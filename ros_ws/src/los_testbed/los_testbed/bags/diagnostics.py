@@ -1,4 +1,7 @@
-"""Reading of ``diagnostic_msgs/DiagnosticArray`` from bytes, with checks; bytes of any kind are read or refused."""
+"""``diagnostic_msgs/DiagnosticArray`` as bytes: written, and read with checks; any bytes are read or refused.
+
+Written by hand because the message classes take 0.3 ms for a report of forty values, a third of a tick.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import struct
 from typing import NamedTuple
 
 from los_testbed.bags.cdr import CodecError
-from pointing_analysis.cdr import ENCAPSULATION
+from pointing_analysis.cdr import ENCAPSULATION, NS_PER_S, STAMP
 
 _LENGTH = struct.Struct("<I")
 _HEADER = len(ENCAPSULATION) + 8
@@ -54,6 +57,52 @@ class Status(NamedTuple):
     name: str
     message: str
     values: dict[str, str]
+
+
+HARDWARE = "los_testbed"
+"""Content of ``hardware_id`` in the reports of the nodes."""
+
+
+def write_diagnostics(stamp_ns: int, frame: str, status: Status) -> bytes:
+    """Serialised message with one state.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Stamp of its header [ns].
+    frame : str
+        Frame of its header.
+    status : Status
+
+    Examples
+    --------
+    >>> data = write_diagnostics(1_000_000_002, "plant", Status(1, "telescope: plant", "late", {"ticks": "7"}))
+    >>> read_diagnostics(data)
+    ('plant', [Status(level=1, name='telescope: plant', message='late', values={'ticks': '7'})])
+    """
+    data = bytearray(ENCAPSULATION)
+    data += STAMP.pack(*divmod(stamp_ns, NS_PER_S))
+    _put_texts(data, frame)
+    _put_number(data, 1)
+    data.append(status.level)
+    _put_texts(data, status.name, status.message, HARDWARE)
+    _put_number(data, len(status.values))
+    for pair in status.values.items():
+        _put_texts(data, *pair)
+    return bytes(data)
+
+
+def _put_number(data: bytearray, value: int) -> None:
+    data += bytes(-len(data) % _LENGTH.size)  # the encapsulation header has the size of a number
+    data += _LENGTH.pack(value)
+
+
+def _put_texts(data: bytearray, *texts: str) -> None:
+    for text in texts:
+        raw = text.encode()
+        _put_number(data, len(raw) + 1)
+        data += raw
+        data.append(0)
 
 
 def read_diagnostics(data: bytes) -> tuple[str, list[Status]]:

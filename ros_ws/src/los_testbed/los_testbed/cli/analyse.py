@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
+from los_testbed.cli.output import chunk_limit, print_json, seconds
 
 ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
@@ -31,7 +32,7 @@ def analyse(
         list[Path], typer.Argument(help="Bags (folders or .mcap files), or tables: .csv, .parquet, .npy, .npz.")
     ],
     report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
-    transient: Annotated[float | None, typer.Option(help="Seconds to leave out at the start.")] = None,
+    transient: Transient = None,
     los: Annotated[
         str | None,
         typer.Option(
@@ -43,9 +44,7 @@ def analyse(
     time: Annotated[
         str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
     ] = None,
-    requirements: Annotated[
-        Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
-    ] = None,
+    requirements: Requirements = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk
+from los_testbed.cli.output import chunk_limit, print_json
 from los_testbed.run.screen import say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.

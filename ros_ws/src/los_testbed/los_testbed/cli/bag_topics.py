@@ -10,7 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.options import Json
+from los_testbed.cli.output import print_json
 
 TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
 

@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.options import Json
+from los_testbed.cli.output import print_json
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 

@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, with_files
+from los_testbed.cli.output import number, print_json, warn
 from lti.progress import Progress
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.config import RunConfig
 
@@ -49,25 +52,24 @@ def campaign(
     scenario: Annotated[str, typer.Option(help="design, imbalance or worst_case.")] = "design",
     loop: Annotated[str, typer.Option(help="none, isolator, fsm or fsm+pma.")] = "fsm+pma",
     duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
-    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
-    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
-    designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
-    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+    k_fsm: ObserverFile = None,
+    k_pma: ForceLawFile = None,
+    designs: Designs = None,
+    parameters: Telescope = None,
     scheduler: Annotated[str, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask scheduler.")] = "",
     workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
     keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
-    output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
+    output: NewFolder = None,
     json_: Json = False,
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_workers, cluster, identity, run_campaign
-    from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
+    from los_testbed.campaign.execution import check_workers, cluster, identity
+    from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
-    from los_testbed.variants import of_designs
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--workers", workers, 0, 10_000)
@@ -76,11 +78,9 @@ def campaign(
         raise ValueError("--output must be given with --resume, got none")
     folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
     folder.check(resume)
-    files = {"k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
-    settings: dict[str, Any] = {**of_designs(designs), **{name: value for name, value in files.items() if value}}
+    settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
-    for warning in check_controllers(base):
-        sys.stderr.write(f"warning: {warning}\n")
+    warn(check_controllers(base))
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
     if resume:
         folder.compare(asked)
@@ -89,20 +89,36 @@ def campaign(
         check_workers(asked, client)
         done = folder.open(asked, resume)
         console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
-        with Progress("members") as bar:
-            before = finished = _count(asked, done)
-            start = time.monotonic()
-
-            def progress(members: int) -> None:
-                nonlocal finished
-                finished += members
-                rate = (finished - before) / max(time.monotonic() - start, 1e-9)
-                bar.report(finished, asked.samples, what=f"members, {rate:.3g} a second")
-
-            run_campaign(asked, folder, client, done, progress)
+        _evaluate(asked, folder, client, done)
     summary = campaign_summary(asked, folder, max(keep, 5))
     summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
     summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))
+    _show(console, summary, folder)
+    if json_:
+        print_json(summary)
+
+
+def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: frozenset[int]) -> None:
+    """The chunks that are missing, with a progress bar."""
+    from los_testbed.campaign.execution import run_campaign
+
+    with Progress("members") as bar:
+        before = finished = _count(asked, done)
+        start = time.monotonic()
+
+        def progress(members: int) -> None:
+            nonlocal finished
+            finished += members
+            rate = (finished - before) / max(time.monotonic() - start, 1e-9)
+            bar.report(finished, asked.samples, what=f"members, {rate:.3g} a second")
+
+        run_campaign(asked, folder, client, done, progress)
+
+
+def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> None:
+    """Tables, the commands of the worst members, and where the results are."""
+    from los_testbed.campaign.overview import metric_table, verdict_table
+
     console.print(metric_table(summary))
     if summary["verdicts"]:
         console.print(verdict_table(summary))
@@ -110,8 +126,6 @@ def campaign(
         console.print(f"{summary['ranked_by']} {member['value']}: {member['command']}", soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)
     console.print(f"report     {summary['report']}", soft_wrap=True)
-    if json_:
-        print_json(summary)
 
 
 def _count(asked: Campaign, done: frozenset[int]) -> int:

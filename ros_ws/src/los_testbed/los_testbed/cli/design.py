@@ -13,7 +13,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.options import DesignSeed, Json, Telescope
+from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import ALL_EXAMPLES, WorkersOption, design_all, processes, verify_folder
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
@@ -53,15 +54,13 @@ design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help
 Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
 Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
 Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
-Seed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
 Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
-Telescope = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
 
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm", more=""))
 def k_fsm(
-    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: DesignSeed = 0,
     starts: Starts = 0, parameters: Telescope = None, output: Output = None, json_: Json = False,
 ) -> None:  # fmt: skip
     """See MAKE_EXAMPLES."""
@@ -72,7 +71,7 @@ def k_fsm(
     "k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma", more=WITH_OBSERVER)
 )
 def k_pma(
-    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: Seed = 0,
+    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: DesignSeed = 0,
     starts: Starts = 0, parameters: Telescope = None,
     k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
     output: Output = None, json_: Json = False,
@@ -122,8 +121,7 @@ def _make(
             system = design_observer(assembled, parameters, options, _say)
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
-            for warning in design_warnings([k_fsm], design_basis(parameters), closed=True):
-                sys.stderr.write(f"warning: {warning}\n")
+            warn(design_warnings([k_fsm], design_basis(parameters), closed=True))
             system = design_actuators(assembled, parameters, k_fsm, options, _say)
     system.to_file(path)
     _show_design(system, path, json_)
@@ -255,8 +253,7 @@ def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]
 
     parameters, assembled = load_parameters(), telescope()
     for variant in VERIFIED:
-        for warning in design_warnings(load_designs(variant), design_basis(parameters), closed=True):
-            sys.stderr.write(f"warning: {warning}\n")
+        warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
     system = control_loop_plant(assembled, parameters)
     at = verification_points(parameters, system, samples)
     at += load_adversarial()

@@ -1,23 +1,22 @@
-"""What the commands share: ``--json`` and ``--max-chunk``, lines of JSON, checks of numbers."""
+"""What the commands share: lines of JSON, warnings, checks of numbers."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
-
-import typer
-
-MAX_CHUNK_MB = 64.0
-Json = Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")]
-MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write one line of JSON to the standard output."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Write warnings to the error output, one line each."""
+    sys.stderr.writelines(f"warning: {line}\n" for line in lines)
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.options import Json, Telescope
+from los_testbed.cli.output import print_json
 from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def plant(
 def figures(
     context: typer.Context,
     output: Annotated[Path, typer.Option(help="Folder for the figures.")] = Path("figures"),
-    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
+    parameters: Telescope = None,
 ) -> None:
     """See FIGURES_EXAMPLES."""
     from los_design.plant_figures import draw_figures
@@ -84,7 +85,7 @@ def figures(
     from lti.threads import one_thread
 
     with one_thread():
-        paths = draw_figures(output, parameters or context.obj or None)
+        paths = draw_figures(output, str(parameters) if parameters else context.obj or None)
     console = Console()
     for path in paths:
         console.print(str(path), soft_wrap=True, highlight=False)

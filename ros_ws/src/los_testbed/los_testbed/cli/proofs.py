@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.options import Json
+from los_testbed.cli.output import print_json
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 

@@ -14,7 +14,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.options import DesignSeed, Json, Telescope
+from los_testbed.cli.output import number, print_json, warn
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 
@@ -67,8 +68,8 @@ def check_output(folder: Path, parameters: Path | None) -> None:
 
 def design_all(
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
-    parameters: Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of starts and searches.")] = 0,
+    parameters: Telescope = None,
+    seed: DesignSeed = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
@@ -124,8 +125,7 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
     file = folder / TELESCOPE_FILE
     parameters = load_parameters(file if file.exists() else REFERENCE)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
-    for warning in design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True):
-        sys.stderr.write(f"warning: {warning}\n")
+    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     with one_thread(), Workers(workers) as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, number, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import chunk_limit, number, print_json, seconds, warn
 from los_testbed.run.screen import say
 from lti.progress import Progress
 
@@ -54,7 +54,7 @@ def replay(
     k_pma: Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the recorded one.")] = None,
     loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
-    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out of the metrics.")] = None,
+    transient: Transient = None,
     to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
     domain: Annotated[int, typer.Option(help="ROS domain for --to-ros; -1 for ROS_DOMAIN_ID or 0.")] = -1,
     timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
@@ -96,8 +96,7 @@ def _through(
     from pointing_analysis.replay import compare
 
     chosen = replay_run.controllers(run, *others)
-    for warning in chosen.warnings:
-        sys.stderr.write(f"warning: {warning}\n")
+    warn(chosen.warnings)
     with Progress("replay [ticks]") as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)

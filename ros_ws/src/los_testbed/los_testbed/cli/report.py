@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.output import MAX_CHUNK_MB, Json, MaxChunk, chunk_limit, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
+from los_testbed.cli.output import chunk_limit, print_json, seconds
 from los_testbed.run.screen import say
 from pointing_analysis.atomic_output import check_output
 
@@ -41,10 +42,8 @@ def report(
         Path | None,
         typer.Option(help="HTML file. Default: report.html in the folder of a single bag, else in this folder."),
     ] = None,
-    requirements: Annotated[
-        Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
-    ] = None,
-    transient: Annotated[float | None, typer.Option(help="Seconds of start-up to leave out.")] = None,
+    requirements: Requirements = None,
+    transient: Transient = None,
     start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
     namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,

@@ -14,7 +14,8 @@ import typer
 from rich.console import Console
 
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.cli.output import Json, print_json
+from los_testbed.cli.options import Case, Cases, Designs, Json, Telescope
+from los_testbed.cli.output import print_json, warn
 from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
@@ -85,9 +86,7 @@ def run(
     k_pma: Annotated[
         str | None, typer.Option(help="Proof-mass controller instead of the stored design, in the same way.")
     ] = None,
-    designs: Annotated[
-        str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")
-    ] = None,
+    designs: Designs = None,
     output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
     domain: Annotated[
         str | None, typer.Option(metavar="INTEGER", help="ROS domain; free: one that nobody uses on this machine.")
@@ -107,9 +106,9 @@ def run(
     ramp_duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="How long the ramp lasts [s].")] = None,
     sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
     profile: Annotated[str | None, typer.Option(metavar="KIND", help="linear, trapezoidal, or a CSV file.")] = None,
-    case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
-    cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
-    parameters: Annotated[str | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = None,
+    case: Case = None,
+    cases: Cases = None,
+    parameters: Telescope = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
@@ -141,17 +140,23 @@ def run(
         "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
         "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
         "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
-        "ramp_duration": ramp_duration, "profile": profile, "parameters": parameters, "namespace": namespace,
+        "ramp_duration": ramp_duration, "profile": profile, "namespace": namespace,
+        "parameters": None if parameters is None else str(parameters),
     }  # fmt: skip
-    from los_testbed.run.summary import print_summary, summarise_runs
-
     chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
         from los_testbed.run.runner import run_alone
 
         raise typer.Exit(run_alone(only, chosen))
+    _run_and_tell(chosen, live, live_host, report, json_)
+
+
+def _run_and_tell(config: RunConfig, live: int | None, live_host: str, report: bool, json_: bool) -> None:
+    """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
+    from los_testbed.run.summary import print_summary, summarise_runs
+
     console = Console(stderr=json_)
-    bag, results = execute(chosen, live=live, live_host=live_host)
+    bag, results = execute(config, live=live, live_host=live_host)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
@@ -309,8 +314,7 @@ def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.
     warnings = check(config)
     if live is not None:
         check_live(config, live)
-    for warning in warnings:
-        sys.stderr.write(f"warning: {warning}\n")
+    warn(warnings)
     for line in telescope_differences(config):
         sys.stderr.write(f"telescope: {line}\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:

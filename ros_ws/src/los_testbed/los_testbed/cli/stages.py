@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -12,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.output import Json, number, print_json
+from los_testbed.cli.options import (
+    Case,
+    Cases,
+    Designs,
+    ForceLawFile,
+    Json,
+    NewFolder,
+    ObserverFile,
+    Telescope,
+    with_files,
+)
+from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import say
 from lti.progress import Progress
 from pointing_analysis.atomic_output import write_text
@@ -54,16 +64,16 @@ def stages(
     duration: Annotated[float | None, typer.Option(help="Length of each run [s]; 10, or the case's.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
     mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
-    k_fsm: Annotated[str, typer.Option(help="Observer file instead of the stored design.")] = "",
-    k_pma: Annotated[str, typer.Option(help="Proof-mass controller file instead of the stored design.")] = "",
-    designs: Annotated[str, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")] = "",
+    k_fsm: ObserverFile = None,
+    k_pma: ForceLawFile = None,
+    designs: Designs = None,
     camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
-    parameters: Annotated[str, typer.Option(metavar="FILE", help="Parameter file of your telescope.")] = "",
-    case: Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")] = None,
-    cases: Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")] = None,
+    parameters: Telescope = None,
+    case: Case = None,
+    cases: Cases = None,
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
-    output: Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")] = None,
+    output: NewFolder = None,
     json_: Json = False,
 ) -> None:
     """See STAGES_EXAMPLES."""
@@ -71,40 +81,45 @@ def stages(
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
     from los_testbed.run.runner import check_ros
-    from los_testbed.run.stages import COMPARED, PARTS, Plan, perform
-    from los_testbed.variants import chosen_member, layered, of_designs
+    from los_testbed.run.stages import COMPARED, PARTS, Plan
+    from los_testbed.variants import chosen_member, layered
     from titop_plant.interface import SCENARIOS
 
     if samples is not None:
         number("--samples", samples, 1, 100)
-    given = {"duration": duration, "scenario": scenario, "k_fsm": k_fsm, "k_pma": k_pma, "parameters": parameters}
-    stated = {name: value for name, value in given.items() if value}
-    settings = layered(of_designs(designs), chosen_member(case, cases, None, {}, {})[0], stated)
+    given = {"duration": duration, "scenario": scenario}
+    stated: dict[str, Any] = {name: value for name, value in given.items() if value}
+    stated |= with_files(None, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
+    settings = layered(with_files(designs), chosen_member(case, cases, None, {}, {})[0], stated)
     scenario = settings.pop("scenario", "both")
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
     base = RunConfig.from_mapping({"seed": seed, "mode": mode, "camera_rate": camera_rate, **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
-    for warning in check_controllers(base):
-        sys.stderr.write(f"warning: {warning}\n")
+    warn(check_controllers(base))
     if mode != "inprocess":
         check_ros()
     chosen = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
-    plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs)
-    console = Console(stderr=json_)
+    plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs or "")
+    content = _write(Console(stderr=json_), _perform(plan), plan)
+    if json_:
+        print_json(content)
+
+
+def _perform(plan: Plan) -> tuple[StageResult, ...]:
+    """The runs of a plan, with a progress bar."""
+    from los_testbed.run.stages import perform
+
     with Progress("stages") as bar:
-        runs = plan.runs()
+        runs, each = plan.runs(), plan.base.ticks
         index = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:
-            bar.report(index[run.name] * base.ticks + ticks, len(runs) * base.ticks, what=f"{run.name} [ticks]")
+            bar.report(index[run.name] * each + ticks, len(runs) * each, what=f"{run.name} [ticks]")
 
-        results = perform(plan, progress)
-    content = _write(console, results, plan)
-    if json_:
-        print_json(content)
+        return perform(plan, progress)
 
 
 def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict[str, Any]:

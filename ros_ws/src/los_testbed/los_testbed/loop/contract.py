@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from los_testbed.factories import Plant
-from los_testbed.plugins import in_one_line
+from los_testbed.factories import Plant, plant_notes
+from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.user_blocks import UNTOUCHED, ContractError
 from titop_plant.interface import COLUMNS as PORTS
 from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
@@ -63,7 +63,12 @@ def check_plant(plant: Plant) -> None:
     for name in ("step", "reset"):
         if not callable(getattr(plant, name, None)):
             raise ContractError(f"plant.{name} must be a method, got {getattr(plant, name, 'none')!r}")
-    frame = getattr(plant, "frame_ticks", None)
+    try:
+        frame = getattr(plant, "frame_ticks", None)
+        plant_notes(plant)
+    except RAISED as error:
+        names = "plant.frame_ticks, and tones and parameters_hash if there are any,"
+        raise ContractError(f"{names} must be values that can be recorded, got {in_one_line(error)}") from error
     if isinstance(frame, bool) or not isinstance(frame, (int, np.integer)) or not 1 <= frame <= RATE:
         raise ContractError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
     command = np.zeros(COMMANDS)
@@ -77,7 +82,7 @@ def check_plant(plant: Plant) -> None:
         trial.reset()
         trial.step(command, measurement, truth)
         trial.reset()
-    except Exception as error:
+    except RAISED as error:
         raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {in_one_line(error)}") from error
     if command.any():
         raise ContractError("plant.step must leave its command alone, got another one after the step")

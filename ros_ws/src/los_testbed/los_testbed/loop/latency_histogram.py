@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,11 +71,17 @@ class LatencyHistogram:
 
     def quantile_us(self, probability: float) -> float:
         """Smallest cell that at least this share of the durations does not exceed [us]; NaN without data."""
+        return self.quantiles_us((probability,))[0]
+
+    def quantiles_us(self, probabilities: Sequence[float]) -> list[float]:
+        """Quantiles as :meth:`quantile_us`, in one pass over the cells up to the longest duration."""
         if not self.count:
-            return float("nan")
-        rank = max(1, int(np.ceil(probability * self.count)))
-        cell = int(np.searchsorted(np.cumsum(self.cells), rank))
-        return float(cell) if cell < self.CELLS - 1 else self.maximum_us
+            return [float("nan")] * len(probabilities)
+        last = min(self.maximum_ns // 1000, self.CELLS - 1)
+        below = self.cells[: last + 1].cumsum()
+        ranks = [max(1, math.ceil(probability * self.count)) for probability in probabilities]
+        cells = below.searchsorted(ranks).tolist()
+        return [float(cell) if cell < self.CELLS - 1 else self.maximum_us for cell in cells]
 
     def histogram(self) -> dict[int, int]:
         """Cells [us] that are not empty, and how many durations fell into each."""
@@ -80,9 +89,10 @@ class LatencyHistogram:
 
     def summary(self, name: str) -> dict[str, str]:
         """Median, tail and extreme as diagnostic values."""
+        median, p99, p999 = self.quantiles_us((0.5, 0.99, 0.999))
         return {
-            f"{name}_median_us": f"{self.quantile_us(0.5):g}",
-            f"{name}_p99_us": f"{self.quantile_us(0.99):g}",
-            f"{name}_p999_us": f"{self.quantile_us(0.999):g}",
+            f"{name}_median_us": f"{median:g}",
+            f"{name}_p99_us": f"{p99:g}",
+            f"{name}_p999_us": f"{p999:g}",
             f"{name}_max_us": f"{self.maximum_us:g}",
         }

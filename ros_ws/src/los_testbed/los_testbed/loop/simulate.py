@@ -21,7 +21,7 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes, run_start
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
-from los_testbed.plugins import in_one_line
+from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
 from los_testbed.user_blocks import BlockFailedError
@@ -121,7 +121,7 @@ def simulate(
         except BlockFailedError as error:  # says itself who failed at which tick
             sink(block, done)
             raise RunFailedError(str(error)) from error
-        except Exception as error:
+        except RAISED as error:
             sink(block, done)
             raise RunFailedError(f"{who} failed at tick {first + done}: {in_one_line(error)}") from error
         sink(block, rows)

@@ -18,7 +18,9 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchroni
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
+from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
+from los_testbed.user_blocks import watched
 from pointing_analysis.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
 
@@ -34,8 +36,10 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        controller = build(context.config)
-        if build is build_controller:
+        own = build is not build_controller
+        controller = made_by(build, context.config, "controller") if own else build(context.config)
+        control, reset = watched(controller.step, "step"), watched(controller.reset, "reset")
+        if not own:
             context.warn_alone(check_controllers(context.config))
         parts = [
             Part(codec_for(ISOLATOR_ACCEL), ACCEL),
@@ -43,14 +47,14 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
         ]
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
-        step = GapStepper(lambda sample, out: controller.step(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
+        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(context.config))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                controller.reset()
+                reset()
                 for publisher, codec, _, zero in slots:
                     publisher.publish(codec.encode(stamp, zero))
                 return

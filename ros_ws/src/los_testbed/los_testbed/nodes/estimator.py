@@ -17,7 +17,9 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchroni
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
+from los_testbed.plugins import made_by
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
+from los_testbed.user_blocks import watched
 from pointing_analysis.gap_stepping import GapStepper
 from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
 
@@ -29,7 +31,9 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        estimator = build(context.config)
+        own = build is not build_estimator
+        estimator = made_by(build, context.config, "estimator") if own else build(context.config)
+        estimate, reset = watched(estimator.step, "step"), watched(estimator.reset, "reset")
         every = context.config.frame_ticks
         parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
@@ -37,11 +41,11 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn})
-        step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
+        step = GapStepper(estimate, MEASUREMENTS, CAMERA)
 
         def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
             if stamp == HOLD_STAMP:
-                estimator.reset()
+                reset()
                 publisher.publish(codec.encode(stamp, nothing))
                 return
             step(measurement, gap, los)

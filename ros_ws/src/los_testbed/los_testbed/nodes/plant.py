@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes, run_start
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
+from los_testbed.loop.contract import RunFailedError, check_plant
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
@@ -27,6 +28,8 @@ from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
+from los_testbed.plugins import RAISED, in_one_line, made_by
+from los_testbed.user_blocks import BlockFailedError, watched
 from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
@@ -51,8 +54,11 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
     def body(context: NodeContext) -> int:
         refuse_second_plant(context)
         context.event("alone")
-        plant, command = build(context.config), None
-        if build is build_plant:
+        own, command = build is not build_plant, None
+        plant = made_by(build, context.config, "plant") if own else build(context.config)
+        if own or context.config.plant:
+            check_plant(plant)
+        if not own:
             command = run_start(context.config).command
         elif context.config.start != "rest":
             context.event("warning", message=OWN_PLANT)
@@ -144,7 +150,7 @@ class PlantLoop:
     def _run_once(self) -> None:
         """The ticks of a run and the last report."""
         context, config = self.context, self.context.config
-        self.plant.reset()
+        watched(self.plant.reset, "reset")()
         if config.mode == "lockstep":
             start = aligned_start(SIMULATED_START_NS, config.frame_ticks)
         else:
@@ -202,11 +208,16 @@ class PlantLoop:
     def _tick(self, now: int) -> None:
         io, command, changes = self.io, self._command, self.changes
         changes.now = now - io.start
-        if changes.now >= changes.due:
-            changes.advance(changes.now)
-        io.fsm_gate.apply(now, command[MIRROR])
-        io.pma_gate.apply(now, command[FORCES])
-        self.plant.step(command, self._measurement, self._truth)
+        try:
+            if changes.now >= changes.due:
+                changes.advance(changes.now)
+            io.fsm_gate.apply(now, command[MIRROR])
+            io.pma_gate.apply(now, command[FORCES])
+            self.plant.step(command, self._measurement, self._truth)
+        except BlockFailedError:  # says itself what failed
+            raise
+        except RAISED as error:
+            raise RunFailedError(f"failed at tick {self.ticks}: {in_one_line(error)}") from error
         io.publish(now, self._measurement, self._truth)
         self.ticks += 1
 

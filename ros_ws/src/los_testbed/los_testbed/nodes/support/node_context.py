@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -21,6 +21,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from los_testbed.bags.diagnostics import Status, write_diagnostics
 from los_testbed.config import NAMESPACE
 from los_testbed.loop.changes import ACTIVE, NAMES, Apply, Changes
 from los_testbed.loop.scheduling import (
@@ -141,7 +142,7 @@ class NodeContext:
         self.stop |= isinstance(self.node, ManagedNode) and self.node.ended
 
     def work(self) -> bool:
-        """Do one piece of the reports that wait, at most a fifth of a tick; whether there was one."""
+        """Do one piece of the reports that wait; whether there was one."""
         if not self._work:
             return False
         self._work.popleft()()
@@ -155,24 +156,19 @@ class NodeContext:
     def diagnose(self, level: int, message: str, values: Callable[[], Mapping[str, str]], stamp_ns: int) -> None:
         """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads.
 
-        It is done by the next calls of :meth:`work`, in pieces; `values` is called by the first of them.
+        The next calls of :meth:`work` do it: values as text, message, and one call for each topic.
         """
-        self._work.append(lambda: self._diagnose(level, message, values(), stamp_ns))
 
-    def _diagnose(self, level: int, message: str, values: Mapping[str, str], stamp_ns: int) -> None:
-        array = DiagnosticArray()
-        array.header.frame_id = self._identifier  # the recorder tells its own nodes' reports by it
-        array.header.stamp.sec, array.header.stamp.nanosec = divmod(max(stamp_ns, 0), 1_000_000_000)
-        array.status = [
-            DiagnosticStatus(
-                level=bytes([level]),
-                name=self._label,
-                message=message,
-                hardware_id="los_testbed",
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-        ]
-        self._work.extendleft(partial(publisher.publish, array) for publisher in self._diagnostics)
+        def make() -> None:
+            status = Status(level, self._label, message, dict(values()))
+            self._work.appendleft(lambda: write(status))
+
+        def write(status: Status) -> None:
+            # the recorder tells its own nodes' reports by the identifier
+            data = write_diagnostics(max(stamp_ns, 0), self._identifier, status)
+            self._work.extendleft(partial(publisher.publish, data) for publisher in self._diagnostics)
+
+        self._work.append(make)
 
     def plot(self, values: Callable[[], Mapping[str, float]]) -> None:
         """Publish values since the last report on ``~/statistics``, by a later call of :meth:`work`.

@@ -1,0 +1,173 @@
+"""Code of the user that raises any exception: one line with class, method, file and line, and a whole bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.plugins import in_one_line
+from simple_telescope import write_controllers
+
+from pointing_analysis.read import Run
+from pointing_analysis.summary import summarise
+
+Call = Callable[..., tuple[int, str, str]]
+
+HEAD = """
+import sys
+import numpy as np
+from numpy.linalg import LinAlgError
+from lti.sampled_system import SampledSystem
+from simple_telescope import SimpleTelescope
+
+FAULTS = {
+    "ZeroDivisionError": lambda: 1 / 0,
+    "LinAlgError": lambda: np.linalg.inv(np.zeros((2, 2))),
+    "KeyError": lambda: {}["wheel"],
+    "SystemExit": lambda: sys.exit(0),
+    "RecursionError": lambda: FAULTS["RecursionError"](),
+}
+"""
+
+PLANT = """
+class Plant(SimpleTelescope):
+    def __init__(self):
+        super().__init__()
+    def step(self, command, measurement, truth):
+        tick = self._tick
+        super().step(command, measurement, truth)
+        if tick == {tick}:
+            self.fail()
+    def fail(self):
+        FAULTS["{fault}"]()
+"""
+
+LAW = """
+class Law:
+    def __init__(self):
+        self.law = SampledSystem.from_file("k_pma.json")
+    def reset(self):
+        self.law.reset()
+        self.tick = 0
+    def step(self, accel_Ip, out):
+        self.law.step(accel_Ip, out)
+        if self.tick == {tick}:
+            FAULTS["{fault}"]()
+        self.tick += 1
+"""
+
+KINDS = ["ZeroDivisionError", "LinAlgError", "KeyError", "SystemExit", "RecursionError"]
+
+
+@pytest.fixture
+def module(tmp_path: Path) -> Callable[..., str]:
+    """Writes a module with a name of its own into the folder of the command line."""
+    write_controllers(tmp_path)
+
+    def write(text: str, head: str = HEAD, **values: object) -> str:
+        name = f"faults_{tmp_path.name}".replace("-", "_")
+        (tmp_path / f"{name}.py").write_text(head + text.format(**values))
+        return name
+
+    return write
+
+
+def command(option: str, name: str) -> list[str]:
+    """A run of 3 s in one process; a plant of the user comes with the controllers of the test."""
+    files = ["--k-fsm", "k_fsm.json", *(["--k-pma", "k_pma.json"] if option == "--plant" else [])]
+    line = ["run", "--mode", "inprocess", "--duration", "3", "--no-report", "--output", "bag"]
+    return [*line, *files, option, name, *([] if option == "--plant" else ["--scenario", "design"])]
+
+
+def line_of(text: str, what: str) -> int:
+    return next(i for i, line in enumerate(text.splitlines(), 1) if what in line)
+
+
+@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize(("option", "text", "method"), [("--plant", PLANT, "Plant.step"), ("--k-pma", LAW, "Law.step")])
+def test_an_exception_in_the_run_is_one_line_and_the_bag_is_whole(
+    call: Call, module: Callable[..., str], tmp_path: Path, fault: str, option: str, text: str, method: str
+) -> None:
+    name = module(text, tick=1234, fault=fault)
+    code, out, err = call(*command(option, f"{name}:{method.partition('.')[0]}"))
+    assert code == 1 and out == "" and "Traceback" not in err
+    lines = [line for line in err.splitlines() if line.startswith("los-testbed: ")]
+    assert len(lines) == 1 and f"failed at tick 1234: {fault}" in lines[0], err
+    raised = line_of((tmp_path / f"{name}.py").read_text(), f'"{fault}": lambda')
+    assert f"({method}, {name}.py:{raised})" in lines[0]
+    run = Run.open(tmp_path / "bag")
+    assert len(run["truth/los"]) == 1234 and run.losses == ()
+    assert any(f"failed at tick 1234: {fault}" in problem for problem in summarise(run).problems)
+
+
+@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize(("option", "text", "method"), [("--plant", PLANT, "Plant.step"), ("--k-pma", LAW, "Law.step")])
+def test_an_exception_at_the_first_tick_is_a_mistake_told_before_the_run(
+    call: Call, module: Callable[..., str], tmp_path: Path, fault: str, option: str, text: str, method: str
+) -> None:
+    name = module(text, tick=0, fault=fault)
+    code, out, err = call(*command(option, f"{name}:{method.partition('.')[0]}"))
+    assert code == 2 and out == "" and err.count("\n") == 1, err
+    assert fault in err and f"({method}, {name}.py:" in err
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ('\nFAULTS["{fault}"]()\n', "({name}.py:"),
+        ('\nclass Law:\n    def __init__(self):\n        FAULTS["{fault}"]()\n', "(Law.__init__, {name}.py:"),
+        ('\ndef Law():\n    FAULTS["{fault}"]()\n', "(Law, {name}.py:"),
+        (
+            LAW + '    @property\n    def design_basis(self):\n        FAULTS["{fault}"]()\n',
+            "(Law.design_basis, {name}.py:",
+        ),
+    ],
+    ids=["import", "constructor", "function", "attribute"],
+)
+def test_an_exception_while_it_is_made_names_its_place(
+    call: Call, module: Callable[..., str], fault: str, text: str, place: str
+) -> None:
+    name = module(text, fault=fault, tick=-1)
+    code, out, err = call(*command("--k-pma", f"{name}:Law"))
+    assert code == 2 and out == "" and err.count("\n") == 1, err
+    assert fault in err and place.format(name=name) in err
+
+
+ODD_ATTRIBUTES = ['tones = ["a"]', "tones = object()", "parameters_hash = property(lambda self: 1 / 0)",
+                  "frame_ticks = property(lambda self: {}[3], lambda self, value: None)"]  # fmt: skip
+
+
+@pytest.mark.parametrize("attribute", ODD_ATTRIBUTES)
+def test_attributes_of_a_plant_that_cannot_be_recorded_are_told(
+    call: Call, module: Callable[..., str], attribute: str
+) -> None:
+    body = "\nclass Plant(SimpleTelescope):\n"
+    body += "    def __init__(self):\n        super().__init__()\n        {more}\n    {own}\n"
+    own, more = ("pass", f"self.{attribute}") if attribute.startswith("tones") else (attribute, "pass")
+    name = module(body, own=own, more=more)
+    code, out, err = call(*command("--plant", f"{name}:Plant"))
+    assert code == 2 and out == "" and err.count("\n") == 1, err
+    assert "plant.frame_ticks, and tones and parameters_hash if there are any, must be values" in err
+
+
+def test_an_inherited_method_has_the_class_of_the_object_and_numpy_is_not_the_place(tmp_path: Path) -> None:
+    class Base:
+        def step(self, out: np.ndarray) -> None:
+            np.zeros(3).reshape(2)  # the line that counts
+
+    class Mine(Base):
+        pass
+
+    with pytest.raises(ValueError) as raised:
+        Mine().step(np.zeros(2))
+    error = raised.value
+    assert error.__traceback__ is not None
+    error.__traceback__ = error.__traceback__.tb_next  # as it is where the package calls it
+    line = line_of(Path(__file__).read_text(), "the line that counts")
+    assert in_one_line(error).endswith(f"(Mine.step, {Path(__file__)}:{line})") or in_one_line(error).endswith(
+        f"(Mine.step, {Path(__file__).relative_to(Path.cwd())}:{line})"
+    )
