@@ -1,6 +1,6 @@
 """The tuner beside two nonsmooth optimisers on the published plants, same wall time, one core each.
 
-    python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json]
+    python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json] [--cpu] [--rows FILE]
 
 - ``bfgs``: written here, apart from the tuner: BFGS with a weak Wolfe line search and random restarts on the
   H-infinity norm itself (Lewis and Overton 2013), stabilised by the same method on the spectral abscissa. The norm is
@@ -11,6 +11,10 @@
 The tuner runs with its default options and the wall limit `--seconds`; its value is the certified upper bound. The
 others get the wall time that it took or, with ``--rival-time limit``, the whole limit. A loss is a value of the tuner
 that is more than 0.1 % (and 1e-6) above the smaller one of the others.
+
+With ``--cpu`` all limits and times are processor seconds of this process: on a machine that does other work, too, every
+method then gets the same amount of computation. With ``--rows FILE`` every row is written there as soon as it is
+measured, one JSON object a line, and what the file has is not measured again.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -293,6 +298,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--orders", default="0", help="orders of the controller, separated by commas")
     parser.add_argument("--seconds", type=float, default=60.0, help="wall limit of the tuner")
     parser.add_argument("--rival-time", choices=("used", "limit"), default="used", help="wall time of the others")
+    parser.add_argument("--cpu", action="store_true", help="all limits and times in processor seconds")
+    parser.add_argument("--rows", type=Path, metavar="FILE", help="rows measured so far, and those to come")
     parser.add_argument("--json", action="store_true")
     found = parser.parse_args()
     if unknown := sorted(set(found.plants.split(",")) - set(PLANTS)):
@@ -314,16 +321,30 @@ def line(row: dict[str, Any]) -> str:
     )
 
 
+def known_rows(file: Path | None) -> list[dict[str, Any]]:
+    """Rows measured before."""
+    if file is None or not file.exists():
+        return []
+    return [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+
+
 def main() -> None:
     """Measure and print."""
     options = arguments()
-    rows = []
+    if options.cpu:
+        time.monotonic = time.time = time.process_time  # the clocks of the tuner, of the methods here and of PyGRANSO
+    rows = known_rows(options.rows)
     with threadpool_limits(1):
         if pygranso:
             torch.set_num_threads(1)
         for name in options.plants.split(","):
             for order in map(int, options.orders.split(",")):
+                if any((row["name"], row["order"]) == (name, order) for row in rows):
+                    continue
                 rows.append(measure(name, order, options.seconds, options.rival_time == "limit"))
+                if options.rows:
+                    with options.rows.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(rows[-1]) + "\n")
                 if not options.json:
                     print(line(rows[-1]), flush=True)
     found = summary(rows)

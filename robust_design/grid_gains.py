@@ -114,6 +114,16 @@ class GridGains:
         s, rows, columns = self._slopes(K, i, index)
         return [(float(s[j, 0]), np.real(np.outer(rows[j], columns[j]))) for j in range(len(index))]
 
+    def slopes(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """All singular values (m, r) at the frequencies `index` (m,) with their gradients (m, r, *shape of K)."""
+        loop, arrays = self._closed(K, (i,)), self.arrays
+        s, U, V = leading_pairs(loop.responses[i][index])
+        into = U.conj().swapaxes(1, 2) @ arrays.P12[i][index]
+        row = loop.own.rows(solve(loop.S[index].swapaxes(1, 2), into.swapaxes(1, 2)).swapaxes(1, 2), index)
+        forward = arrays.P21[i][index] @ V
+        column = loop.own.columns(forward + arrays.P22[index] @ (loop.M[index] @ forward), index)
+        return s, np.real(row[:, :, :, None] * column.swapaxes(1, 2)[:, :, None, :])
+
     def weighted_gradient(
         self, K: FloatArray, i: int, weights: FloatArray, index: NDArray[np.intp], power: float = np.inf
     ) -> FloatArray:

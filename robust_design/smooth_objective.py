@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from robust_design.gains import unresolved
 from robust_design.grid_gains import GridGains
 from robust_design.metric import Metric, metric_of
+from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
-from robust_design.structures import Structure
+from robust_design.structures import gain_sizes, jacobian
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,6 +28,9 @@ EXACT_STABILITY_ORDER = 60  # up to this order the poles are computed at every e
 LEAST_RETURN = 1e-3  # of the return difference's determinant over that of the first point: loops above that order
 LARGEST_TURN = 2.0  # [rad] between neighbouring frequencies that the encirclement count trusts
 MAX_SLOPES = 20  # slopes of one requirement and model in the metric
+LEAST_NEAR = -0.7  # logarithm of values over the largest one above which they are linearised
+MAX_NEAR = 60  # of one requirement and model
+RIDGE, PROPORTION = 1e-4, 1e-2  # of the Gauss-Newton matrix: its own diagonal, and the sizes of the entries
 SAME_H2 = 1e-6  # H2 norms that agree this well over the models are computed for one model only
 
 
@@ -38,6 +42,23 @@ class _Entry:
     model: int
     values: FloatArray
     gradients: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Logarithms of the values near the largest ones, their gradients, and which of them are hard.
+
+    Parameters
+    ----------
+    values : ndarray, shape (m,)
+        Hard ones relative to the level that they shall keep.
+    gradients : ndarray, shape (m, size)
+    hard : ndarray of bool, shape (m,)
+    """
+
+    values: FloatArray
+    gradients: FloatArray
+    hard: NDArray[np.bool_]
 
 
 class SmoothObjective:
@@ -153,7 +174,7 @@ class SmoothObjective:
         self.power, self._multiplier, self._penalty, self._restoring = power, multiplier, penalty, restoring
         K = self._problem.structure.gain_matrix(x)
         _, hard = self._split(self._entries(x, K, power))
-        if hard:
+        if hard and power < np.inf:
             largest = self._split(self._entries(x, K, np.inf))[1]
             self._offset = self._log_norm(x, K, hard)[0] - _log_of_largest(largest)
 
@@ -192,6 +213,7 @@ class SmoothObjective:
 
     def largest(self, x: FloatArray) -> tuple[float, float]:
         """Logarithms of the largest soft and of the largest hard value on the grid; infinite where unstable."""
+        self.evaluations += 1
         if not self.stable(x):
             return np.inf, np.inf
         soft, hard = self._split(self._entries(x, self._problem.structure.gain_matrix(x), np.inf))
@@ -230,13 +252,65 @@ class SmoothObjective:
             gradient += structure.pullback(x, slope)
         return top + np.log(total) / p, gradient
 
+    def linearised(self, x: FloatArray) -> Linearisation:
+        """All values near the largest soft one or near the limit of the hard ones, at `x` (size,)."""
+        self.evaluations += 1
+        structure = self._problem.structure
+        K = structure.gain_matrix(x)
+        entries = self._entries(x, K, np.inf)
+        J = jacobian(structure, x)
+        soft = _log_of_largest(self._split(entries)[0])
+        values, gradients, hard = [], [], []
+        for e in entries:
+            own = self._problem.requirements[e.requirement].hard
+            level = float(np.log(HARD_TARGET)) if own else 0.0
+            least = (level if own else soft) + LEAST_NEAR
+            logs = np.log(np.maximum(e.values, 1e-300))
+            index = np.flatnonzero(logs > least)
+            index = index[np.argsort(-logs[index], kind="stable")[:MAX_NEAR]]
+            if len(index) == 0:
+                continue
+            if e.gradients:
+                s, G = e.values[index], np.array(e.gradients)
+            else:
+                grid, i = self._grids[e.model], self._problem.gain_numbers.index(e.requirement)
+                if i in self._h2:
+                    s, G = e.values[index], (grid.h2_gradient(K, i).ravel() @ J)[None]
+                else:
+                    s, slopes = grid.slopes(K, i, index)
+                    kept = s > np.exp(least)
+                    s, G = s[kept], slopes[kept].reshape(-1, K.size) @ J
+            values.append(np.log(np.maximum(s, 1e-300)) - level)
+            gradients.append(G / s[:, None])
+            hard.append(np.full(len(s), own))
+        return Linearisation(np.concatenate(values), np.concatenate(gradients), np.concatenate(hard))
+
+    def gauss_newton(self, x: FloatArray) -> FloatArray:
+        """Gauss-Newton matrix at `x`, with a share of the size of the controller's own entries (size, size)."""
+        structure = self._problem.structure
+        K = structure.gain_matrix(x)
+        J = jacobian(structure, x)
+        total = self._gauss_newton(x, K, self._entries(x, K, np.inf), J)
+        own = RIDGE * np.diag(total) + RIDGE**3 * float(np.diag(total).max())
+        return np.asarray(total + np.diag(own) + PROPORTION * (J.T / gain_sizes(K, structure.order).ravel() ** 2) @ J)
+
     def metric(self, x: FloatArray) -> Metric:
         """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains."""
         structure = self._problem.structure
         K = structure.gain_matrix(x)
         entries = self._entries(x, K, self.power)
+        J = jacobian(structure, x)
+        total = self._gauss_newton(x, K, entries, J) + self._spread_of_slopes(x, K, entries)
+        hard = self._split(entries)[1]
+        if hard and not self._restoring:
+            excess, slope = self._log_norm(x, K, hard)
+            if excess - self._offset + 0.5 * self._multiplier / self._penalty > 0.0:
+                total = total + 2.0 * self._penalty * np.outer(slope, slope)
+        return metric_of(total)
+
+    def _gauss_newton(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry], J: FloatArray) -> FloatArray:
+        """Squared relative size of the change of all responses, weighted by their gains."""
         top = max(float(e.values.max()) for e in entries)
-        J = _jacobian(structure, x)
         matrix = np.zeros((K.size, K.size))
         poles = np.zeros((len(x), len(x)))
         for entry in entries:
@@ -255,13 +329,7 @@ class SmoothObjective:
                 weights = np.where(relative > 1e-3, relative**METRIC_POWER, 0.0)
                 weights = weights / weights.sum() / size**2 * (size / top) ** METRIC_POWER
             matrix += grid.gauss_newton(K, i, weights).reshape(K.size, K.size)
-        total = J.T @ matrix @ J + poles + self._spread_of_slopes(x, K, entries)
-        hard = self._split(entries)[1]
-        if hard and not self._restoring:
-            excess, slope = self._log_norm(x, K, hard)
-            if excess - self._offset + 0.5 * self._multiplier / self._penalty > 0.0:
-                total = total + 2.0 * self._penalty * np.outer(slope, slope)
-        return metric_of(total)
+        return np.asarray(J.T @ matrix @ J + poles)
 
     def _spread_of_slopes(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry]) -> FloatArray:
         """Curvature of the p-norm from the relative slopes that it averages: ``p sum_e w_e g_e g_e'``."""
@@ -301,18 +369,6 @@ class SmoothObjective:
 
 def _log_of_largest(entries: Sequence[_Entry]) -> float:
     return max([LEAST_LOG, *(float(np.log(max(float(e.values.max()), 1e-300))) for e in entries)])
-
-
-def _jacobian(structure: Structure, x: FloatArray) -> FloatArray:
-    """Derivative of the gain matrix's entries (row by row) with respect to the parameters."""
-    shape = structure.gain_matrix(x).shape
-    unit = np.zeros(shape)
-    rows = []
-    for index in np.ndindex(shape):
-        unit[index] = 1.0
-        rows.append(structure.pullback(x, unit))
-        unit[index] = 0.0
-    return np.array(rows)
 
 
 def same_h2(problem: Problem, found: Evaluation) -> bool:

@@ -18,14 +18,17 @@ from numpy.typing import NDArray
 from robust_design.gains import unresolved
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
+from robust_design.prox_linear import prox_linear
 from robust_design.quasi_newton import quasi_newton
 from robust_design.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective, same_h2
 
 FloatArray = NDArray[np.float64]
 
-POWERS = (40.0, 150.0, 600.0)
-WORTH = (1e-2, 3e-3, 1e-3)  # relative decrease by a round at each power that is worth another one
+
+POWERS = (40.0, np.inf)  # of the norm; infinity: prox-linear steps on the values themselves
+WORTH = (0.12, 1e-3)  # relative decrease by a round at each power that is worth another one
 STEPS, MIN_STEPS = 12, 3  # of a round
+SLOW = 1e-4  # decrease of the logarithm by the last steps of a round below which it ends
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 RESTORING_STEPS = 6  # of a round that lowers hard values alone
 MAX_RESTORATIONS = 2  # rounds that bring a point with a lower soft value back to the feasible ones
@@ -114,6 +117,7 @@ class _Rounds:
         self.point = point_at(problem, x)
         self._quick = len(problem.models) > 1 and len(problem.h2) > 0 and same_h2(problem, self.point.found)
         self.used, self.count = 1, 0
+        self._weight = 1.0  # of the quadratic term of the next prox-linear step
         self._thin = True  # until a grid without the frequencies of small gains has missed an unstable pole
 
     def checked(self) -> Point:
@@ -178,21 +182,29 @@ class _Rounds:
     ) -> Point:
         objective = SmoothObjective(self._problem, start.x, start.found, self._extra, thin=self._thin)
         objective.begin(start.x, power=power, multiplier=multiplier, penalty=penalty, restoring=restoring)
-        result = quasi_newton(
-            objective,
-            start.x,
-            objective.metric(start.x),
-            steps=steps,
-            tolerance=WORTH[-1] / 10.0,
-            floor=float(np.log(HARD_TARGET if restoring else NEGLIGIBLE * max(start.soft, 1e-290))),
-            renewed=objective.metric if power == POWERS[0] else None,
-            stop=lambda: time.monotonic() > self._deadline,
-        )
-        new = point_at(self._problem, result.x, quick=self._quick)
+        if power == np.inf:
+            x, self._weight = prox_linear(
+                objective, start.x, steps=steps, tolerance=SLOW, weight=self._weight, stop=self._late
+            )
+        else:
+            x = quasi_newton(
+                objective,
+                start.x,
+                objective.metric(start.x),
+                steps=steps,
+                tolerance=SLOW,
+                floor=float(np.log(HARD_TARGET if restoring else NEGLIGIBLE * max(start.soft, 1e-290))),
+                renewed=objective.metric,
+                stop=self._late,
+            ).x
+        new = point_at(self._problem, x, quick=self._quick)
         self.used, self.count = self.used + objective.evaluations + 1, self.count + 1
         self._thin = bool(new.found.poles)
         self._extra = tuple(_with_peaks(self._problem, k, e, new.found) for k, e in enumerate(objective.extra))
         return new
+
+    def _late(self) -> bool:
+        return time.monotonic() > self._deadline
 
 
 def _with_peaks(problem: Problem, k: int, extra: FloatArray, found: Evaluation) -> FloatArray:

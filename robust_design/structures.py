@@ -254,3 +254,36 @@ def pid(measurement: str, command: str, *, derivative_filter: float, terms: str 
 def total_size(ports: Sequence[Any]) -> int:
     """Sum of the sizes of ports, given as Port or (name, size)."""
     return sum(p.size if isinstance(p, Port) else int(p[1]) for p in ports)
+
+
+def jacobian(structure: Structure, x: FloatArray) -> FloatArray:
+    """Derivative of the gain matrix's entries (row by row) with respect to the parameters: shape (entries, size)."""
+    shape = structure.gain_matrix(x).shape
+    unit = np.zeros(shape)
+    rows = []
+    for index in np.ndindex(shape):
+        unit[index] = 1.0
+        rows.append(structure.pullback(x, unit))
+        unit[index] = 0.0
+    return np.array(rows)
+
+
+def gain_sizes(K: FloatArray, n: int) -> FloatArray:
+    """Size of each entry of the gain matrix `K` of order `n`, for steps in proportion.
+
+    That of A, of a column of B, of a row of C, and their product or that of D; infinite where a whole part is zero.
+    """
+    D = np.abs(K[n:, n:])
+    if n == 0:
+        return _or_infinite(np.maximum(D, float(np.sqrt(np.mean(D**2)))))
+    inner = max(float(np.sqrt(np.mean(K[:n, :n] ** 2))), 1e-12)
+    columns, rows = (np.sqrt(np.mean(part**2, axis=k)) for k, part in enumerate((K[:n, n:], K[n:, :n])))
+    columns, rows = (np.maximum(v, 1e-3 * float(v.max(initial=0.0))) for v in (columns, rows))
+    direct = np.maximum(np.outer(rows, columns) / inner, D)
+    columns, rows = _or_infinite(columns), _or_infinite(rows)
+    left = np.vstack([np.full((n, n), inner), np.tile(rows[:, None], (1, n))])
+    return np.hstack([left, np.vstack([np.tile(columns, (n, 1)), _or_infinite(direct)])])
+
+
+def _or_infinite(sizes: FloatArray) -> FloatArray:
+    return np.asarray(np.where(sizes > 0.0, sizes, np.inf))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti.batched_linalg import solve
+from robust_design.structures import gain_sizes
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,17 +85,9 @@ def parameters_of(blocks: Sequence[ControllerBlock], matrices: Sequence[FloatArr
 
 
 def entry_sizes(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:
-    """Size of each entry, for steps in proportion: that of A, of a column of B, of a row of C, and their product."""
-    out = []
-    for block, M in zip(blocks, gain_matrices(blocks, x)):
-        n = block.order
-        inner = max(float(np.sqrt(np.mean(M[:n, :n] ** 2))), 1e-12) if n else 1.0
-        columns, rows = (np.sqrt(np.mean(part**2, axis=k)) for k, part in enumerate((M[:n, n:], M[n:, :n])))
-        columns, rows = (np.maximum(v, 1e-3 * max(float(v.max(initial=0.0)), 1e-12)) for v in (columns, rows))
-        direct = np.maximum(np.outer(rows, columns) / inner, np.abs(M[n:, n:]))
-        sizes = np.block([[np.full((n, n), inner), np.tile(columns, (n, 1))], [np.tile(rows[:, None], (1, n)), direct]])
-        out.append(sizes.ravel())
-    return np.concatenate(out)
+    """Size of each entry of all gain matrices (:func:`robust_design.structures.gain_sizes`); one where all are zero."""
+    sizes = np.concatenate([gain_sizes(M, block.order).ravel() for block, M in zip(blocks, gain_matrices(blocks, x))])
+    return np.asarray(np.where(np.isfinite(sizes), sizes, 1.0))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,95 @@
+"""Prox-linear steps on all gains of a fixed grid at once (Lewis and Wright 2016), in the Gauss-Newton metric.
+
+A step minimises the largest linearised logarithm of the values plus a quadratic term whose weight replaces the line
+search. Hard requirements enter by the progress function of the bundle method, in logarithms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from robust_design.simplex_qp import simplex_minimum
+from robust_design.smooth_objective import Linearisation, SmoothObjective
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+sl: Any = scipy.linalg
+
+METRIC = 3  # steps between two metrics
+PLANES, MORE_PLANES = 120, 60  # of the first quadratic program of a step, and those that are added while violated
+PROGRAMS, TRIALS = 8, 10
+ACCEPTED, GOOD, POOR = 0.1, 0.7, 0.3  # of the predicted decrease
+LIGHTER, HEAVIER, REJECTED, LEAST = 1.0 / 3.0, 1.5, 4.0, 1e-5  # weight of the quadratic term
+STAGNATION = 4  # steps that together must bring more than the tolerance
+
+
+def prox_linear(
+    objective: SmoothObjective,
+    x: FloatArray,
+    *,
+    steps: int,
+    tolerance: float,
+    weight: float = 1.0,
+    stop: Callable[[], bool] = lambda: False,
+) -> tuple[FloatArray, float]:
+    """Lower the largest soft value from `x` (n,), the hard ones kept or lowered: last point, weight of the next step.
+
+    Ends after `steps` steps, when :data:`STAGNATION` steps together bring less than `tolerance`, or at `stop`.
+    """
+    soft, hard = objective.largest(x)
+    history = [max(soft, soft + hard)]
+    factor: Any = None
+    taken = 0
+    while taken < steps and not stop():
+        here = objective.linearised(x)
+        if taken % METRIC == 0 or factor is None:
+            factor = sl.cho_factor(objective.gauss_newton(x))
+        violation = max(hard, 0.0)
+        offsets = _offsets(here, soft, violation)
+        planes = np.argsort(-offsets, kind="stable")[:PLANES]
+        for _ in range(TRIALS):
+            d, predicted, planes = _direction(offsets, here.gradients, factor, weight, planes)
+            new_soft, new_hard = objective.largest(x + d) if predicted > 0.0 else (np.inf, np.inf)
+            gained = -max(new_soft - soft - violation, new_hard - violation)
+            if gained > ACCEPTED * predicted or stop():
+                break
+            weight *= REJECTED
+        if not gained > ACCEPTED * predicted:
+            break
+        x, soft, hard = x + d, new_soft, new_hard
+        ratio = gained / predicted
+        weight = max(weight * (LIGHTER if ratio > GOOD else HEAVIER if ratio < POOR else 1.0), LEAST)
+        history.append(soft + max(hard, 0.0))
+        taken += 1
+        if len(history) > STAGNATION and history[-1 - STAGNATION] - history[-1] < tolerance:
+            break
+    return x, weight
+
+
+def _offsets(here: Linearisation, soft: float, violation: float) -> FloatArray:
+    """Values of the progress function's pieces at the present point (m,)."""
+    return np.asarray(np.where(here.hard, here.values, here.values - soft) - violation)
+
+
+def _direction(
+    f: FloatArray, G: FloatArray, factor: Any, weight: float, planes: IntArray
+) -> tuple[FloatArray, float, IntArray]:
+    """Minimise ``max(f + G d) + weight d' H d / 2``, planes added while they are violated: d, decrease, planes."""
+    current = float(f.max())
+    for _ in range(PROGRAMS):
+        chosen = sl.cho_solve(factor, G[planes].T)
+        lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
+        d = -(chosen @ lam) / weight
+        linear = f + G @ d
+        top = float(linear[planes].max())
+        violated = np.setdiff1d(np.flatnonzero(linear > top + 0.05 * max(current - top, 0.0) + 1e-12), planes)
+        if len(violated) == 0:
+            break
+        worst = violated[np.argsort(-linear[violated], kind="stable")[:MORE_PLANES]]
+        planes = np.concatenate([planes[lam > 1e-9], worst, planes[lam <= 1e-9][:PLANES]])
+    return np.asarray(d), current - float(linear.max()), planes
