@@ -23,6 +23,8 @@ from pointing_analysis.spectra import Line, Spectrum
 Floats = NDArray[np.float64]
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
 LIMIT = "#b00020"
+SMALLEST_LINE = 1e-3
+"""Smallest disturbance line in the picture of all runs [mas rms]: what is below are digits of the recording."""
 LOADS = {"fsm/command": "mirror", "pma/command": "forces"}
 WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
@@ -256,6 +258,8 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]
                 )
         if model:
             axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
+        axis.set_ylim(bottom=max(axis.get_ylim()[0], SMALLEST_LINE))
+        _few_decades(axis)
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("LOS rms at the line [mas]")
         legend_above(figure, axis)

@@ -30,7 +30,7 @@ COLUMNS, DECADES = 300, 4.0
 PIECES = 400
 """Stretches of time whose worst window is drawn."""
 
-GUIDE = {"color": "#c8c8c8", "linewidth": 1.0, "linestyle": (0, (1, 5))}
+GUIDE = {"color": "#a8a8a8", "linewidth": 1.0, "linestyle": (0, (1, 4))}
 """Lines on a spectrum that leave the ridge below them visible; grey shows on the dark picture and on a white legend."""
 
 MODES = "#ff9d5c"
@@ -120,7 +120,8 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
         for i, (at, modes) in enumerate(motion.modes):
             below = modes[modes < top]
             axis.plot(np.full(below.size, np.interp(at, motion.time, motion.speed[:, motion.wheel])), below, "_",
-                      color=MODES, markersize=4.0, mew=0.7, label=None if i else "modes of the structure")  # fmt: skip
+                      color=MODES, markersize=4.0, mew=0.7, clip_on=False,
+                      label=None if i else "modes of the structure")  # fmt: skip
         legend_above(figure, axis)
         axis.set_xlabel(f"speed of wheel {motion.wheel + 1} [rad/s]")
         axis.set_xlim(x[0], x[-1])

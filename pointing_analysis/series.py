@@ -1,5 +1,7 @@
 """Any line of sight as arrays: the same metrics, verdicts and report as for a bag of the testbed.
 
+Examples
+--------
 >>> import numpy as np
 >>> t = np.arange(6000) / 512
 >>> xy = 0.05 * np.random.default_rng(1).standard_normal((6000, 2))

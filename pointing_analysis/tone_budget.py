@@ -30,6 +30,8 @@ EDGE = "band_edge_rad_s"
 def _short(value: float) -> str:
     """Three digits without an exponent.
 
+    Examples
+    --------
     >>> [_short(value) for value in (4779.2, 18.66, 0.0, 1e-5)]
     ['4779', '18.7', '0', '< 0.01']
     """

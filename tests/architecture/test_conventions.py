@@ -182,6 +182,17 @@ def test_everything_public_has_a_docstring(case: tuple[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("case", MODULES, ids=identifier)
+def test_examples_have_a_section_of_their_own(case: tuple[str, Path]) -> None:
+    """Without it the documentation site shows them as text, and a list in their output as a link."""
+    texts = {
+        getattr(node, "name", "module"): ast.get_docstring(node) or ""
+        for node in ast.walk(tree(case[1]))
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+    }
+    assert not [name for name, text in texts.items() if ">>>" in text and "Examples\n--------" not in text]
+
+
+@pytest.mark.parametrize("case", MODULES, ids=identifier)
 def test_files_and_functions_are_short(case: tuple[str, Path]) -> None:
     path = case[1]
     assert len(path.read_text("utf-8").splitlines()) < FILE

@@ -200,6 +200,8 @@ CHANGED = ("plant", "nonlinear", "disturbance_source")
 def is_code(text: str) -> bool:
     """Whether the name of a controller is that of code, MODULE:NAME or an entry point, and not that of a file.
 
+    Examples
+    --------
     >>> [is_code(name) for name in ("my.laws:Observer", "observer", "observer.json", "designs/k_fsm", "")]
     [True, True, False, False, False]
     """

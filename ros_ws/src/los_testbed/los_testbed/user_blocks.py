@@ -49,6 +49,8 @@ class BlockFailedError(RuntimeError):
 def element(ports: Iterable[Port], where: NDArray[np.bool_]) -> str:
     """Name of the first marked element of a vector.
 
+    Examples
+    --------
     >>> element(K_FSM_INPUTS, np.arange(22) == 8)
     'accel_M1[2]'
     """

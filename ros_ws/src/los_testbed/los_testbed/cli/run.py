@@ -272,6 +272,8 @@ def _disturbance(given: str | None, none: bool) -> dict[str, Any]:
 def with_lone_options(arguments: Sequence[str]) -> list[str]:
     """The command line with the values of ``--live`` and ``--disturbance`` where they stand alone.
 
+    Examples
+    --------
     >>> with_lone_options(["run", "--live", "--seed", "3"]), with_lone_options(["run", "--live", "9000"])
     (['run', '--live=8765', '--seed', '3'], ['run', '--live', '9000'])
     >>> with_lone_options(["run", "--disturbance", "--noise"]), with_lone_options(["run", "--disturbance", "my:Wind"])
