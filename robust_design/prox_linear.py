@@ -60,6 +60,7 @@ def prox_linear(
                 break
             weight *= REJECTED
         if not gained > ACCEPTED * predicted:
+            weight = 1.0
             break
         x, soft, hard = x + d, new_soft, new_hard
         ratio = gained / predicted
