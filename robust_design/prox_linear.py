@@ -42,7 +42,7 @@ def prox_linear(
     Ends after `steps` steps, when :data:`STAGNATION` steps together bring less than `tolerance`, or at `stop`.
     """
     soft, hard = objective.largest(x)
-    history = [max(soft, soft + hard)]
+    history = [(soft, max(hard, 0.0))]
     factor: Any = None
     taken = 0
     while taken < steps and not stop():
@@ -60,15 +60,21 @@ def prox_linear(
                 break
             weight *= REJECTED
         if not gained > ACCEPTED * predicted:
+            weight = 1.0
             break
         x, soft, hard = x + d, new_soft, new_hard
         ratio = gained / predicted
         weight = max(weight * (LIGHTER if ratio > GOOD else HEAVIER if ratio < POOR else 1.0), LEAST)
-        history.append(soft + max(hard, 0.0))
+        history.append((soft, max(hard, 0.0)))
         taken += 1
-        if len(history) > STAGNATION and history[-1 - STAGNATION] - history[-1] < tolerance:
+        if len(history) > STAGNATION and _slow(history[-1 - STAGNATION], history[-1], tolerance):
             break
     return x, weight
+
+
+def _slow(before: tuple[float, float], now: tuple[float, float], tolerance: float) -> bool:
+    """Neither the violation fell by the tolerance nor, without one, the largest soft value."""
+    return before[1] - now[1] < tolerance and (now[1] > 0.0 or before[0] - now[0] < tolerance)
 
 
 def _offsets(here: Linearisation, soft: float, violation: float) -> FloatArray:

@@ -291,7 +291,7 @@ class SmoothObjective:
         K = structure.gain_matrix(x)
         J = jacobian(structure, x)
         total = self._gauss_newton(x, K, self._entries(x, K, np.inf), J)
-        own = RIDGE * np.diag(total) + RIDGE**3 * float(np.diag(total).max())
+        own = RIDGE * np.diag(total) + max(RIDGE**3 * float(np.diag(total).max()), 1e-200)
         return np.asarray(total + np.diag(own) + PROPORTION * (J.T / gain_sizes(K, structure.order).ravel() ** 2) @ J)
 
     def metric(self, x: FloatArray) -> Metric:

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 
 POWERS = (40.0, np.inf)  # of the norm; infinity: prox-linear steps on the values themselves
-WORTH = (0.12, 1e-3)  # relative decrease by a round at each power that is worth another one
+WORTH = (0.12, 3e-4)  # relative decrease by a round at each power that is worth another one
 STEPS, MIN_STEPS = 12, 3  # of a round
 SLOW = 1e-4  # decrease of the logarithm by the last steps of a round below which it ends
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
