@@ -31,6 +31,8 @@ class RoundState:
         All parameter points, and in `added` how many of them each round added; `around`: those with their frequency.
     known : dict of str to list of WorstPoint
         The worst points of the last search.
+    exceeded : list of str
+        Requirements with new points in it; empty: no search yet.
     """
 
     x: FloatArray
@@ -39,6 +41,7 @@ class RoundState:
     around: list[tuple[float, FloatArray]] = field(default_factory=list)
     known: dict[str, list[WorstPoint]] = field(default_factory=dict)
     added: list[int] = field(default_factory=list)
+    exceeded: list[str] = field(default_factory=list)
 
     def save(self, path: Path, key: Mapping[str, Any]) -> None:
         """Write the state with what it was made for."""
@@ -46,7 +49,7 @@ class RoundState:
             "key": dict(key), "x": self.x.tolist(), "number": self.number,
             "points": [p.tolist() for p in self.points],
             "around": [[omega, p.tolist()] for omega, p in self.around],
-            "added": self.added,
+            "added": self.added, "exceeded": self.exceeded,
             "known": {name: [[p.stage, p.requirement, p.to_mapping()] for p in found]
                       for name, found in self.known.items()},
         }  # fmt: skip
@@ -64,6 +67,6 @@ class RoundState:
             known = {name: [WorstPoint.from_mapping(*entry) for entry in found]
                      for name, found in content["known"].items()}  # fmt: skip
             x, added = np.array(content["x"], dtype=float), [int(n) for n in content["added"]]
-            return cls(x, int(content["number"]), points, around, known, added)
+            return cls(x, int(content["number"]), points, around, known, added, list(content["exceeded"]))
         except (OSError, ValueError, KeyError, TypeError):
             return None

@@ -54,8 +54,9 @@ class Effort:
     target : float
         A descent ends below this value: the search finds what is above 1, and further points raise it.
     searches : tuple of SearchOptions
-        Of a round: the next one where those before find nothing worse. The last one looks at everything and decides; it
-        is made in the last round in any case. Empty: one descent at the first points, nothing is searched.
+        Of a round: the next one where those before find nothing worse. Those before the last look only at what was too
+        large in the round before. The last one looks at everything and decides; it is made in the last round in any
+        case. Empty: one descent at the first points, nothing is searched.
     """
 
     rounds: int
@@ -196,6 +197,7 @@ def design_in_rounds(
             active = [task.samples.open_loop.values(p) for p in state.points]
             return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
         state.known = {name: points[:3] for name, points in found.items()}
+        state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
         _add(task, state, new)
         if kept:
             state.save(*kept)
@@ -240,6 +242,8 @@ def _searched(
         if last and not final:
             continue
         near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+        if state.exceeded and not final:
+            near = {name: name in state.exceeded for name in near}
         found = _search(task, state.x, options, state.known, state.number, near)
         if new := _new(task, found, descent):
             return found, new

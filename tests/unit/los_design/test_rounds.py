@@ -130,6 +130,8 @@ def test_worse_points_are_added_and_climbed_from_again(bench) -> None:
     assert [seed for seed, _, _ in made.searched] == [1, 1, 2, 1, 2]
     assert [known for _, _, known in made.searched] == [0, 1, 1, 1, 1]
     assert [v["p"] for v in found.active] == [0.5, 0.01, 0.033]
+    # the first of several searches looks at what was too large before
+    assert [names for _, names, _ in made.searched if len(names) < 2] == [("soft tones",)] * 2 + [("hard tones",)]
 
 
 def test_new_points_are_few_and_apart(bench) -> None:
