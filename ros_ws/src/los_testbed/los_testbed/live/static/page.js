@@ -2,7 +2,8 @@
 // Shows the frames of the server (live/frames.py) and posts actions. The token is the fragment of the address.
 (() => {
   const SPAN_S = 5, HISTORY_S = 300, LEVELS = ["OK", "WARN", "ERROR", "STALE"];
-  const COLOURS = ["#0b5d8a", "#b45309", "#1b6b32", "#a3001b"];
+  const COLOURS = ["--blue", "--orange", "--ok", "--bad"];
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
   const at = (id) => document.getElementById(id);
   const show = (id, value) => { at(id).textContent = value; };
@@ -15,11 +16,14 @@
 
   function chart(id, names, options = {}) {
     const box = at(id);
-    const series = names.map((label, i) => ({ label, stroke: COLOURS[i % COLOURS.length], width: 1, ...(options.each || {}) }));
+    const series = names.map((label, i) => ({ label, stroke: () => colour(label.startsWith("limit") ? "--bad" : COLOURS[i % COLOURS.length]), width: 1, ...(options.each || {}) }));
+    const faint = { stroke: () => colour("--line"), width: 1 };
+    const decades = (u, splits, axis) => splits.map((v) => (axis && options.y && !Number.isInteger(Math.log10(v)) ? null : v));
+    const lines = { stroke: () => colour("--ink"), grid: { ...faint, filter: decades }, ticks: { ...faint, filter: decades } };
     const plot = new uPlot({
       width: Math.max(box.clientWidth, 200), height: 220, cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false, ...(options.x || {}) }, y: options.y || {} },
-      axes: [{ label: options.xlabel || "time [s]" }, { size: 64 }],
+      axes: [{ label: options.xlabel || "time [s]", ...lines }, { size: 64, ...lines }],
       series: [{ label: options.xlabel || "time [s]" }, ...series],
     }, [[], ...names.map(() => [])], box);
     new ResizeObserver(() => plot.setSize({ width: Math.max(box.clientWidth, 200), height: 220 })).observe(box);
@@ -88,14 +92,15 @@
     pen.clearRect(0, 0, w, h);
     let reach = 1e-9;
     recent.x.forEach((x, i) => { if (x !== null) reach = Math.max(reach, Math.abs(x), Math.abs(recent.y[i])); });
-    const circles = limits.filter((l) => l.limit < 20 * reach);
+    const circles = limits.filter((l) => l.index === "APE" && l.limit < 4 * reach);
     for (const c of circles) reach = Math.max(reach, c.limit);
     const unit = (0.46 * Math.min(w, h)) / reach, cx = w / 2, cy = h / 2;
-    pen.fillStyle = COLOURS[0];
+    pen.fillStyle = colour(COLOURS[0]);
     recent.x.forEach((x, i) => { if (x !== null) pen.fillRect(cx + x * unit - 1, cy - recent.y[i] * unit - 1, 2, 2); });
-    pen.strokeStyle = COLOURS[3];
+    pen.strokeStyle = colour(COLOURS[3]);
     for (const c of circles) { pen.beginPath(); pen.arc(cx, cy, c.limit * unit, 0, 2 * Math.PI); pen.stroke(); }
-    show("cloud-legend", `circles: ${circles.map((c) => `${c.name} ${c.limit} mas`).join(", ") || "none in range"}; half height ${digits(reach)} mas`);
+    if (!recent.x.some((x) => x !== null)) { show("cloud-legend", "no samples yet"); return; }
+    show("cloud-legend", `circles: ${circles.map((c) => `${c.name} ${c.limit} mas`).join(", ") || "none in range"}; half height ${Number(digits(reach))} mas`);
   }
 
   function addIndices(indices) {
