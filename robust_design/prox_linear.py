@@ -13,16 +13,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from robust_design.simplex_qp import simplex_minimum
+from robust_design.simplex_qp import prox_direction
 from robust_design.smooth_objective import Linearisation, SmoothObjective
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 sl: Any = scipy.linalg
 
 METRIC = 3  # steps between two metrics
-PLANES, MORE_PLANES = 120, 60  # of the first quadratic program of a step, and those that are added while violated
-PROGRAMS, TRIALS = 8, 10
+PLANES, TRIALS = 120, 10  # planes of the first quadratic program of a step; weights that are tried
 ACCEPTED, GOOD, POOR = 0.1, 0.7, 0.3  # of the predicted decrease
 LIGHTER, HEAVIER, REJECTED, LEAST = 1.0 / 3.0, 1.5, 4.0, 1e-5  # weight of the quadratic term
 STAGNATION = 4  # steps that together must bring more than the tolerance
@@ -53,7 +51,7 @@ def prox_linear(
         offsets = _offsets(here, soft, violation)
         planes = np.argsort(-offsets, kind="stable")[:PLANES]
         for _ in range(TRIALS):
-            d, predicted, planes = _direction(offsets, here.gradients, factor, weight, planes)
+            d, predicted, planes = prox_direction(offsets, here.gradients, factor, weight, planes)
             new_soft, new_hard = objective.largest(x + d) if predicted > 0.0 else (np.inf, np.inf)
             gained = -max(new_soft - soft - violation, new_hard - violation)
             if gained > ACCEPTED * predicted or stop():
@@ -80,22 +78,3 @@ def _slow(before: tuple[float, float], now: tuple[float, float], tolerance: floa
 def _offsets(here: Linearisation, soft: float, violation: float) -> FloatArray:
     """Values of the progress function's pieces at the present point (m,)."""
     return np.asarray(np.where(here.hard, here.values, here.values - soft) - violation)
-
-
-def _direction(
-    f: FloatArray, G: FloatArray, factor: Any, weight: float, planes: IntArray
-) -> tuple[FloatArray, float, IntArray]:
-    """Minimise ``max(f + G d) + weight d' H d / 2``, planes added while they are violated: d, decrease, planes."""
-    current = float(f.max())
-    for _ in range(PROGRAMS):
-        chosen = sl.cho_solve(factor, G[planes].T)
-        lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
-        d = -(chosen @ lam) / weight
-        linear = f + G @ d
-        top = float(linear[planes].max())
-        violated = np.setdiff1d(np.flatnonzero(linear > top + 0.05 * max(current - top, 0.0) + 1e-12), planes)
-        if len(violated) == 0:
-            break
-        worst = violated[np.argsort(-linear[violated], kind="stable")[:MORE_PLANES]]
-        planes = np.concatenate([planes[lam > 1e-9], worst, planes[lam <= 1e-9][:PLANES]])
-    return np.asarray(d), current - float(linear.max()), planes

@@ -9,9 +9,11 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 sl: Any = scipy.linalg
 
 MAX_ITERATIONS = 60
+PROGRAMS, ADDED, KEPT = 12, 60, 120  # programs of a step, planes added to each, idle ones that are kept
 
 
 def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> tuple[FloatArray, float]:
@@ -65,6 +67,31 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
     lam = np.maximum(e * mu, 0.0)
     lam /= lam.sum()
     return lam, float(0.5 * lam @ H @ lam - a @ lam)
+
+
+def prox_direction(
+    f: FloatArray, G: FloatArray, factor: Any, weight: float, planes: IntArray
+) -> tuple[FloatArray, float, IntArray]:
+    """Minimise ``max(f + G d) + weight d' H d / 2`` for values f (m,) and slopes G (m, n).
+
+    `factor` is the Cholesky factor of H (n, n) of ``scipy.linalg.cho_factor``. Only the `planes` enter the first
+    quadratic program, others are added while they are violated. Answers d (n,), the decrease that the linear model
+    predicts, and the planes of the last program.
+    """
+    current, linear = float(f.max()), f
+    d: FloatArray = np.zeros(G.shape[1])
+    for _ in range(PROGRAMS):
+        chosen = sl.cho_solve(factor, G[planes].T)
+        lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
+        d = -(chosen @ lam) / weight
+        linear = f + G @ d
+        top = float(linear[planes].max())
+        violated = np.setdiff1d(np.flatnonzero(linear > top + 0.05 * max(current - top, 0.0) + 1e-12), planes)
+        if len(violated) == 0:
+            break
+        worst = violated[np.argsort(-linear[violated], kind="stable")[:ADDED]]
+        planes = np.concatenate([planes[lam > 1e-9], worst, planes[lam <= 1e-9][:KEPT]])
+    return d, current - float(linear.max()), planes
 
 
 def _newton(

@@ -34,7 +34,7 @@ from robust_design.structures import AffineStructure, Structure, controller
 FloatArray = NDArray[np.float64]
 
 AGREEMENT = 1e-3  # of tuned values and certificate
-LOWER_BATCHES = 1  # of random starts for the controller of one order less, in problems of few states
+LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
 MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
@@ -253,7 +253,7 @@ def _from_lower_order(
     except ValueError:  # an H2 norm that is infinite for every controller of the lower order
         return [], True
     now = time.monotonic()
-    batches = LOWER_BATCHES if ExactValue.suits(smaller) else MAX_BATCHES
+    batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
     search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches)
     if search.best.rank[0] == 2:
         return [], search.complete

@@ -21,7 +21,7 @@ from scipy import linalg
 
 from robust_design.frequency_domain.blocks import entry_sizes
 from robust_design.frequency_domain.problem import ResponseProblem
-from robust_design.simplex_qp import simplex_minimum
+from robust_design.simplex_qp import prox_direction
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -252,7 +252,7 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
         state.factor = _factor(metric, sizes)
     current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
     for _ in range(10):
-        direction, predicted, planes = _direction(f, G, state.factor, state.weight, planes)
+        direction, predicted, planes = prox_direction(f, G, state.factor, state.weight, planes)
         x = state.x.copy()
         x[free] += direction
         reached = np.inf
@@ -273,26 +273,6 @@ def _factor(H: FloatArray, sizes: FloatArray) -> tuple[FloatArray, bool]:
     """Factor of a metric in which changes of the size of an entry count, even if the gains do not feel them."""
     factor: Any = linalg.cho_factor(H + RIDGE * np.diag(np.diag(H)) + PROPORTION * np.diag(1.0 / sizes**2))
     return factor[0], bool(factor[1])
-
-
-def _direction(
-    f: FloatArray, G: FloatArray, factor: tuple[FloatArray, bool], weight: float, planes: IntArray
-) -> tuple[FloatArray, float, IntArray]:
-    """Minimise ``max(f + G d) + weight d' H d / 2``, planes added while they are violated: d, decrease, planes."""
-    current, linear = float(f.max()), f
-    d: FloatArray = np.zeros(G.shape[1])
-    for _ in range(12):
-        chosen = linalg.cho_solve(factor, G[planes].T)
-        lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
-        d = -(chosen @ lam) / weight
-        linear = f + G @ d
-        top = float(linear[planes].max())
-        violated = np.setdiff1d(np.flatnonzero(linear > top + 0.05 * max(current - top, 0.0) + 1e-12), planes)
-        if len(violated) == 0:
-            break
-        worst = violated[np.argsort(-linear[violated], kind="stable")[:60]]
-        planes = np.concatenate([planes[lam > 1e-9], worst, planes[lam <= 1e-9][:120]])
-    return d, current - float(linear.max()), planes
 
 
 def _result(problem: ResponseProblem, x: FloatArray, status: str, iterations: int) -> Descent:

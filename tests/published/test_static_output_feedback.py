@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from oracles.full_order_bound import full_order_bound
 
+from lti.batched_linalg import eigenvalues, largest_gains, solve
+from lti.norms import hinf_norm
 from lti.state_space_model import StateSpace
 from robust_design.published_plants import BEST_KNOWN, PLANTS
 from robust_design.requirements import HinfGain
@@ -60,6 +62,40 @@ def test_every_plant_has_a_value_and_ports(name: str) -> None:
 def test_the_published_value_is_above_the_full_order_bound(name: str) -> None:
     """Values and matrices belong together: no static gain is better than the best controller of any order."""
     assert full_order_bound(PLANTS[name]()) <= BEST_KNOWN[name]
+
+
+def test_no_static_gain_reaches_the_value_published_for_nn1() -> None:
+    """Static gains for NN1 come down to 13.847 as they grow without bound; 13.786 is published.
+
+    With u = k1 y1 + k2 y2 the loop is stable for k1 > 1 and k2 above a bound. Gains at single frequencies are lower
+    bounds of the norm: over the stable region, in steps of 4 % to 20 %, their largest one stays above 13.84.
+    """
+    plant = PLANTS["NN1"]()
+    A, B, C, D = plant.matrices
+    k1 = 1.0 + np.geomspace(1e-3, 1e7, 90)
+    bound = k1 * (13.0 + 5.0 * k1) / (k1 - 1.0)
+    ratios = 1.0 + np.concatenate([np.geomspace(1e-3, 1.0, 30), np.linspace(1.04, 2.0, 25), np.geomspace(2.1, 1e4, 45)])
+    K = np.stack(np.broadcast_arrays(k1[:, None], bound[:, None] * ratios), axis=-1).reshape(-1, 1, 2)
+    closed, rows = A + B[:, 3:] @ K @ C[3:], C[:3] + D[:3, 3:] @ K @ C[3:]
+    poles = eigenvalues(closed)
+    assert poles.real.max() < 0.0
+    own = [np.abs(poles[:, k]) for k in range(3)]
+    every = np.array([0.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.5, 10.0, 20.0, 100.0, 1e3])
+    lower = np.zeros(len(K))
+    for w in (*np.broadcast_to(every[:, None], (len(every), len(K))), *own):
+        states = solve(1j * w[:, None, None] * np.eye(3) - closed, np.broadcast_to(B[:, :3] + 0j, closed.shape))
+        lower = np.maximum(lower, largest_gains(rows @ states))
+    assert lower.min() > 13.84
+    assert 13.84 < closed_norm(plant, np.array([[1e7, 1.19e8]])) < 13.85
+    assert BEST_KNOWN["NN1"] == 13.786
+
+
+def closed_norm(plant: StateSpace, K: np.ndarray) -> float:
+    """H-infinity norm with the static gain `K`."""
+    A, B, C, D = plant.matrices
+    nw = plant.inputs[0].size
+    nz = plant.outputs[0].size
+    return hinf_norm(A + B[:, nw:] @ K @ C[nz:], B[:, :nw], C[:nz] + D[:nz, nw:] @ K @ C[nz:], D[:nz, :nw]).upper
 
 
 def scherer() -> StateSpace:
