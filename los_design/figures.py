@@ -224,6 +224,6 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
     paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
     with mpl.rc_context({"svg.hashsalt": "los-testbed"}):
-        figure.savefig(paths[0], dpi=130, metadata={"Software": None})
+        figure.savefig(paths[0], dpi=115, metadata={"Software": None})
         figure.savefig(paths[1], metadata={"Date": None, "Creator": None})
     return paths
