@@ -109,7 +109,7 @@ def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
     both = stage == BOTH
     found = {
         "fast": budget.fast if both else budget.fast_mirror,
-        "slow": budget.slow_both if both else budget.slow,
+        "slow": budget.tone if both else budget.slow,
         "APE": TUNED * parameters["weights"]["ape_limit"],
         "mirror": TUNED * parameters["fsm"]["authority"],
         "sensitivity, mirror": TUNED_SENSITIVITY,

@@ -147,19 +147,28 @@ def search_stages(
 ) -> dict[str, dict[str, list[WorstPoint]]]:
     """Worst points of all bands by stage and requirement: APE, slow and fast tones, and what else a stage has.
 
-    The worst points of the stored designs are climbed from, too.
+    The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
     """
     systems: dict[bool, UncertainSystem] = {
         isolated: control_loop_plant(build_telescope(parameters, isolated=isolated), parameters)
         for isolated in (False, True)
     }
-    stored = load_worst_points()
+    known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
+    for stage, system in zip(MIRROR_STAGES, (k_fsm, k_pma)):
+        known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
     return {
         stage: Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options).run(
-            starts=stored[stage].values(), workers=workers
+            starts=known[stage], workers=workers
         )
         for stage in STAGES
     }
+
+
+def _found_in_design(stage: str, case: Mapping[str, Any]) -> WorstPoint:
+    """A worst case of a provenance as a start: frequency and parameters."""
+    none = np.zeros(0, dtype=complex)
+    value, omega = float(case["value"]), float(case["omega"])
+    return WorstPoint(stage, case["requirement"], value, 1.0, omega, dict(case["parameters"]), none, none)
 
 
 def adversarial_points(

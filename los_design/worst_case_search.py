@@ -148,14 +148,14 @@ class Search:
         """
         names, workers = list(names or self.metrics), workers or Workers()
         tables = self._screen(names, workers)
-        begun: list[tuple[str, list[Pair]]] = []
+        chunks: list[tuple[str, list[Pair]]] = []
         given = list(starts)
         for name in names:
             tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in given if p.requirement == name]
             pairs = [*tried, *_best(tables[name], self.options.ascents)]
-            begun += [(name, pairs[k : k + TOGETHER]) for k in range(0, len(pairs), TOGETHER)]
+            chunks += [(name, pairs[k : k + TOGETHER]) for k in range(0, len(pairs), TOGETHER)]
         climbed: dict[str, list[Found]] = {name: [] for name in names}
-        for (name, _), reached in zip(begun, workers.map(self._climbs, begun)):
+        for (name, _), reached in zip(chunks, workers.map(self._climbs, chunks)):
             climbed[name] += reached
         bands = [(name, *entry) for name in names for entry in self._best_of_bands(climbed[name])]
         found: dict[str, list[WorstPoint]] = {name: [] for name in names}

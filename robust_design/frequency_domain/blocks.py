@@ -203,7 +203,7 @@ class ActiveCommands:
         """Of the plant's commands: a slice if they follow each other, so that arrays are not copied."""
         return _slice_if_consecutive(self.commands)
 
-    def places(self, commands: slice) -> slice | IntArray:
+    def positions(self, commands: slice) -> slice | IntArray:
         """Places of some commands of the plant among those of the loop.
 
         Raises
@@ -212,7 +212,7 @@ class ActiveCommands:
             Another command than those of the loop.
         """
         asked = np.arange(commands.start, commands.stop)
-        table = {int(command): place for place, command in enumerate(self.commands)}
+        table = {int(command): position for position, command in enumerate(self.commands)}
         if missing := [int(k) for k in asked if int(k) not in table]:
             raise ValueError(f"commands must be of the blocks that are active, got {missing}")
         return _slice_if_consecutive(np.array([table[int(k)] for k in asked], dtype=np.intp))

@@ -63,7 +63,7 @@ class Closed:
         """The response whose largest singular value a gain is."""
         if gain.inputs is None:
             return self.T if gain.outputs is None else self._of(self.C, gain.outputs)
-        return np.asarray(self.left(gain)[:, :, self.rows.places(gain.inputs)])
+        return np.asarray(self.left(gain)[:, :, self.rows.positions(gain.inputs)])
 
     def left(self, gain: ResponseGain) -> ComplexArray:
         """L of a gain."""
@@ -73,10 +73,10 @@ class Closed:
         """R of a gain."""
         if gain.inputs is None:
             return np.asarray(self.Pyw + self.Pyu @ self.C)
-        return np.asarray(self.Pyu @ self.S[:, :, self.rows.places(gain.inputs)])
+        return np.asarray(self.Pyu @ self.S[:, :, self.rows.positions(gain.inputs)])
 
     def _of(self, matrix: ComplexArray, commands: slice) -> ComplexArray:
-        return np.asarray(matrix[:, self.rows.places(commands)])
+        return np.asarray(matrix[:, self.rows.positions(commands)])
 
 
 def close(samples: PlantSamples, K: ComplexArray, rows: ActiveCommands) -> Closed:
@@ -147,22 +147,22 @@ class ResponseProblem:
         return np.array([gain.hard for gain in self.gains])
 
     def controllers(self, x: FloatArray, pairs: IntArray) -> tuple[ControllerResponse, IntArray]:
-        """Responses of the controllers at the different frequencies of some pairs, and the place of each pair there."""
-        at, places = np.unique(self._index[pairs], return_inverse=True)
+        """Responses of the controllers at the different frequencies of some pairs, and each pair's index among them."""
+        at, positions = np.unique(self._index[pairs], return_inverse=True)
         factors = [own.chosen(at) for own in self._factors]
-        return ControllerResponse(self.blocks, x, factors, self.samples.measurements), places
+        return ControllerResponse(self.blocks, x, factors, self.samples.measurements), positions
 
     def values(self, x: FloatArray, index: IntArray | None = None) -> FloatArray:
         """Scaled gains, shape (gains, pairs), of all pairs or those at `index`; not finite where a loop is singular."""
         chosen = np.arange(len(self.samples)) if index is None else index
-        response, places = self.controllers(x, chosen)
+        response, positions = self.controllers(x, chosen)
         found = np.zeros((len(self.gains), len(chosen)))
 
         def fill(begin: int) -> None:
             own = slice(begin, begin + CHUNK)
             samples = self.samples.chosen(chosen[own])
             for active, rows in self._active().items():
-                closed = close(samples, response.matrix(active, places[own]), rows)
+                closed = close(samples, response.matrix(active, positions[own]), rows)
                 for g, gain in enumerate(self.gains):
                     if gain.active == active:
                         counts = np.flatnonzero(self.scales[g, chosen[own]])
@@ -198,8 +198,8 @@ class ResponseProblem:
     def _planes(self, x: FloatArray, g: int, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
         """Values and gradients of a gain at pairs, those of the pairs first, then those of mixtures."""
         gain, scale = self.gains[g], self.scales[g, pairs]
-        response, places = self.controllers(x, pairs)
-        closed = close(self.samples.chosen(pairs), response.matrix(gain.active, places), self._active()[gain.active])
+        response, positions = self.controllers(x, pairs)
+        closed = close(self.samples.chosen(pairs), response.matrix(gain.active, positions), self._active()[gain.active])
         U, sigma, Vh = singular_triples(closed.part(gain))
         L, R = closed.left(gain), closed.right(gain)
         m, values, gradients = min(2, sigma.shape[1]), list[FloatArray](), list[FloatArray]()
@@ -213,7 +213,7 @@ class ResponseProblem:
             a = np.einsum("nij,ni->nj", L[at].conj(), u)
             b = np.einsum("nij,nj->ni", R[at], v)
             values.append((sigma[at][:, :m] @ np.abs(w[:m]) ** 2) * scale[at])
-            gradients.append(chained(response, gain.active, places[at], a, b) * scale[at][:, None])
+            gradients.append(chained(response, gain.active, positions[at], a, b) * scale[at][:, None])
         return np.concatenate(values), np.vstack(gradients)
 
     def noise(self, x: FloatArray) -> FloatArray:
@@ -273,11 +273,11 @@ class ResponseProblem:
                 continue
             pairs = index[near]
             weight = np.exp(sharpness * (values[g, near] / top - 1.0))
-            response, places = self.controllers(x, pairs)
-            matrix = response.matrix(gain.active, places)
+            response, positions = self.controllers(x, pairs)
+            matrix = response.matrix(gain.active, positions)
             closed = close(self.samples.chosen(pairs), matrix, self._active()[gain.active])
             each = weight * (self.scales[g, pairs] / values[g, near]) ** 2
-            H += gram_sum(response, gain.active, places, each, closed.left(gain), closed.right(gain))
+            H += gram_sum(response, gain.active, positions, each, closed.left(gain), closed.right(gain))
             total += float(weight.sum())
         H /= max(total, 1.0)
         for k, entry in enumerate(self.noises):

@@ -70,7 +70,7 @@ def processes_of(variable: str) -> Iterator[int]:
                 yield int(entry.name)
 
 
-@pytest.mark.parametrize("begun", ["folder", "rows"])
+@pytest.mark.parametrize("started", ["folder", "rows"])
 @pytest.mark.parametrize(
     "name",
     [
@@ -78,14 +78,14 @@ def processes_of(variable: str) -> Iterator[int]:
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("keyboard", "SIGTERM", "SIGHUP", "SIGKILL")),
     ],
 )
-def test_after_a_signal(name: str, begun: str, temporary: Path, tmp_path: Path) -> None:
+def test_after_a_signal(name: str, started: str, temporary: Path, tmp_path: Path) -> None:
     """While the workers start, and while members are computed; a key of a terminal reaches workers, too."""
     output, variable = tmp_path / "c", f"TMPDIR={temporary}"
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "TMPDIR": str(temporary)}, text=True, start_new_session=True,
     )  # fmt: skip
-    pattern = {"folder": (temporary, "los_testbed_campaign_*"), "rows": (output, "rows/part-*.parquet")}[begun]
+    pattern = {"folder": (temporary, "los_testbed_campaign_*"), "rows": (output, "rows/part-*.parquet")}[started]
     while not list(pattern[0].glob(pattern[1])):
         assert process.poll() is None, process.stderr and process.stderr.read()
         time.sleep(0.01)

@@ -37,9 +37,9 @@ BAND_EDGE = 85.0
 CONFIDENCE = 0.997
 """Part of the windows that must keep the limit."""
 
-NOISE, SLOW, FAST_MIRROR, FAST, SLOW_BOTH = 0.3, 0.5, 1.9, 0.485, 0.455
-"""Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast and
-slow tones with both controllers."""
+NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.5, 1.9, 0.485
+"""Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
+with both controllers."""
 
 TOTAL_NOISE = 0.29
 """Share of the noise (rms) with both controllers; the rest is for tones."""
@@ -114,8 +114,8 @@ class ErrorBudget:
         Of 99.7 % of the windows, noise and tones together.
     noise, slow, fast_mirror : float
         What K_FSM is tuned for: noise (rms of both axes), amplitudes of slow and of fast tones, mirror alone.
-    fast, slow_both : float
-        Fast and slow tones with both controllers.
+    fast : float
+        Fast tones that K_PMA is tuned for.
     total_noise : float
         Noise with both controllers.
     tone : float
@@ -129,7 +129,6 @@ class ErrorBudget:
     fast: float
     total_noise: float
     tone: float
-    slow_both: float
 
 
 def error_budget(parameters: Parameters) -> ErrorBudget:
@@ -147,16 +146,7 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     """
     limit = float(parameters["weights"]["rpe_limit_fine"])
     tone = limit * largest_tone(TOTAL_NOISE, 1.0)
-    return ErrorBudget(
-        limit,
-        NOISE * limit,
-        SLOW * limit,
-        FAST_MIRROR * limit,
-        FAST * limit,
-        TOTAL_NOISE * limit,
-        tone,
-        SLOW_BOTH * limit,
-    )
+    return ErrorBudget(limit, NOISE * limit, SLOW * limit, FAST_MIRROR * limit, FAST * limit, TOTAL_NOISE * limit, tone)
 
 
 def band_error_weight(parameters: Parameters, band: str) -> StateSpace:

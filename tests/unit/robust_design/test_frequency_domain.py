@@ -175,11 +175,11 @@ def test_the_metric_is_the_sum_of_squares_of_the_changes() -> None:
     at_frequency, weight = np.array([1, 4, 9]), np.array([0.5, 2.0, 1.0])
     L = rng.standard_normal((3, 2, COMMANDS)) + 1j * rng.standard_normal((3, 2, COMMANDS))
     R = rng.standard_normal((3, MEASURED, 5)) + 1j * rng.standard_normal((3, MEASURED, 5))
-    response, places = one.controllers(x, at_frequency)
-    H = gram_sum(response, (0, 1), places, weight, L, R)
+    response, positions = one.controllers(x, at_frequency)
+    H = gram_sum(response, (0, 1), positions, weight, L, R)
     np.testing.assert_allclose(H, H.T, atol=1e-12 * np.abs(H).max())
     d, h = rng.standard_normal(len(x)), 1e-6
-    both = [one.controllers(x + sign * h * d, at_frequency)[0].matrix((0, 1), places) for sign in (1.0, -1.0)]
+    both = [one.controllers(x + sign * h * d, at_frequency)[0].matrix((0, 1), positions) for sign in (1.0, -1.0)]
     change = L @ ((both[0] - both[1]) / (2 * h)) @ R
     expected = np.sum(weight * np.sum(np.abs(change) ** 2, axis=(1, 2)))
     assert d @ H @ d == pytest.approx(expected, rel=1e-6)
