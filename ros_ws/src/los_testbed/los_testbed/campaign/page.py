@@ -175,4 +175,4 @@ def _cells(
         np.clip((count * (x - low) / (high - low)).astype(int), 0, count - 1) for x, (low, high) in zip(points, ranges)
     ]
     np.fmax.at(cells, (place[1], place[0]), values)
-    return [np.linspace(*limits, count + 1) for limits in ranges], cells
+    return [np.asarray(np.linspace(*limits, count + 1), dtype=float) for limits in ranges], cells
