@@ -175,5 +175,4 @@ def _cells(
         np.clip((count * (x - low) / (high - low)).astype(int), 0, count - 1) for x, (low, high) in zip(points, ranges)
     ]
     np.fmax.at(cells, (place[1], place[0]), values)
-    edges: list[FloatArray] = [np.asarray(np.linspace(*limits, count + 1), dtype=float) for limits in ranges]
-    return edges, cells
+    return [np.asarray(np.linspace(*limits, count + 1), dtype=float) for limits in ranges], cells
