@@ -43,7 +43,7 @@ STAGES = {
 LOWEST, HIGHEST, BINS = 1e-2, 2e3, 420
 """Frequencies of the curves [rad/s]; each point is the largest value within one of these bins."""
 
-WIDTHS = (3.4, 2.6, 1.7, 0.9)
+WIDTHS = (2.6, 2.0, 1.4, 0.8)
 """Widths of the curves of the stages: where two are the same, the wider one shows on both sides of the other."""
 
 
@@ -215,7 +215,7 @@ def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
         axes.semilogx(omega, gains[:, 0], color="#143f70", lw=0.9, label="nominal")
         axes.axhline(MAX_SENSITIVITY, color="#b00020", ls="--", lw=1.3, label="limit: 6 dB, 29 deg")
         axes.set(title=title, xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]), ylim=(0.0, 2.4))
-        axes.legend(loc="lower left")
+        axes.legend(loc="lower right")
     figure.axes[0].set_ylabel("largest singular value of S")
     return figure
 
