@@ -260,7 +260,9 @@ class SmoothObjective:
         entries = self._entries(x, K, np.inf)
         J = jacobian(structure, x)
         soft = _log_of_largest(self._split(entries)[0])
-        values, gradients, hard = [], [], []
+        values: list[FloatArray] = []
+        gradients: list[FloatArray] = []
+        hard: list[NDArray[np.bool_]] = []
         for e in entries:
             own = self._problem.requirements[e.requirement].hard
             level = float(np.log(HARD_TARGET)) if own else 0.0
