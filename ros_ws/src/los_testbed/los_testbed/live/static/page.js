@@ -19,11 +19,12 @@
     const series = names.map((label, i) => ({ label, stroke: () => colour(label.startsWith("limit") ? "--bad" : COLOURS[i % COLOURS.length]), width: 1, ...(options.each || {}) }));
     const faint = { stroke: () => colour("--line"), width: 1 };
     const decades = (u, splits, axis) => splits.map((v) => (axis && options.y && !Number.isInteger(Math.log10(v)) ? null : v));
+    const powers = (u, splits) => splits.map((v) => (v === null ? "" : v.toExponential(0)));
     const lines = { stroke: () => colour("--ink"), grid: { ...faint, filter: decades }, ticks: { ...faint, filter: decades } };
     const plot = new uPlot({
       width: Math.max(box.clientWidth, 200), height: 220, cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false, ...(options.x || {}) }, y: options.y || {} },
-      axes: [{ label: options.xlabel || "time [s]", ...lines }, { size: 64, ...lines }],
+      axes: [{ label: options.xlabel || "time [s]", ...lines }, { size: 64, ...lines, ...(options.y ? { values: powers } : {}) }],
       series: [{ label: options.xlabel || "time [s]" }, ...series],
     }, [[], ...names.map(() => [])], box);
     new ResizeObserver(() => plot.setSize({ width: Math.max(box.clientWidth, 200), height: 220 })).observe(box);
