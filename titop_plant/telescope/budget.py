@@ -19,6 +19,7 @@ tones, K_PMA for the fast tones that are left. Below the line the sum keeps 40 m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,8 +80,7 @@ def combined_level(tone: float, noise: float) -> float:
         raise ValueError(f"tone and noise must not be negative, got {tone} and {noise}")
     if noise <= NEGLIGIBLE * tone:
         return float(tone * np.sin(0.5 * np.pi * CONFIDENCE))
-    low, high = 0.0, tone + 5.0 * noise
-    return float(optimize.brentq(lambda level: _outside(level, tone, noise) - (1.0 - CONFIDENCE), low, high))
+    return _root(lambda level: _outside(level, tone, noise) - (1.0 - CONFIDENCE), tone + 5.0 * noise)
 
 
 def largest_tone(noise: float, limit: float) -> float:
@@ -94,7 +94,12 @@ def largest_tone(noise: float, limit: float) -> float:
     if combined_level(0.0, noise) >= limit:
         return 0.0
     high = 1.01 * limit / np.sin(0.5 * np.pi * CONFIDENCE)
-    return float(optimize.brentq(lambda tone: combined_level(tone, noise) - limit, 0.0, high))
+    return _root(lambda tone: combined_level(tone, noise) - limit, high)
+
+
+def _root(function: Callable[[float], float], high: float) -> float:
+    """Root between 0 and `high`, with a tolerance that is small beside it in any unit."""
+    return float(optimize.brentq(function, 0.0, high, xtol=min(2e-12, 1e-12 * high)))
 
 
 def _outside(level: float, tone: float, noise: float) -> float:

@@ -59,3 +59,10 @@ def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> 
     assert budget.fast <= budget.tone < budget.fast_mirror
     weight = band_error_weight(parameters, "fast").to_control()
     assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)
+
+
+def test_the_level_does_not_depend_on_the_unit() -> None:
+    """The same tone and noise in mas and in rad, and of a millionth of it."""
+    for unit in (1.0, np.pi / 648e6, 1e-15):
+        assert combined_level(19.0 * unit, 11.0 * unit) == pytest.approx(combined_level(19.0, 11.0) * unit, rel=1e-12)
+        assert largest_tone(11.0 * unit, 40.0 * unit) == pytest.approx(largest_tone(11.0, 40.0) * unit, rel=1e-9)
