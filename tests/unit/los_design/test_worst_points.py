@@ -15,9 +15,8 @@ import pytest
 from los_design.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import tone_response, weighted_gains
+from los_design.worst_case_search import Search, SearchOptions
 from los_design.worst_points import (
-    Search,
-    SearchOptions,
     WorstPoint,
     load_worst_points,
     store_worst_points,
