@@ -1,0 +1,56 @@
+"""Searches, checks and values of the implemented loop: two processes or threads give the bits of one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from los_design.open_loop import OpenLoop
+from los_design.pair_problem import ALONE, BOTH, Samples, pair_problem
+from los_design.stage_check import CHUNK, check_stage
+from los_design.store import continuous, load_designs
+from los_design.verification import verification_points
+from los_design.worst_case_search import Search, SearchOptions
+from lti.threads import one_thread
+from lti.workers import Workers
+from robust_design.frequency_domain import parameters_of
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters
+
+SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)
+
+
+def test_a_search_and_a_check_in_two_processes() -> None:
+    parameters, pair = load_parameters(), load_designs("implemented")
+    system = control_loop_plant(telescope(), parameters)
+    at = verification_points(parameters, system, 0)[: CHUNK + 3]
+    found, checked = [], []
+    with one_thread(), Workers(2) as two:
+        for workers in (Workers(), two):
+            search = Search(system, parameters, *pair, "fsm+pma", SMALL)
+            found.append(search.run(["fast", "force"], workers=workers))
+            checked.append(check_stage(system, parameters, pair, "fsm", at, changes=False, workers=workers))
+    for name, points in found[0].items():
+        assert [p.to_mapping() for p in points] == [p.to_mapping() for p in found[1][name]]
+    one, other = checked
+    assert {n: p.to_mapping() for n, p in one.worst.items()} == {n: p.to_mapping() for n, p in other.worst.items()}
+    assert one.stable.tolist() == other.stable.tolist() and len(one.stable) == len(at)
+    for name, values in one.envelope.items():
+        np.testing.assert_array_equal(values, other.envelope[name])
+
+
+def test_values_and_gradients_in_two_threads() -> None:
+    parameters = load_parameters()
+    with one_thread():
+        samples = Samples(OpenLoop(control_loop_plant(telescope(), parameters), parameters))
+        samples.add(np.random.default_rng(0).uniform(size=(2, 7)))
+        one, two = (pair_problem(samples, (ALONE, BOTH), (0, 1), threads) for threads in (1, 2))
+        matrices = []
+        for system in load_designs("implemented"):
+            A, B, C, D = continuous(system).data_at({}).matrices
+            matrices.append(np.block([[A, B], [C, D]]))
+        x = parameters_of(one.blocks, matrices)
+        values = one.values(x)
+        np.testing.assert_array_equal(two.values(x), values)
+        entries = np.argwhere(values > 0.5 * values.max())
+        for first, second in zip(one.slopes(x, entries), two.slopes(x, entries)):
+            np.testing.assert_array_equal(first, second)
