@@ -130,8 +130,8 @@ class ImplementedLoop:
         self.open = OpenLoop(system, parameters)
         self.system, self.parameters, self.stage = system, self.open.parameters, stage
         self.names = self.open.names
-        self._controllers = (k_fsm, k_pma)
-        self._gains = self._stage_gains(k_fsm)
+        self.controllers = (k_fsm, k_pma)
+        self.gains_of_stage = self._stage_gains(k_fsm)
 
     def _stage_gains(self, k_fsm: SampledSystem) -> tuple[float, float]:
         mirror = 0.0
@@ -156,8 +156,8 @@ class ImplementedLoop:
         """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
         z = np.exp(1j * omega * DT)
         out = np.zeros((COMMANDS, MEASUREMENTS), complex)
-        k_fsm, k_pma = self._controllers
-        mirror, forces = self._gains
+        k_fsm, k_pma = self.controllers
+        mirror, forces = self.gains_of_stage
         if mirror:
             out[:2] = mirror * _sampled_response(k_fsm, z)
             out[:2, CAMERA] *= np.mean(z ** -np.arange(FRAME_TICKS))

@@ -2,8 +2,8 @@
 
 Given blocks ``w_k = Delta_k z_k`` with ``z_k = Z_k u`` and ``w_k = W_k u`` it looks for scalings that make the sum of
 the quadratic forms below negative definite in u. Real repeated scalars in [-1, 1] have ``z* D z - w* D w +
-Re(z* j G w)`` with D > 0 and G Hermitian (Fan, Tits and Doyle 1991), complex repeated scalars the same without G, full
-blocks ``d (z* z - w* w)``.
+Re(z* j G w)`` with D > 0 and G Hermitian (Fan, Tits and Doyle 1991), real scalars without bounds the same without D,
+complex ones the same without G, full blocks ``d (z* z - w* w)``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, sparse
 
 sl: Any = linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-REAL, COMPLEX, FULL = "real", "complex", "full"
+REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
 GROWTH = 8.0
 """Factor by which the weight of the objective grows from one centre to the next."""
 CENTRED = 0.3
@@ -37,7 +37,7 @@ class Block:
     Parameters
     ----------
     kind : str
-        ``real`` or ``complex`` (repeated scalar) or ``full``.
+        ``real``, ``any real`` (without bounds) or ``complex`` (repeated scalar) or ``full``.
     Z, W : ndarray, complex
         Maps to the input and the output of the block, shapes (k, N) both, for a full block (p, N) and (m, N).
     """
@@ -56,7 +56,7 @@ class Scalings:
     margin : float
         The sum of the forms is at most ``-margin u* u``; positive where the test is passed.
     D, G : tuple of ndarray
-        Of each block, (k, k); (1, 1) for a full block; G is zero where the kind has none.
+        Of each block, (k, k); (1, 1) for a full block; zero where the kind has none.
     losses : ndarray
         Of each block: what its interval costs in the binding direction. The largest is the best one to bisect.
     """
@@ -83,14 +83,14 @@ def find_scalings(
     precision : float
         Smallest distance to the optimal margin that is worth a step.
     """
-    problem = _Problem(blocks)
+    problem = Problem(blocks)
     y = problem.start()
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):
         if time.monotonic() > until:
             break
         slope, curvature = problem.derivatives(y, weight)
-        step = _solve(curvature, -slope, problem.trace)
+        step = newton_step(curvature, -slope, problem.trace)
         decrement = math.sqrt(max(float(-slope @ step), 0.0))
         y = problem.line_search(y, step, weight, decrement)
         gap = problem.degree / weight
@@ -104,30 +104,38 @@ def find_scalings(
     return problem.result(y)
 
 
-class _Problem:
+class Problem:
     """Variables y = (s, coordinates of the scalings); minimise s with ``s I - F(y) > 0``."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
         self.blocks = tuple(blocks)
         self.N = self.blocks[0].Z.shape[1]
-        self.slices: list[tuple[slice, slice | None]] = []
-        at = 1
+        self.slices: list[tuple[slice | None, slice | None]] = []
+        self.at: list[tuple[slice, slice]] = []
+        self.forms: list[ComplexArray] = []
+        count, row, signals, sizes = 1, 0, [], []
         for block in self.blocks:
-            size = 1 if block.kind == FULL else block.Z.shape[0] ** 2
-            first = slice(at, at + size)
-            at += size
-            second = slice(at, at + size) if block.kind == REAL else None
-            at += size if second else 0
+            k = 1 if block.kind == FULL else block.Z.shape[0]
+            first = slice(count, count + k * k) if block.kind != ANY_REAL else None
+            count += k * k if first else 0
+            second = slice(count, count + k * k) if block.kind in (REAL, ANY_REAL) else None
+            count += k * k if second else 0
             self.slices.append((first, second))
-        self.count = at
-        self.forms = [
-            b.Z.conj().T @ b.Z - b.W.conj().T @ b.W if b.kind == FULL else np.zeros((0, 0), complex)
-            for b in self.blocks
-        ]
-        sizes = [1 if b.kind == FULL else b.Z.shape[0] for b in self.blocks]
-        self.trace = np.zeros(at)
+            full = block.kind == FULL
+            self.forms.append(
+                block.Z.conj().T @ block.Z - block.W.conj().T @ block.W if full else np.zeros((0, 0), complex)
+            )
+            self.at.append((slice(0, 0), slice(0, 0)) if full else (slice(row, row + k), slice(row + k, row + 2 * k)))
+            if not full:
+                signals += [block.Z, block.W]
+                row += 2 * k
+            sizes.append(k if first else 0)
+        self.count = count
+        self.signals = np.vstack([np.zeros((0, self.N), complex), *signals])
+        self.trace = np.zeros(count)
         for size, (first, _) in zip(sizes, self.slices):
-            self.trace[first][:size] = 1.0
+            if first is not None:
+                self.trace[first][:size] = 1.0
         self.degree = float(self.N + sum(sizes))
 
     def start(self) -> FloatArray:
@@ -136,95 +144,108 @@ class _Problem:
         y[0] = largest + 0.1 * abs(largest) + 1e-3
         return y
 
+    def variables(self, D: Sequence[ComplexArray], G: Sequence[ComplexArray]) -> FloatArray:
+        """Variables of scalings, with s = 0 and a trace of one."""
+        y = np.zeros(self.count)
+        for (first, second), d, g in zip(self.slices, D, G):
+            for part, matrix in ((first, d), (second, g)):
+                if part is not None:
+                    y[part] = _coordinates(matrix)
+        return np.asarray(y / float(self.trace @ y))
+
     def matrices(self, y: FloatArray, number: int) -> tuple[ComplexArray, ComplexArray]:
         """D and G of a block."""
-        block, (first, second) = self.blocks[number], self.slices[number]
+        block = self.blocks[number]
         k = 1 if block.kind == FULL else block.Z.shape[0]
-        basis = _basis(k)
-        D = (basis @ y[first]).reshape(k, k)
-        return D, (basis @ y[second]).reshape(k, k) if second is not None else np.zeros((k, k), complex)
+        D, G = (
+            np.zeros((k, k), complex) if part is None else (_basis(k) @ y[part]).reshape(k, k)
+            for part in self.slices[number]
+        )
+        return D, G
 
     def sum_of_forms(self, y: FloatArray) -> ComplexArray:
+        """Sum of the quadratic forms, (N, N)."""
+        inner = np.zeros((len(self.signals), len(self.signals)), complex)
         F = np.zeros((self.N, self.N), complex)
         for i, block in enumerate(self.blocks):
             D, G = self.matrices(y, i)
             if block.kind == FULL:
                 F += D[0, 0].real * self.forms[i]
                 continue
-            F += block.Z.conj().T @ D @ block.Z - block.W.conj().T @ D @ block.W
-            if block.kind == REAL:
-                half = block.Z.conj().T @ (0.5j * G) @ block.W
-                F += half + half.conj().T
+            z, w = self.at[i]
+            inner[z, z], inner[w, w] = D, -D
+            inner[z, w], inner[w, z] = 0.5j * G, -0.5j * G
+        F += self.signals.conj().T @ (inner @ self.signals)
         return np.asarray(0.5 * (F + F.conj().T))
 
     def value(self, y: FloatArray, weight: float) -> float:
         """Objective with barrier; infinite outside."""
         total = weight * y[0]
-        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *self._positive(y)):
+        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *(D for _, D in self._positive(y))):
             factor, info = sl.lapack.zpotrf(matrix, lower=1)
             if info:
                 return np.inf
             total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
         return float(total)
 
-    def _positive(self, y: FloatArray) -> list[ComplexArray]:
-        return [self.matrices(y, i)[0] for i in range(len(self.blocks))]
+    def _positive(self, y: FloatArray) -> list[tuple[slice, ComplexArray]]:
+        """The matrices D with the slices of their variables."""
+        return [(part, self.matrices(y, i)[0]) for i, (part, _) in enumerate(self.slices) if part is not None]
 
     def derivatives(self, y: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
         """Gradient and Hessian."""
         S = _inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
-        slope = self._functional(S)
+        inner = self.signals @ S @ self.signals.conj().T
+        slope = self._functional(S, inner)
         curvature: FloatArray = np.zeros((self.count, self.count))
         slope[0] = weight - np.trace(S).real
-        square = S @ S
-        curvature[0] = -self._functional(square)
-        curvature[0, 0] = np.trace(square).real
-        for i, block in enumerate(self.blocks):
-            first, _ = self.slices[i]
-            if block.kind == FULL:
-                curvature[first.start] = self._functional(S @ self.forms[i] @ S)
-                curvature[first.start, 0] = curvature[0, first.start]
-        self._repeated(S, curvature)
+        self._add_rows(S, curvature)
+        self._repeated(inner, curvature)
         curvature = np.asarray(np.triu(curvature) + np.triu(curvature, 1).T)
-        for i, D in enumerate(self._positive(y)):
-            first, _ = self.slices[i]
+        for part, D in self._positive(y):
             inverse = _inverse(D)
-            slope[first] -= _coordinates(inverse)
-            curvature[first, first] += _product(inverse, inverse)
+            slope[part] -= _coordinates(inverse)
+            curvature[part, part] += _products([(inverse, inverse)])
         return slope, curvature
 
-    def _functional(self, S: ComplexArray) -> FloatArray:
-        """Coefficients of ``y -> trace(S F(y))``; the entry of s is zero."""
+    def _add_rows(self, S: ComplexArray, curvature: FloatArray) -> None:
+        """Upper triangle of the rows of s and of full blocks."""
+        square = S @ S
+        curvature[0] = -self._functional(square, self.signals @ square @ self.signals.conj().T)
+        curvature[0, 0] = np.trace(square).real
+        for i, (part, _) in enumerate(self.slices):
+            if self.blocks[i].kind == FULL and part is not None:
+                turned = S @ self.forms[i] @ S
+                row = self._functional(turned, self.signals @ turned @ self.signals.conj().T)
+                curvature[part.start, part.start :] = row[part.start :]
+                curvature[1 : part.start, part.start] = row[1 : part.start]
+
+    def _functional(self, S: ComplexArray, inner: ComplexArray) -> FloatArray:
+        """Coefficients of ``y -> trace(S F(y))``; the entry of s is zero. `inner` is ``signals S signals*``."""
         result = np.zeros(self.count)
-        for i, block in enumerate(self.blocks):
-            first, second = self.slices[i]
+        for i, (block, (first, second), (z, w)) in enumerate(zip(self.blocks, self.slices, self.at)):
             if block.kind == FULL:
                 result[first] = np.sum(S.T * self.forms[i]).real
                 continue
-            result[first] = _coordinates(block.Z @ S @ block.Z.conj().T - block.W @ S @ block.W.conj().T)
+            if first is not None:
+                result[first] = _coordinates(inner[z, z] - inner[w, w])
             if second is not None:
-                K = block.Z @ S @ block.W.conj().T
+                K = inner[z, w]
                 result[second] = _coordinates(0.5j * (K.conj().T - K))
         return result
 
-    def _repeated(self, S: ComplexArray, curvature: FloatArray) -> None:
+    def _repeated(self, inner: ComplexArray, curvature: FloatArray) -> None:
         """Second derivatives between the scalings of repeated blocks: Kronecker products of small matrices."""
         number = [i for i, block in enumerate(self.blocks) if block.kind != FULL]
         for i in number:
             for j in number[number.index(i) :]:
-                for part, terms in zip(self.slices[i], _terms(self.blocks[i])):
-                    for other, others in zip(self.slices[j], _terms(self.blocks[j])):
+                for part, terms in zip(self.slices[i], _terms(*self.at[i])):
+                    for other, others in zip(self.slices[j], _terms(*self.at[j])):
                         if part is None or other is None or other.start < part.start:
                             continue
-                        block = np.zeros((part.stop - part.start, other.stop - other.start))
-                        for c1, L1, R1 in terms:
-                            for c2, L2, R2 in others:
-                                block += _product(c1 * c2 * (R1 @ S @ L2.conj().T), R2 @ S @ L1.conj().T)
-                        curvature[part, other] = block
-        for i, block_i in enumerate(self.blocks):  # rows of full blocks below the diagonal go above it
-            if block_i.kind == FULL:
-                row = self.slices[i][0].start
-                curvature[:row, row] = np.where(np.arange(row) == 0, curvature[0, row], curvature[row, :row])
+                        curvature[part, other] = _products(
+                            [(c1 * c2 * inner[R1, L2], inner[R2, L1]) for c1, L1, R1 in terms for c2, L2, R2 in others]
+                        )
 
     def line_search(self, y: FloatArray, step: FloatArray, weight: float, decrement: float) -> FloatArray:
         before, length = self.value(y, weight), 1.0
@@ -254,10 +275,9 @@ def _inverse(matrix: ComplexArray) -> ComplexArray:
     return np.asarray(lower + np.tril(lower, -1).conj().T)
 
 
-def _terms(block: Block) -> tuple[list[tuple[complex, ComplexArray, ComplexArray]], ...]:
+def _terms(z: slice, w: slice) -> tuple[list[tuple[complex, slice, slice]], ...]:
     """Terms (c, L, R) of ``sum c L* X R`` for X = D, then for X = G."""
-    Z, W = block.Z, block.W
-    return [(1.0, Z, Z), (-1.0, W, W)], [(0.5j, Z, W), (-0.5j, W, Z)]
+    return [(1.0, z, z), (-1.0, w, w)], [(0.5j, z, w), (-0.5j, w, z)]
 
 
 @lru_cache(maxsize=64)
@@ -277,19 +297,27 @@ def _basis(k: int) -> ComplexArray:
     return result
 
 
+@lru_cache(maxsize=64)
+def _sparse_basis(k: int) -> Any:
+    """Transpose of :func:`_basis` as a sparse matrix."""
+    return sparse.csr_array(_basis(k).T)
+
+
 def _coordinates(matrix: ComplexArray) -> FloatArray:
     """Coefficients of ``X -> trace(matrix X)`` in the basis."""
-    return np.asarray((_basis(len(matrix)).T @ matrix.T.ravel()).real)
+    return np.asarray((_sparse_basis(len(matrix)) @ matrix.T.ravel()).real)
 
 
-def _product(A: ComplexArray, B: ComplexArray) -> FloatArray:
-    """Matrix of the bilinear form ``(X, Y) -> Re trace(X A Y B)`` in the bases."""
-    k, m = A.shape
-    full = np.einsum("bc,da->abcd", A, B).reshape(k * k, m * m)
-    return np.asarray((_basis(k).T @ full @ _basis(m)).real)
+def _products(pairs: Sequence[tuple[ComplexArray, ComplexArray]]) -> FloatArray:
+    """Matrix of the bilinear form ``(X, Y) -> Re sum trace(X A Y B)`` in the bases, for pairs (A, B)."""
+    k, m = pairs[0][0].shape
+    first, second = (np.stack([pair[i].ravel() for pair in pairs]) for i in (0, 1))
+    full = (first.T @ second).reshape(k, m, m, k).transpose(3, 0, 1, 2).reshape(k * k, m * m)
+    left, right = _sparse_basis(k), _sparse_basis(m)
+    return np.asarray((right @ (left @ full).T).T.real)
 
 
-def _solve(curvature: FloatArray, slope: FloatArray, trace: FloatArray) -> FloatArray:
+def newton_step(curvature: FloatArray, slope: FloatArray, trace: FloatArray) -> FloatArray:
     """Newton step that keeps the trace, with the Hessian scaled to a unit diagonal."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     scaled = curvature * scale[:, None] * scale

@@ -148,7 +148,7 @@ class CellTest:
             A pole on the imaginary axis, or a singular LFT, in the middle of the cell.
         """
         maps, factors = self._maps(cell)
-        scale = _balanced(maps, self.n + self.q)
+        scale = balanced(maps, self.n + self.q)
         blocks = self._blocks(maps, scale, level)
         found = find_scalings(blocks, until=until)
         axis = self._axis(found, cell)
@@ -274,7 +274,7 @@ def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
     return np.asarray(solution)
 
 
-def _balanced(M: ComplexArray, inner: int) -> FloatArray:
+def balanced(M: ComplexArray, inner: int) -> FloatArray:
     """Diagonal scales of the channels, and one of the gain's block last, that bring rows and columns of M in balance.
 
     Osborne's iteration; the scales are s in ``s_i M_ij / s_j``.

@@ -21,7 +21,7 @@ from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.plant import plant_app
-from los_testbed.cli.proofs import CHECK_PROOF_EXAMPLES, check_proof
+from los_testbed.cli.proofs import CERTIFY_EXAMPLES, CHECK_PROOF_EXAMPLES, certify, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, run, with_lone_options
@@ -47,6 +47,7 @@ bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")
+design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
 design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
 app.add_typer(design_app, name="design")
 

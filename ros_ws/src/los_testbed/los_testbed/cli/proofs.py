@@ -1,29 +1,186 @@
-"""Command ``los-testbed design check-proof``."""
+"""Commands ``los-testbed design certify`` and ``design check-proof``."""
 
 from __future__ import annotations
 
+import json
 import math
 import sys
+import time
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
 from los_testbed.cli.options import Json
-from los_testbed.cli.output import print_json
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.redesign import WorkersOption, processes
+from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from lti.progress import Progress
+
+if TYPE_CHECKING:
+    from los_design.certify import FigureBounds
+    from los_design.implemented_loop import ImplementedLoop
+    from los_design.worst_points import WorstPoint
+
+CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
+
+Writes a proof STAGE-FIGURE.npz for each figure that is proven, and bounds.json. Parts that are proven are kept: the
+same command goes on after an interruption. The exit code is 1 if a figure is violated or not proven to its end.
+
+**Examples**
+
+    los-testbed design certify --output proofs                     # the shipped pair, below its limits
+
+    los-testbed design certify designs/soft --output soft-proofs
+
+    los-testbed design certify --output proofs --stage fsm+pma --figure slow --gap 0.05
+"""
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
-The check has its own short code (`robust_design/certified/checker.py`): it optimises nothing. Exit code 1 if the
-proof is refused.
+The check has its own short code (`robust_design/certified/checker.py`; for the `.npz` of `design certify`
+`robust_design/certified_loop/checker.py`): it optimises nothing. Exit code 1 if the proof is refused.
 
 **Example**
 
     los-testbed design check-proof proof.json
 """
 
+STAGES = ("fsm", "fsm+pma")
+SUMMARY = "bounds.json"
 
-def check_proof(file: Annotated[Path, typer.Argument(help="Proof file (JSON).")], json_: Json = False) -> None:
+
+def certify(
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the proofs.")],
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`. Default: the shipped pair.")] = None,
+    level: Annotated[float, typer.Option(help="Part of the limit to be proven.")] = 1.0,
+    gap: Annotated[
+        float | None, typer.Option(help="Prove this much above the largest value known instead, e.g. 0.05.")
+    ] = None,
+    stage: Annotated[str | None, typer.Option(help="fsm or fsm+pma. Default: both.")] = None,
+    figure: Annotated[str | None, typer.Option(help="APE, slow, fast, mirror or force. Default: all.")] = None,
+    wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
+    workers: WorkersOption = 0,
+    json_: Json = False,
+) -> None:
+    """See CERTIFY_EXAMPLES."""
+    from los_design.certify import certify_figure, figures_of
+    from lti.workers import Workers
+
+    number("--level", level, 1e-6, 1e6)
+    number("--wall-limit", wall_limit, 1.0, 1e7, "s")
+    if gap is not None:
+        number("--gap", gap, 1e-3, 10.0)
+    if stage not in (None, *STAGES):
+        raise ValueError(f"--stage must be one of {', '.join(STAGES)}, got {stage}")
+    until = time.monotonic() + wall_limit
+    loops, known = _loops(folder, [stage] if stage else list(STAGES))
+    chosen = [
+        (s, name) for s, loop in loops.items() for name in figures_of(loop.parameters, s) if figure in (None, name)
+    ]
+    if not chosen:
+        raise ValueError(f"--figure must be one of APE, slow, fast, mirror, force (with fsm+pma), got {figure}")
+    _writable(output)
+    found: list[FigureBounds] = []
+    with ExitStack() as stack:
+        pool = stack.enter_context(Workers(processes(workers)))
+        for s, name in chosen:
+            with Progress(f"{s}, {name}") as bar:
+                points = known or _searched(loops[s], name, pool)
+                found.append(
+                    certify_figure(
+                        loops[s], name, None if gap else level, gap or 0.0, points, output, pool, until, bar.report
+                    )
+                )
+            _keep(output / SUMMARY, found)
+            sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
+    _show(found, json_)
+    if any(bounds.status != "proven" for bounds in found):
+        raise typer.Exit(1)
+
+
+def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
+    """The implemented loops, and the worst points that are known of them."""
+    from los_design.implemented_loop import ImplementedLoop
+    from los_design.store import load_designs
+    from los_design.worst_points import load_worst_points
+    from lti import SampledSystem
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation import control_loop_plant
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+
+    if folder is not None and not folder.is_dir():
+        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+    own = folder is not None and (folder / TELESCOPE_FILE).exists()
+    parameters = load_parameters(folder / TELESCOPE_FILE if folder is not None and own else REFERENCE)
+    if folder is None:
+        k_fsm, k_pma = load_designs("implemented")
+    else:
+        k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
+    system = control_loop_plant(build_telescope(parameters), parameters)
+    points = []
+    if folder is None or (folder / WORST_POINTS).exists():
+        points = [point for table in load_worst_points(folder).values() for point in table.values()]
+    return {stage: ImplementedLoop(system, parameters, k_fsm, k_pma, stage) for stage in stages}, points
+
+
+def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint]:
+    """Worst points by a search, where none are stored."""
+    from los_design.worst_case_search import Search
+
+    search = Search(loop.system, loop.parameters, *loop.controllers, loop.stage)
+    return search.run([name], workers=workers)[name]
+
+
+def _writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SUMMARY).open("a").close()
+    except OSError as error:
+        raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+
+
+def _keep(path: Path, found: list[FigureBounds]) -> None:
+    """The bounds so far, with those of other figures that the file has."""
+    before = json.loads(path.read_text("utf-8") or "{}").get("figures", [])
+    new = [bounds.to_mapping() for bounds in found]
+    done = {(entry["stage"], entry["figure"]) for entry in new}
+    kept = [entry for entry in before if (entry["stage"], entry["figure"]) not in done]
+    path.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
+
+
+def _show(found: list[FigureBounds], json_: bool) -> None:
+    if json_:
+        print_json({"figures": [bounds.to_mapping() for bounds in found]})
+        return
+    table = Table(title="Bounds over the whole box (1 is the limit)")
+    for column in ("stage", "figure", "lower", "upper", "status", "strips", "CPU s"):
+        table.add_column(column, justify="left" if column in ("stage", "figure", "status") else "right")
+    for b in found:
+        upper = f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"
+        table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, b.status, f"{b.strips}", f"{b.seconds:.0f}")
+    Console().print(table)
+    for b in found:
+        if b.status == "violated":
+            values = ", ".join(f"{name} {value:.5g}" for name, value in b.parameters.items())
+            sys.stderr.write(f"{b.stage}, {b.figure}: {b.lower:.4g} of the limit at {b.omega:.6g} rad/s, {values}\n")
+        elif b.uncovered:
+            low, high = b.uncovered[0]
+            sys.stderr.write(
+                f"{b.stage}, {b.figure}: {len(b.uncovered)} parts not covered, first {low:.6g} to {high:.6g} rad/s\n"
+            )
+
+
+def check_proof(
+    file: Annotated[Path, typer.Argument(help="Proof file (.json, or .npz of `design certify`).")],
+    workers: WorkersOption = 0,
+    json_: Json = False,
+) -> None:
     """See CHECK_PROOF_EXAMPLES."""
     from lti.threads import one_thread
     from robust_design.certified.checker import ProofError
@@ -32,6 +189,9 @@ def check_proof(file: Annotated[Path, typer.Argument(help="Proof file (JSON).")]
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
     try:
+        if file.suffix == ".npz":
+            _check_loop(file, processes(workers), json_)
+            return
         with one_thread():
             checked = check(file)
     except ProofError as error:
@@ -49,3 +209,22 @@ def check_proof(file: Annotated[Path, typer.Argument(help="Proof file (JSON).")]
         sys.stdout.write("proven: stable\n")
     sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
     sys.stdout.write(f"{checked.cells} cells; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
+
+
+def _check_loop(file: Path, count: int, json_: bool) -> None:
+    """Check a proof of a sampled loop."""
+    from lti.threads import one_thread
+    from lti.workers import Workers
+    from robust_design.certified_loop import check_loop_proof
+
+    with one_thread(), Workers(count) as pool:
+        checked = check_loop_proof(file, pool.each)
+    if json_:
+        print_json(vars(checked))
+        return
+    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
+    about = ", ".join(f"{key} {value}" for key, value in checked.about.items())
+    sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
+    sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
+    sys.stdout.write(f"for all deviations from the nominal values {box} (the last an angle [rad])\n")
+    sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")

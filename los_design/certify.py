@@ -1,0 +1,320 @@
+"""Guaranteed bounds of the figures of a pair of controllers, over the whole box of the telescope's parameters.
+
+The loop that is proven is that of :mod:`los_design.implemented_loop`: commands held for a tick, one tick of delay,
+images of held commands through the nominal telescope, the camera's hold by its fundamental. The band of a figure is cut
+into parts; each is proven by itself and kept in a file, so that an interrupted proof goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from los_design.implemented_loop import DISTURBANCE_IN, HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
+from los_design.worst_points import WorstPoint
+from lti.eigenvectors import modes
+from lti.ports import FloatArray
+from lti.workers import Workers
+from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
+from robust_design.certified_loop.proof import Interval, packed, unpacked
+from titop_plant.disturbances import CHANNELS
+from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
+from titop_plant.telescope.parameters import Parameters
+
+ComplexArray = NDArray[np.complex128]
+ANGLE = "solar_array.tau"
+NYQUIST = math.pi / DT
+PART = 0.12
+"""Length of a part of a band, of log frequency."""
+SLOWEST_PART = 0.3
+"""Upper end of the first part of a band from zero [rad/s]."""
+
+
+@dataclass(frozen=True)
+class FigureBounds:
+    """Bounds of one figure, over its limit.
+
+    Parameters
+    ----------
+    stage, figure : str
+    lower : float
+        Largest value found.
+    upper : float
+        Proven; infinite where parts are not covered.
+    parameters : mapping of str to float
+        Of the largest value.
+    omega : float
+        Its frequency [rad/s].
+    status : str
+        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered).
+    uncovered : list of (low, high)
+        Frequencies [rad/s] of the parts that are not covered.
+    strips, windows : int
+    seconds : float
+        Processor time of the proof.
+    """
+
+    stage: str
+    figure: str
+    lower: float
+    upper: float
+    parameters: dict[str, float]
+    omega: float
+    status: str
+    uncovered: list[Interval]
+    strips: int = 0
+    windows: int = 0
+    seconds: float = 0.0
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For JSON; an infinite upper bound is null."""
+        return {**vars(self), "upper": self.upper if math.isfinite(self.upper) else None}
+
+
+def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
+    """The implemented loop with one figure, in the form of the proofs.
+
+    The rotation by theta is the square of a Cayley map in tan(theta / 4); the first of the two factors, in tan(theta /
+    2), is the whole rotation: 16 of the 32 occurrences are left.
+    """
+    system = loop.system
+    names, q = system.channels, len(system.channels)
+    angles = [k for k, name in enumerate(names) if name == ANGLE]
+    dropped = {channel for number, channel in enumerate(angles) if number % 4 >= 2}
+    kept = [channel for channel in range(q) if channel not in dropped]
+    if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
+        raise ValueError(f"the nominal value of {ANGLE} must be 0")
+    rows = [*kept, *range(q, system.C.shape[0])]
+    columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
+    poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
+    K_poles, K_B, K_C, K_D = _controllers(loop)
+    frame = np.ones(MEASUREMENTS, dtype=np.int64)
+    frame[CAMERA] = FRAME_TICKS
+    weights = loop.parameters["weights"]
+    wheels = [[a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
+              for a in np.tile(weights["wheel_imbalance"], 4)]  # fmt: skip
+    drives = [[loop.parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
+    commands = metric.rows.start >= 2
+    first = metric.rows.start - (2 if commands else 0)
+    order = [names[channel] for channel in kept]
+    return LoopModel(
+        DT, poles, C, B, system.D[np.ix_(rows, columns)], K_poles, K_C, K_B, K_D, frame,
+        tuple(tuple(i for i, name in enumerate(order) if name == p.name) for p in system.parameters),
+        tuple(p.name == ANGLE for p in system.parameters), np.array([*wheels, *drives], dtype=float),
+        float(weights["rpe_window"]) if metric.relative else 0.0,
+        tuple(range(first, first + metric.rows.stop - metric.rows.start)), metric.limit, commands,
+    )  # fmt: skip
+
+
+def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Poles, B and C in coordinates in which A is diagonal."""
+    found = modes(np.asarray(A))
+    b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
+    for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
+        b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
+        c[:, k], c[:, k + 1] = c[:, k] + 1j * c[:, k + 1], c[:, k] - 1j * c[:, k + 1]
+    return found.poles, b, c
+
+
+def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
+    """Poles, B, C, D of both controllers as one, from measurements to commands, for the loops that are closed."""
+    D = np.zeros((COMMANDS, MEASUREMENTS))
+    poles: list[ComplexArray] = [np.zeros(0, complex)]
+    into, out = [], []
+    for gain, system, rows, columns in (
+        (loop.gains_of_stage[0], loop.controllers[0], slice(0, 2), slice(0, MEASUREMENTS)),
+        (loop.gains_of_stage[1], loop.controllers[1], slice(2, COMMANDS), PLATFORM),
+    ):
+        if not gain:
+            continue
+        p, b, c = modal(system.A, system.B, system.C) if system.order else (np.zeros(0, complex), system.B, system.C)
+        B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
+        B[:, columns], C[rows], D[rows, columns] = b, gain * c, gain * system.D
+        poles.append(p)
+        into.append(B)
+        out.append(C)
+    empty = np.zeros((0, MEASUREMENTS), complex), np.zeros((COMMANDS, 0), complex)
+    return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
+
+
+def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
+    """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
+    return tuple(
+        (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
+        if p.name == ANGLE
+        else (p.lower - p.nominal, p.upper - p.nominal)
+        for p in loop.system.parameters
+    )
+
+
+def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Figures of a stage that are proven, with bands that reach from zero to half of the sampling rate together."""
+    chosen = {}
+    for name, metric in loop_metrics(parameters, stage).items():
+        if metric.columns != DISTURBANCE_IN:
+            continue
+        low, high = metric.band
+        chosen[name] = replace(metric, band=(0.0 if low <= 1e-2 else low, NYQUIST if high >= HIGHEST else high))
+    return chosen
+
+
+def parts_of(band: Interval) -> list[Interval]:
+    """A band cut into parts."""
+    low, high = band
+    first = [low] if low > 0.0 else [0.0, min(SLOWEST_PART, high)]
+    count = max(1, math.ceil(math.log(high / first[-1]) / PART)) if high > first[-1] else 0
+    cuts = [*first, *(first[-1] * (high / first[-1]) ** (k / count) for k in range(1, count)), high]
+    cuts = sorted(set(cuts))
+    return list(itertools.pairwise(cuts))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a band to be proven."""
+
+    model: LoopModel
+    box: tuple[Interval, ...]
+    band: Interval
+    level: float
+    until: float
+    file: Path
+
+
+@dataclass(frozen=True)
+class PartResult:
+    """Outcome of a part; `finished` is false where time was up."""
+
+    strips: tuple[Strip, ...]
+    uncovered: list[Interval]
+    lower: float
+    point: list[float]
+    omega: float
+    windows: int
+    seconds: float
+    finished: bool
+
+
+def prove_part(part: Part) -> PartResult:
+    """Prove a part, or read what was proven before."""
+    parameters = len(part.box)
+    if part.file.exists():
+        with np.load(part.file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
+    if time.monotonic() > part.until:
+        return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
+    found = prove_level(part.model, part.box, part.band, part.level, until=part.until)
+    summary: dict[str, Any] = {
+        "uncovered": sorted({band for _, band in found.uncovered}), "lower": found.lower,
+        "point": [] if found.point is None else found.point.tolist(), "omega": found.omega,
+        "windows": found.windows, "seconds": found.seconds, "finished": time.monotonic() <= part.until,
+    }  # fmt: skip
+    result = PartResult(tuple(found.strips), **summary)
+    if result.finished:
+        arrays = {**packed(found.strips, parameters), "summary": np.frombuffer(json.dumps(summary).encode(), np.uint8)}
+        temporary = part.file.with_suffix(".tmp")
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        temporary.replace(part.file)
+    return result
+
+
+def certify_figure(
+    loop: ImplementedLoop,
+    name: str,
+    level: float | None,
+    gap: float,
+    known: Sequence[WorstPoint],
+    folder: Path,
+    workers: Workers,
+    until: float,
+    report: Callable[[int, int], None],
+) -> FigureBounds:
+    """Bounds of one figure; its proof goes to ``STAGE-FIGURE.npz`` in the folder.
+
+    Parameters
+    ----------
+    loop : ImplementedLoop
+    name : str
+    level : float or None
+        To be proven; None: as far above the largest value known as the gap says.
+    gap : float
+        Relative.
+    known : sequence of WorstPoint
+        Of a search; the lower bound.
+    folder : Path
+    workers : Workers
+    until : float
+        ``time.monotonic()`` after which it stops.
+    report : callable
+        Told how many parts are done, and of how many.
+    """
+    metric = figures_of(loop.parameters, loop.stage)[name]
+    model, box = telescope_model(loop, metric), box_of(loop)
+    lower, omega, values = 0.0, 0.0, {p.name: p.nominal for p in loop.system.parameters}
+    for point in known:
+        if point.requirement == name and point.stage == loop.stage:
+            gain = float(loop.gain(loop.at(point.omega), metric, loop.point(dict(point.parameters)))[0])
+            if gain > lower:
+                lower, omega, values = gain, point.omega, dict(point.parameters)
+    target = (1.0 + 0.95 * gap) * lower if level is None else level
+    if not target > 0.0:
+        raise ValueError(f"a level, or a worst point of {name}, must be given")
+    if lower >= target:
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
+    key = hashlib.sha256(repr((box, target)).encode())
+    for array in (
+        model.poles,
+        model.C,
+        model.B,
+        model.D,
+        model.K_poles,
+        model.K_C,
+        model.K_B,
+        model.K_D,
+        model.weights,
+    ):
+        key.update(np.ascontiguousarray(array).tobytes())
+    kept = folder / "parts" / f"{loop.stage}-{name}-{key.hexdigest()[:12]}"
+    kept.mkdir(parents=True, exist_ok=True)
+    bands = parts_of(metric.band)
+    parts = [Part(model, box, band, target, until, kept / f"{k:03d}.npz") for k, band in enumerate(bands)]
+    found: list[PartResult] = []
+    for result in workers.each(prove_part, parts):
+        found.append(result)
+        report(len(found), len(parts))
+        if result.lower > lower:
+            lower, omega, values = result.lower, result.omega, _values(loop, result.point)
+    uncovered = [(float(low), float(high)) for result in found for low, high in result.uncovered]
+    status = "violated" if lower >= target else "open" if uncovered else "proven"
+    strips = [strip for result in found for strip in result.strips]
+    upper = target if status == "proven" else math.inf
+    bounds = FigureBounds(
+        loop.stage, name, lower, upper, values, omega, status, uncovered, len(strips),
+        sum(r.windows for r in found), sum(r.seconds for r in found),
+    )  # fmt: skip
+    if status == "proven":
+        about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
+        names = tuple(p.name for p in loop.system.parameters)
+        LoopProof(model, names, box, metric.band, target, tuple(strips), about).to_file(
+            folder / f"{loop.stage}-{name}.npz"
+        )
+    return bounds
+
+
+def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:
+    """Parameter values of deviations from the nominal ones."""
+    return {
+        p.name: math.tan(0.25 * value) if p.name == ANGLE else p.nominal + value
+        for p, value in zip(loop.system.parameters, point)
+    }

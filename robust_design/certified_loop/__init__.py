@@ -1,0 +1,8 @@
+"""Guaranteed worst case of sampled loops of any order, by scalings at frequencies, with a proof and its checker."""
+
+from robust_design.certified_loop.bounds import LoopBounds, prove_level
+from robust_design.certified_loop.checker import CheckedLoop, check_loop_proof
+from robust_design.certified_loop.model import LoopModel
+from robust_design.certified_loop.proof import LoopProof, Strip
+
+__all__ = ["CheckedLoop", "LoopBounds", "LoopModel", "LoopProof", "Strip", "check_loop_proof", "prove_level"]

@@ -1,0 +1,223 @@
+"""Proof that the gain of a sampled loop is below a level, over a box of parameters and a band of frequencies.
+
+From one end of a band to the other: scalings are centred at one frequency and at the next one, and the inequality
+between the two nodes is checked with the checker's own code; steps adapt. Analytic centres change smoothly with the
+frequency, so that far apart nodes can be interpolated. Where no scalings exist, or steps get too short, the box is
+bisected for a short part of the band.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lti.threads import one_thread
+from robust_design.certified_loop.checker import is_circle, windows_of
+from robust_design.certified_loop.model import LoopModel
+from robust_design.certified_loop.proof import Interval, Strip
+from robust_design.certified_loop.scalings import CellTest, NodeScalings
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Box = tuple[Interval, ...]
+FIRST_STEP, SHORTEST, LONGEST = 3e-3, 5e-5, 0.1
+"""Relative steps of frequency: at the start of a strip, at least, at most."""
+CENTRING = 40
+"""Most Newton steps to a centre."""
+BISECTIONS = 3
+"""Most bisections of a step in the check of a prover."""
+PART = 0.01
+"""Part of the band, relative to its frequency, for which a box is bisected."""
+LOWEST = 1e-4
+"""Least frequency [rad/s] of scalings; below it the same ones are used."""
+DEEPEST = 14
+"""Most bisections of the box."""
+SAMPLES = 64
+"""Members that are looked at where a box is bisected."""
+
+
+@dataclass
+class LoopBounds:
+    """Outcome of a proof.
+
+    Parameters
+    ----------
+    strips : list of Strip
+        What is proven.
+    uncovered : list of (box, band)
+        What is not.
+    lower : float
+        Largest gain met on the way, over the limit; a gain above the level is a counterexample.
+    point : ndarray or None
+        Deviations from the nominal values there (angles in rad).
+    omega : float
+        Frequency there [rad/s].
+    nodes, windows : int
+        Work done: scalings looked for, and windows checked.
+    seconds : float
+        Processor time.
+    """
+
+    strips: list[Strip] = field(default_factory=list)
+    uncovered: list[tuple[Box, Interval]] = field(default_factory=list)
+    lower: float = 0.0
+    point: FloatArray | None = None
+    omega: float = 0.0
+    nodes: int = 0
+    windows: int = 0
+    seconds: float = 0.0
+
+
+def prove_level(
+    model: LoopModel, box: Sequence[Interval], band: Interval, level: float, *, until: float = math.inf, seed: int = 0
+) -> LoopBounds:
+    """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
+
+    Parameters
+    ----------
+    model : LoopModel
+    box : sequence of (low, high)
+        Deviations from the nominal values; of an angle theta [rad].
+    band : (low, high)
+        Frequencies [rad/s], ``0 <= low < high <= pi / dt``.
+    level : float
+    until : float
+        ``time.monotonic()`` after which it stops; what is left is in `uncovered`.
+    seed : int
+        Of the members that are looked at.
+    """
+    start = time.process_time()
+    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds())
+    with one_thread():
+        state.prove(tuple(box), *band, 0)
+    state.found.seconds = time.process_time() - start
+    return state.found
+
+
+@dataclass
+class _State:
+    model: LoopModel
+    level: float
+    until: float
+    rng: np.random.Generator
+    found: LoopBounds
+
+    def prove(self, box: Box, low: float, high: float, depth: int) -> None:
+        """Prove a box from `low` to `high`; what can't be proven goes to `uncovered`."""
+        at = low
+        while at < high:
+            if time.monotonic() > self.until or self.found.lower >= self.level:
+                self.found.uncovered.append((box, (at, high)))
+                return
+            reached, axis = self._strip(box, at, high)
+            if reached >= high:
+                return
+            end = min(high, max(reached, LOWEST) * (1.0 + PART))
+            if depth == DEEPEST:
+                self.found.uncovered.append((box, (reached, end)))
+            else:
+                self._look(box, reached, end)
+                for half in _halves(box, axis):
+                    self.prove(half, reached, end, depth + 1)
+            at = end
+
+    def _strip(self, box: Box, low: float, high: float) -> tuple[float, int]:
+        """A strip from `low` as far as steps go: frequency reached, and the parameter to bisect there."""
+        first = CellTest(self.model, box, max(low, LOWEST), self.level)
+        node, y = self._centre(first, None)
+        axis = int(np.argmax(_widths(first.losses(y), box)))
+        if node is None:
+            return low, axis
+        if low < LOWEST:
+            node = NodeScalings(low, node.D, node.G, node.factor)
+        nodes, step = [node], FIRST_STEP
+        while nodes[-1].omega < high and time.monotonic() <= self.until:
+            omega = max(nodes[-1].omega, LOWEST) * (1.0 + step)
+            omega = high if omega > high / (1.0 + 0.5 * step) else omega
+            test = CellTest(self.model, box, omega, self.level)
+            following, y = self._centre(test, nodes[-1])
+            windows = 0
+            if following is not None:
+                windows = windows_of(self.model, strip_of(box, [nodes[-1], following]), 0, self.level, BISECTIONS)
+            if following is None or not windows:
+                axis = int(np.argmax(_widths(test.losses(y), box)))
+                step *= 0.4
+                if step < SHORTEST:
+                    break
+                continue
+            self.found.windows += windows
+            nodes.append(following)
+            step = min(step * (1.7 if windows == 1 else 1.2 if windows < 4 else 0.8), LONGEST)
+        if len(nodes) > 1:
+            self.found.strips.append(strip_of(box, nodes))
+        return nodes[-1].omega, axis
+
+    def _centre(self, test: CellTest, before: NodeScalings | None) -> tuple[NodeScalings | None, FloatArray]:
+        """Centred scalings at a frequency, None if there are none; the variables reached."""
+        self.found.nodes += 1
+        y = None if before is None else test.variables(before)
+        if y is None or not test.allowed(y):
+            y, reached = test.feasible()
+            if y is None:
+                return None, reached
+        y = test.centred(y, CENTRING)
+        return test.scalings(y), y
+
+    def _look(self, box: Box, low: float, high: float) -> None:
+        """Gains of some members where scalings were not found."""
+        omega = float(self.rng.uniform(max(low, LOWEST), high))
+        ends = np.array(box)
+        points = self.rng.uniform(size=(SAMPLES, len(box)))
+        points[: SAMPLES // 2] = np.round(points[: SAMPLES // 2])
+        members = ends[:, 0] + points * (ends[:, 1] - ends[:, 0])
+        gains = member_gains(self.model, omega, members)
+        best = int(np.argmax(gains))
+        if gains[best] > self.found.lower:
+            self.found.lower, self.found.point, self.found.omega = float(gains[best]), members[best], omega
+
+
+def member_gains(model: LoopModel, omega: float, members: FloatArray) -> FloatArray:
+    """Gain over the limit of members (N, parameters) at a frequency."""
+    q = model.sizes[0]
+    z, e = model.at(omega)
+    weight, amplitude = model.amplitudes(omega)
+    delta = np.zeros((len(members), q))
+    for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
+        delta[:, list(group)] = (np.tan(0.5 * members[:, k]) if angle else members[:, k])[:, None]
+    found = []
+    for d in delta:
+        inner = np.linalg.solve(np.eye(q) - z[:, :q] * d, z[:, q:])
+        found.append(weight * float(np.linalg.norm((e[:, q:] + (e[:, :q] * d) @ inner) * amplitude, 2)))
+    return np.array(found)
+
+
+def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:
+    """A strip of its nodes."""
+    count = len(box)
+    return Strip(
+        box,
+        np.array([node.omega for node in nodes]),
+        tuple(np.stack([node.D[k] for node in nodes]) for k in range(count)),
+        tuple(np.stack([node.G[k] for node in nodes]) for k in range(count)),
+        np.array([node.factor for node in nodes]),
+    )
+
+
+def _widths(losses: FloatArray, box: Box) -> FloatArray:
+    """Losses, for a whole circle of an angle (which has no D, so no loss) the mean of the others."""
+    losses = np.array(losses)
+    for k, ends in enumerate(box):
+        if losses[k] == 0.0 and is_circle(*ends):
+            losses[k] = 0.5 * float(np.max(losses))
+    return losses
+
+
+def _halves(box: Box, axis: int) -> list[Box]:
+    low, high = box[axis]
+    at = 0.5 * (low + high)
+    return [(*box[:axis], part, *box[axis + 1 :]) for part in ((low, at), (at, high))]
