@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import DISTURBANCE_IN, HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
 from los_design.worst_points import WorstPoint
-from lti.eigenvectors import modes
 from lti.ports import FloatArray
 from lti.workers import Workers
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
+from robust_design.certified_loop.build import modal
 from robust_design.certified_loop.proof import Interval, packed, unpacked
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
@@ -114,16 +114,6 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
         float(weights["rpe_window"]) if metric.relative else 0.0,
         tuple(range(first, first + metric.rows.stop - metric.rows.start)), metric.limit, commands,
     )  # fmt: skip
-
-
-def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, B and C in coordinates in which A is diagonal."""
-    found = modes(np.asarray(A))
-    b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
-    for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
-        b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
-        c[:, k], c[:, k + 1] = c[:, k] + 1j * c[:, k + 1], c[:, k] - 1j * c[:, k + 1]
-    return found.poles, b, c
 
 
 def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:

@@ -1,8 +1,19 @@
 """Guaranteed worst case of sampled loops of any order, by scalings at frequencies, with a proof and its checker."""
 
 from robust_design.certified_loop.bounds import LoopBounds, prove_level
+from robust_design.certified_loop.build import box_of, loop_model
 from robust_design.certified_loop.checker import CheckedLoop, check_loop_proof
 from robust_design.certified_loop.model import LoopModel
 from robust_design.certified_loop.proof import LoopProof, Strip
 
-__all__ = ["CheckedLoop", "LoopBounds", "LoopModel", "LoopProof", "Strip", "check_loop_proof", "prove_level"]
+__all__ = [
+    "CheckedLoop",
+    "LoopBounds",
+    "LoopModel",
+    "LoopProof",
+    "Strip",
+    "box_of",
+    "check_loop_proof",
+    "loop_model",
+    "prove_level",
+]

@@ -29,6 +29,8 @@ FIRST_STEP, SHORTEST, LONGEST = 3e-3, 5e-5, 0.1
 """Relative steps of frequency: at the start of a strip, at least, at most."""
 CENTRING = 40
 """Most Newton steps to a centre."""
+FOLLOWING = 8
+"""The same from the scalings of the frequency before."""
 BISECTIONS = 3
 """Most bisections of a step in the check of a prover."""
 PART = 0.01
@@ -165,7 +167,9 @@ class _State:
             y, reached = test.feasible()
             if y is None:
                 return None, reached
-        y = test.centred(y, CENTRING)
+            y = test.centred(y, CENTRING)
+        else:
+            y = test.centred(y, FOLLOWING)
         return test.scalings(y), y
 
     def _look(self, box: Box, low: float, high: float) -> None:

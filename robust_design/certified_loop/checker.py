@@ -211,7 +211,9 @@ def scalings_allowed(strip: Strip, angle: Sequence[bool]) -> bool:
                 return False
         if circle and np.any(D):
             return False
-        if not circle and not all(positive(d / np.abs(d).max(), np.zeros(d.shape)) for d in D):
+        if not circle and not (
+            np.all(np.any(D, axis=(1, 2))) and all(positive(d / np.abs(d).max(), 0.0 * abs(d)) for d in D)
+        ):
             return False
     return bool(np.all(np.isfinite(strip.factor)) and np.all(strip.factor > 0.0))
 

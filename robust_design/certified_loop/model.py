@@ -112,11 +112,13 @@ class LoopModel:
         phi = reciprocal(constant(1j) * omega - constant(self.poles))
         growth, gain = self.growth
         error = 8.0 * UNIT * (1.0 + float(np.abs(self.poles).max()) * self.dt)
-        held = reciprocal(z - constant(growth, error))
         hold = self._hold(middle, half)
         into = self.B[:, q + d :]
         driven = constant(self.B[:, : q + d]) @ constant(V)
         own = (constant(self.C) * phi) @ driven + constant(self.D[:, : q + d]) @ constant(V)
+        if not len(self.K_C):
+            return own.rows(slice(0, q)), own.rows(list(range(q, len(self.C)))).rows(list(self.rows))
+        held = reciprocal(z - constant(growth, error))
         seen = (constant(self.C[q:]) * held) @ constant(gain[:, None] * into, error) + constant(self.D[q:, q + d :])
         felt = ((constant(self.C[:q]) * phi) @ constant(into) + constant(self.D[:q, q + d :])) * hold
         K = self._controller(z, middle, half)
@@ -132,6 +134,8 @@ class LoopModel:
         s, z = 1j * omega, np.exp(1j * omega * self.dt)
         growth, gain = self.growth
         own = (self.C / (s - self.poles)) @ self.B[:, : q + d] + self.D[:, : q + d]
+        if not len(self.K_C):
+            return own[:q], np.asarray(own[q:][list(self.rows)])
         seen = (self.C[q:] * (gain / (z - growth))) @ self.B[:, q + d :] + self.D[q:, q + d :]
         felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
@@ -149,7 +153,7 @@ class LoopModel:
     def _controller(self, z: Polynomial, middle: float, half: float) -> Polynomial:
         """Commands by measurements, with the delay of a tick and the hold of frames."""
         K = (constant(self.K_C) * reciprocal(z - constant(self.K_poles))) @ constant(self.K_B) + constant(self.K_D)
-        ticks = np.arange(int(self.frame.max()))
+        ticks = np.arange(int(self.frame.max(initial=1)))
         waves = exponential(-ticks * middle * self.dt, -ticks * half * self.dt)
         held = np.stack([np.where(ticks < n, 1.0 / n, 0.0) for n in self.frame])
         frames = constant(held, 2.0 * UNIT) @ waves[:, None]

@@ -1,0 +1,202 @@
+"""Proofs of sampled loops: enclosures against single frequencies, known worst cases, proofs that are altered."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lti import Port, RealParameter, SampledSystem, UncertainSystem
+from robust_design.certified import ProofError
+from robust_design.certified_loop import LoopModel, LoopProof, box_of, check_loop_proof, loop_model, prove_level
+from robust_design.certified_loop.bounds import member_gains
+from robust_design.certified_loop.polynomials import Polynomial, exponential, inverse, reciprocal
+
+DT = 0.01
+NYQUIST = math.pi / DT
+ZETA = 0.05
+
+
+def oscillator(low: float = 0.8, high: float = 1.3) -> UncertainSystem:
+    """Unit mass on a spring of uncertain stiffness k, damping 2 zeta; position by force: largest gain at the least k."""
+    k = RealParameter("k", 1.0, low, high)
+    A, B, C = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0], [-1.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
+    return UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("k",), (k,))
+
+
+def peak(k: float) -> float:
+    """Peak of 1 / |k - w^2 + 2 j zeta w|."""
+    return 1.0 / (2.0 * ZETA * math.sqrt(k - ZETA**2))
+
+
+def held_loop() -> tuple[UncertainSystem, SampledSystem]:
+    """The oscillator with a force command and a measured velocity, under a sampled velocity feedback with a lag."""
+    k = RealParameter("k", 1.0, 0.8, 1.3)
+    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
+    C, D = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
+    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
+    plant = UncertainSystem(A, B, C, D, inputs, outputs, ("k",), (k,))
+    law = SampledSystem([[0.8]], [[0.2]], [[-0.3]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
+    return plant, law
+
+
+def proof_of(system: UncertainSystem, level: float) -> LoopProof:
+    model = loop_model(system, DT)
+    bounds = prove_level(model, box_of(system), (0.0, NYQUIST), level)
+    assert not bounds.uncovered
+    names = tuple(p.name for p in system.parameters)
+    return LoopProof(model, names, box_of(system), (0.0, NYQUIST), level, tuple(bounds.strips))
+
+
+@pytest.fixture(scope="module")
+def proof() -> LoopProof:
+    return proof_of(oscillator(), 1.02 * peak(0.8))
+
+
+def inside(p: Polynomial, t: float, value: NDArray[np.complex128]) -> bool:
+    found = sum(c * t**k for k, c in enumerate(p.c))
+    return bool(np.all(np.abs(found - value) <= p.rad + 1e-13 * np.abs(value) + 1e-300))
+
+
+def test_polynomials_enclose_what_they_stand_for() -> None:
+    rng = np.random.default_rng(0)
+    for half in (1e-3, 0.05, 0.3):
+        middle = rng.uniform(0.0, 3.0, 4)
+        wave = exponential(middle, half * np.ones(4))
+        matrix = rng.normal(size=(4, 4)) + 3.0 * np.eye(4)
+        whole = Polynomial(np.stack([matrix, 0.3 * half * rng.normal(size=(4, 4))]).astype(complex))
+        shifted = wave + Polynomial(np.full((1, 4), 1.5, complex))
+        for t in (-1.0, -0.4, 0.0, 0.7, 1.0):
+            at = np.exp(1j * (middle + half * t))
+            assert inside(wave, t, at)
+            assert inside(reciprocal(shifted), t, 1.0 / (1.5 + at))
+            assert inside(inverse(whole), t, np.linalg.inv(whole.c[0] + t * whole.c[1]))
+            assert inside(wave * wave, t, at**2)
+            assert inside(whole @ whole, t, np.linalg.matrix_power(whole.c[0] + t * whole.c[1], 2))
+
+
+def test_what_may_be_singular_is_refused() -> None:
+    around_zero = Polynomial(np.array([[0.1], [0.2]], dtype=complex))
+    with pytest.raises(ArithmeticError, match="may be zero"):
+        reciprocal(around_zero)
+    with pytest.raises(ArithmeticError, match="may be singular"):
+        inverse(Polynomial(around_zero.c[:2, :, None]))
+
+
+@pytest.mark.parametrize("half", [0.001, 0.02])
+def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> None:
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    V = np.eye(2, dtype=complex)
+    z, e = model.responses(1.0, half, V)
+    for t in np.linspace(-1.0, 1.0, 9):
+        channels, errors = model.at(1.0 + half * t)
+        assert inside(z, float(t), channels) and inside(e, float(t), errors)
+
+
+def test_the_model_has_the_sampled_response_of_the_nominal_loop() -> None:
+    """Error by disturbance: what is sampled is stepped in time with a sinusoidal force."""
+    plant, law = held_loop()
+    omega = 0.9
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    _, errors = model.at(omega)
+    n = 2
+    data = plant.data_at({})
+    # one tick of state, held command and the force's two states exp(j w t)
+    whole = np.zeros((n + 3, n + 3))
+    whole[:n, :n], whole[:n, n], whole[:n, n + 1] = data.A, data.B[:, 1], data.B[:, 0]
+    whole[n + 1, n + 2], whole[n + 2, n + 1] = -omega, omega
+    from scipy.linalg import expm
+
+    step = expm(whole * DT)
+    x, command, filtered, force = np.zeros(n), 0.0, 0.0, np.array([1.0, 0.0])
+    found = []
+    ticks = 60000
+    for k in range(ticks):
+        measured = data.C[0] @ x
+        following = -0.3 * filtered
+        filtered = 0.8 * filtered + 0.2 * measured
+        if k >= ticks - 2 * round(2.0 * math.pi / (omega * DT)):
+            found.append((k, data.C[1] @ x))
+        after = step @ np.concatenate([x, [command], force])
+        x, force, command = after[:n], after[n + 1 :], following
+    times = np.array([k for k, _ in found]) * DT
+    basis = np.stack([np.cos(omega * times), np.sin(omega * times)], axis=1)
+    a, b = np.linalg.lstsq(basis, np.array([value for _, value in found]), rcond=None)[0]
+    assert a - 1j * b == pytest.approx(complex(errors[0, 1]), rel=2e-4)
+
+
+def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None:
+    checked = check_loop_proof(proof)
+    assert checked.band == (0.0, NYQUIST) and checked.strips == len(proof.strips)
+    truth = peak(0.8)
+    omega = math.sqrt(0.8 - 2.0 * ZETA**2)
+    assert float(member_gains(proof.model, omega, np.array([[-0.2]]))[0]) == pytest.approx(truth, rel=1e-9)
+    assert truth < proof.level
+
+
+def test_no_proof_below_the_truth() -> None:
+    """A level just below the worst case: a member that exceeds it, or open parts, never a proof."""
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, 5.0), 0.999 * peak(0.8))
+    assert bounds.uncovered or bounds.lower >= 0.999 * peak(0.8)
+
+
+def test_an_unstable_member_is_never_covered() -> None:
+    """Negative damping beyond d = 0: a pole crosses the axis inside the box."""
+    d = RealParameter("d", 0.1, -0.02, 0.2)
+    A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
+    system = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("d",), (d,))
+    bounds = prove_level(loop_model(system, DT), box_of(system), (0.5, 2.0), 1e3)
+    assert bounds.uncovered or bounds.lower >= 1e3
+
+
+def test_a_file_gives_the_proof_again(proof: LoopProof, tmp_path: Path) -> None:
+    path = tmp_path / "proof.npz"
+    proof.to_file(path)
+    assert check_loop_proof(path).windows == check_loop_proof(proof).windows
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(ProofError):
+        check_loop_proof(path)
+
+
+def with_strip(proof: LoopProof, **changes: object) -> LoopProof:
+    strips = list(proof.strips)
+    strips[0] = dataclasses.replace(strips[0], **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(proof, strips=tuple(strips))
+
+
+def louder(model: LoopModel) -> LoopModel:
+    return dataclasses.replace(model, C=1.05 * model.C)
+
+
+CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
+    "strip removed": lambda p: dataclasses.replace(p, strips=p.strips[1:]),
+    "box widened": lambda p: with_strip(p, box=((p.box[0][0] - 0.1, p.box[0][1]),), **{}),
+    "claim widened": lambda p: dataclasses.replace(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
+    "band widened": lambda p: dataclasses.replace(
+        p, strips=(dataclasses.replace(p.strips[0], nodes=p.strips[0].nodes * np.linspace(1.0, 0.9, len(p.strips[0].nodes))), *p.strips[1:])
+    ),
+    "level lowered": lambda p: dataclasses.replace(p, level=0.97 * peak(0.8)),
+    "D negative": lambda p: with_strip(p, D=tuple(-d for d in p.strips[0].D)),
+    "D zero": lambda p: with_strip(p, D=tuple(0.0 * d for d in p.strips[0].D)),
+    "G turned": lambda p: with_strip(p, G=tuple(-g for g in p.strips[0].G)),
+    "not Hermitian": lambda p: with_strip(p, G=tuple(g + 1e-3j for g in p.strips[0].G)),
+    "factor negative": lambda p: with_strip(p, factor=-p.strips[0].factor),
+    "factor infinite": lambda p: with_strip(p, factor=np.inf * p.strips[0].factor),
+    "nodes exchanged": lambda p: with_strip(p, nodes=p.strips[0].nodes[::-1].copy()),
+    "another plant": lambda p: dataclasses.replace(p, model=louder(p.model)),
+    "no strips": lambda p: dataclasses.replace(p, strips=()),
+    "another limit": lambda p: dataclasses.replace(p, model=dataclasses.replace(p.model, scale=0.9)),
+    "beyond Nyquist": lambda p: dataclasses.replace(p, band=(0.0, 1.1 * NYQUIST)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_proof_is_refused(proof: LoopProof, name: str) -> None:
+    with pytest.raises(ProofError):
+        check_loop_proof(CHANGES[name](proof))
