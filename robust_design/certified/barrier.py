@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
 GROWTH = 8.0
 """Factor by which the weight of the objective grows from one centre to the next."""
+SMALL = 64
+"""Largest product of the sizes of two blocks whose second derivatives are formed in one piece."""
 CENTRED = 0.3
 """Newton decrement at which a point counts as centred."""
 
@@ -239,13 +241,31 @@ class Problem:
         number = [i for i, block in enumerate(self.blocks) if block.kind != FULL]
         for i in number:
             for j in number[number.index(i) :]:
+                k, m = (self.blocks[n].Z.shape[0] for n in (i, j))
+                if k * m <= SMALL:
+                    whole = [slice(self.at[n][0].start, self.at[n][1].stop) for n in (i, j)]
+                    rows, columns = (self._variables(n) for n in (i, j))
+                    A, B = inner[whole[0], whole[1]], inner[whole[1], whole[0]]
+                    full = np.multiply.outer(A, B).transpose(3, 0, 1, 2).reshape(4 * k * k, 4 * m * m)
+                    left, right = (_sparse_form(self.blocks[n].kind, size) for n, size in ((i, k), (j, m)))
+                    curvature[rows, columns] = (right @ (left @ full).T).T.real
+                    continue
                 for part, terms in zip(self.slices[i], _terms(*self.at[i])):
                     for other, others in zip(self.slices[j], _terms(*self.at[j])):
                         if part is None or other is None or other.start < part.start:
                             continue
                         curvature[part, other] = _products(
-                            [(c1 * c2 * inner[R1, L2], inner[R2, L1]) for c1, L1, R1 in terms for c2, L2, R2 in others]
+                            [
+                                (c1 * c2 * inner[R1, L2], inner[R2, L1])
+                                for c1, L1, R1 in terms
+                                for c2, L2, R2 in others
+                            ]
                         )
+
+    def _variables(self, number: int) -> slice:
+        """Variables of a block, those of D before those of G."""
+        parts = [part for part in self.slices[number] if part is not None]
+        return slice(parts[0].start, parts[-1].stop)
 
     def line_search(self, y: FloatArray, step: FloatArray, weight: float, decrement: float) -> FloatArray:
         before, length = self.value(y, weight), 1.0
@@ -295,6 +315,17 @@ def _basis(k: int) -> ComplexArray:
     result: ComplexArray = np.stack([c.ravel() for c in columns], axis=1)
     result.flags.writeable = False
     return result
+
+
+@lru_cache(maxsize=64)
+def _sparse_form(kind: str, k: int) -> Any:
+    """Matrices ``[[D, j G / 2], [-j G / 2, -D]]`` of the variables of a block as rows (variables, 4 k^2)."""
+    basis = _basis(k).T.reshape(k * k, k, k)
+    D, G = np.zeros((2, k * k, 2 * k, 2 * k), complex)
+    D[:, :k, :k], D[:, k:, k:] = basis, -basis
+    G[:, :k, k:], G[:, k:, :k] = 0.5j * basis, -0.5j * basis
+    parts = ([D] if kind != ANY_REAL else []) + ([G] if kind in (REAL, ANY_REAL) else [])
+    return sparse.csr_array(np.concatenate(parts).reshape(-1, 4 * k * k))
 
 
 @lru_cache(maxsize=64)
