@@ -37,7 +37,7 @@ NYQUIST = math.pi / DT
 PART = 0.12
 """Length of a part of a band, of log frequency."""
 SLOWEST_PART = 0.3
-"""Upper end of the first part of a band from zero [rad/s]."""
+"""Upper end of the first part of a band that begins below it [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -148,24 +148,23 @@ def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
 
 
 def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """Figures of a stage that are proven, with bands that reach from zero to half of the sampling rate together."""
+    """Figures of a stage that are proven; their bands reach up to half of the sampling rate."""
     chosen = {}
     for name, metric in loop_metrics(parameters, stage).items():
         if metric.columns != DISTURBANCE_IN:
             continue
         low, high = metric.band
-        chosen[name] = replace(metric, band=(0.0 if low <= 1e-2 else low, NYQUIST if high >= HIGHEST else high))
+        chosen[name] = replace(metric, band=(low, NYQUIST if high >= HIGHEST else high))
     return chosen
 
 
 def parts_of(band: Interval) -> list[Interval]:
     """A band cut into parts."""
     low, high = band
-    first = [low] if low > 0.0 else [0.0, min(SLOWEST_PART, high)]
-    count = max(1, math.ceil(math.log(high / first[-1]) / PART)) if high > first[-1] else 0
-    cuts = [*first, *(first[-1] * (high / first[-1]) ** (k / count) for k in range(1, count)), high]
-    cuts = sorted(set(cuts))
-    return list(itertools.pairwise(cuts))
+    first = min(max(low, SLOWEST_PART), high)
+    count = math.ceil(math.log(high / first) / PART)
+    cuts = {low, first, high, *(first * (high / first) ** (k / count) for k in range(1, count))}
+    return list(itertools.pairwise(sorted(cuts)))
 
 
 @dataclass(frozen=True)
@@ -262,7 +261,7 @@ def certify_figure(
         raise ValueError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
-    key = hashlib.sha256(repr((box, target)).encode())
+    key = hashlib.sha256(repr((box, target, model.window, model.rows, model.scale, model.commands)).encode())
     for array in (
         model.poles,
         model.C,

@@ -255,11 +255,7 @@ class Problem:
                         if part is None or other is None or other.start < part.start:
                             continue
                         curvature[part, other] = _products(
-                            [
-                                (c1 * c2 * inner[R1, L2], inner[R2, L1])
-                                for c1, L1, R1 in terms
-                                for c2, L2, R2 in others
-                            ]
+                            [(c1 * c2 * inner[R1, L2], inner[R2, L1]) for c1, L1, R1 in terms for c2, L2, R2 in others]
                         )
 
     def _variables(self, number: int) -> slice:

@@ -35,7 +35,7 @@ BISECTIONS = 3
 """Most bisections of a step in the check of a prover."""
 PART = 0.01
 """Part of the band, relative to its frequency, for which a box is bisected."""
-LOWEST = 1e-4
+LOWEST = 1e-3
 """Least frequency [rad/s] of scalings; below it the same ones are used."""
 DEEPEST = 14
 """Most bisections of the box."""

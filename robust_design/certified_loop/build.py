@@ -70,9 +70,8 @@ def loop_model(
     poles, B, C = modal(chosen.A, chosen.B, chosen.C)
     if not np.all(np.isfinite(B)) or not np.all(poles.real < 0.0):
         raise ValueError("the nominal plant must be stable, with poles that can be separated, got another")
-    K_poles, K_B, K_C = np.zeros(0, complex), np.zeros((0, y), complex), np.zeros((u, 0), complex)
-    if controller is not None and controller.order:
-        K_poles, K_B, K_C = modal(controller.A, controller.B, controller.C)
+    none = np.zeros((0, 0)), np.zeros((0, y)), np.zeros((u, 0))
+    K_poles, K_B, K_C = modal(*(none if controller is None else (controller.A, controller.B, controller.C)))
     K_D = np.zeros((u, y)) if controller is None else np.asarray(controller.D)
     width = chosen.B.shape[1] - q - u
     rows = u if bound_commands else chosen.C.shape[0] - q - y
@@ -92,6 +91,8 @@ def box_of(system: UncertainSystem) -> tuple[Interval, ...]:
 
 def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Poles, B and C in coordinates in which A is diagonal."""
+    if not len(A):
+        return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
     found = modes(np.asarray(A))
     b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
     for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors

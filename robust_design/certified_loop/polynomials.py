@@ -92,7 +92,8 @@ class Polynomial:
     def __getitem__(self, key: object) -> Polynomial:
         """Index of the matrix dimensions, as of an ndarray."""
         inner = key if isinstance(key, tuple) else (key,)
-        return Polynomial(self.c[(slice(None), *inner)], self.rad[inner])
+        whole = (slice(None), *inner)
+        return Polynomial(self.c[whole], self.rad[inner])
 
 
 def constant(value: ComplexArray | FloatArray | complex, error: float = 0.0) -> Polynomial:

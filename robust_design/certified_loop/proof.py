@@ -125,8 +125,10 @@ def packed(strips: Sequence[Strip], parameters: int) -> dict[str, Any]:
         "factors": np.concatenate([np.zeros(0), *(strip.factor for strip in strips)]),
     }
     for k in range(parameters if strips else 0):
-        arrays[f"D{k}"] = np.concatenate([strip.D[k] for strip in strips])
-        arrays[f"G{k}"] = np.concatenate([strip.G[k] for strip in strips])
+        for name, matrices in (("D", [strip.D[k] for strip in strips]), ("G", [strip.G[k] for strip in strips])):
+            whole = np.concatenate(matrices)
+            single = whole.astype(np.complex64)
+            arrays[f"{name}{k}"] = single if np.array_equal(single, whole) else whole
     return arrays
 
 
@@ -140,8 +142,8 @@ def unpacked(arrays: Mapping[str, Any], parameters: int) -> tuple[Strip, ...]:
             Strip(
                 tuple((float(a), float(b)) for a, b in box),
                 arrays["nodes"][part],
-                tuple(arrays[f"D{k}"][part] for k in range(parameters)),
-                tuple(arrays[f"G{k}"][part] for k in range(parameters)),
+                tuple(arrays[f"D{k}"][part].astype(complex) for k in range(parameters)),
+                tuple(arrays[f"G{k}"][part].astype(complex) for k in range(parameters)),
                 arrays["factors"][part],
             )
         )

@@ -152,4 +152,5 @@ def _factors(angle: bool, low: float, high: float) -> tuple[float, float]:
 
 
 def _hermitian(matrix: ComplexArray) -> ComplexArray:
-    return np.asarray(0.5 * (matrix + matrix.conj().T))
+    """Hermitian part in single precision: files are half as large, and what is stored is what is checked."""
+    return np.asarray((0.5 * (matrix + matrix.conj().T)).astype(np.complex64), dtype=complex)

@@ -23,9 +23,10 @@ ZETA = 0.05
 
 
 def oscillator(low: float = 0.8, high: float = 1.3) -> UncertainSystem:
-    """Unit mass on a spring of uncertain stiffness k, damping 2 zeta; position by force: largest gain at the least k."""
+    """Unit mass on a spring of uncertain stiffness k, damping 2 zeta; position by force, worst at the least k."""
     k = RealParameter("k", 1.0, low, high)
-    A, B, C = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0], [-1.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
+    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0], [-1.0, 1.0]]
+    C = [[1.0, 0.0], [1.0, 0.0]]
     return UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("k",), (k,))
 
 
@@ -142,7 +143,7 @@ def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None
 
 def test_no_proof_below_the_truth() -> None:
     """A level just below the worst case: a member that exceeds it, or open parts, never a proof."""
-    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, 5.0), 0.999 * peak(0.8))
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.85, 0.93), 0.999 * peak(0.8))
     assert bounds.uncovered or bounds.lower >= 0.999 * peak(0.8)
 
 
@@ -151,7 +152,7 @@ def test_an_unstable_member_is_never_covered() -> None:
     d = RealParameter("d", 0.1, -0.02, 0.2)
     A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
     system = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("d",), (d,))
-    bounds = prove_level(loop_model(system, DT), box_of(system), (0.5, 2.0), 1e3)
+    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3)
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
@@ -176,11 +177,9 @@ def louder(model: LoopModel) -> LoopModel:
 
 CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
     "strip removed": lambda p: dataclasses.replace(p, strips=p.strips[1:]),
-    "box widened": lambda p: with_strip(p, box=((p.box[0][0] - 0.1, p.box[0][1]),), **{}),
+    "box widened": lambda p: with_strip(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
     "claim widened": lambda p: dataclasses.replace(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
-    "band widened": lambda p: dataclasses.replace(
-        p, strips=(dataclasses.replace(p.strips[0], nodes=p.strips[0].nodes * np.linspace(1.0, 0.9, len(p.strips[0].nodes))), *p.strips[1:])
-    ),
+    "frequencies moved": lambda p: with_strip(p, nodes=0.99 * p.strips[0].nodes),
     "level lowered": lambda p: dataclasses.replace(p, level=0.97 * peak(0.8)),
     "D negative": lambda p: with_strip(p, D=tuple(-d for d in p.strips[0].D)),
     "D zero": lambda p: with_strip(p, D=tuple(0.0 * d for d in p.strips[0].D)),

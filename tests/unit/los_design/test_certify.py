@@ -1,0 +1,135 @@
+"""Guaranteed bounds of the telescope's loop: the model that is proven, parts, violated levels."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from los_design.certify import (
+    NYQUIST,
+    Part,
+    box_of,
+    certify_figure,
+    figures_of,
+    parts_of,
+    prove_part,
+    telescope_model,
+)
+from los_design.implemented_loop import ImplementedLoop
+from los_design.store import load_designs
+from los_design.worst_points import WorstPoint
+from lti import SampledSystem
+from lti.workers import Workers
+from robust_design.certified import ProofError
+from robust_design.certified_loop import LoopProof, check_loop_proof
+from robust_design.certified_loop.bounds import member_gains
+from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+BAND = (200.0, 212.0)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+@pytest.fixture(scope="module")
+def system(parameters):
+    return control_loop_plant(telescope(), parameters)
+
+
+@pytest.fixture(scope="module")
+def loop(system, parameters) -> ImplementedLoop:
+    return ImplementedLoop(system, parameters, *load_designs("implemented"), "fsm+pma")
+
+
+@pytest.fixture(scope="module")
+def part(loop: ImplementedLoop, tmp_path_factory: pytest.TempPathFactory) -> Part:
+    model = telescope_model(loop, figures_of(loop.parameters, loop.stage)["fast"])
+    return Part(model, box_of(loop), BAND, 1.0, math.inf, tmp_path_factory.mktemp("parts") / "000.npz")
+
+
+def deviations(loop: ImplementedLoop, points) -> np.ndarray:
+    """Points of the unit cube as deviations from the nominal values, the angle [rad]."""
+    values = loop.open.low + points * loop.open.width - loop.open.nominal
+    values[:, -1] = 4.0 * np.arctan(values[:, -1])
+    return values
+
+
+@pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
+def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, parameters) -> None:
+    """All figures, random members and frequencies; 16 occurrences of the angle in place of 32."""
+    loop = ImplementedLoop(system, parameters, *load_designs("implemented"), stage)
+    rng = np.random.default_rng(3)
+    for metric in figures_of(parameters, stage).values():
+        model = telescope_model(loop, metric)
+        assert model.sizes[0] == 32
+        low, high = max(metric.band[0], 0.02), min(metric.band[1], 3000.0)
+        for omega in np.exp(rng.uniform(np.log(low), np.log(high), 4)):
+            points = rng.uniform(size=(5, 7))
+            expected = loop.gains(loop.at(float(omega)), metric, points)
+            np.testing.assert_allclose(member_gains(model, float(omega), deviations(loop, points)), expected, rtol=1e-5)
+
+
+def test_bands_and_parts_leave_no_frequency_out(parameters) -> None:
+    figures = figures_of(parameters, "fsm+pma")
+    assert set(figures) == {"APE", "slow", "fast", "mirror", "force"}
+    assert figures["slow"].band[1] == figures["fast"].band[0] and figures["fast"].band[1] == NYQUIST
+    for metric in figures.values():
+        parts = parts_of(metric.band)
+        assert parts[0][0] == metric.band[0] and parts[-1][1] == metric.band[1]
+        assert all(before[1] == after[0] for before, after in itertools.pairwise(parts))
+
+
+def test_a_part_of_the_band_is_proven_checked_and_kept(part: Part, loop: ImplementedLoop) -> None:
+    found = prove_part(part)
+    assert found.finished and not found.uncovered and part.file.exists()
+    again = prove_part(part)
+    assert len(again.strips) == len(found.strips) and again.seconds == found.seconds
+    names = tuple(p.name for p in loop.system.parameters)
+    proof = LoopProof(part.model, names, part.box, BAND, 1.0, again.strips)
+    assert check_loop_proof(proof).windows >= found.windows > 0
+    louder = dataclasses.replace(part.model, C=4.0 * part.model.C)
+    with pytest.raises(ProofError):
+        check_loop_proof(dataclasses.replace(proof, model=louder))
+    with pytest.raises(ProofError, match="hole"):
+        check_loop_proof(dataclasses.replace(proof, band=(199.0, 212.0)))
+
+
+def test_a_part_without_time_is_open_and_not_kept(part: Part, tmp_path: Path) -> None:
+    late = dataclasses.replace(part, until=time.monotonic() - 1.0, file=tmp_path / "000.npz")
+    found = prove_part(late)
+    assert not found.finished and found.uncovered == [BAND] and not late.file.exists()
+
+
+def test_the_level_of_a_known_worst_point_is_violated(system, parameters, tmp_path: Path) -> None:
+    """Controllers of before, without margins: 40 mas is broken by 1.484."""
+    pair = [SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma")]
+    loop = ImplementedLoop(system, parameters, *pair, "fsm+pma")
+    values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
+    known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
+    with Workers() as workers:
+        found = certify_figure(
+            loop, "fast", 1.0, 0.0, known, tmp_path, workers, time.monotonic() + 600.0, lambda done, total: None
+        )
+    assert found.status == "violated" and found.lower > 1.47 and math.isinf(found.upper)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_no_part_is_proven_below_a_gain_that_is_reached(part: Part, tmp_path: Path) -> None:
+    """A level 2 % below the gain of a member in the band: never covered."""
+    rng = np.random.default_rng(0)
+    members = np.array(part.box)[:, 0] + rng.uniform(size=(40, 7)) * np.ptp(np.array(part.box), axis=1)
+    reached = max(float(member_gains(part.model, omega, members).max()) for omega in np.linspace(200.5, 201.5, 7))
+    low = dataclasses.replace(part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz",
+                              until=time.monotonic() + 20.0)  # fmt: skip
+    found = prove_part(low)
+    assert found.uncovered
