@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -103,6 +104,20 @@ def test_a_folder_that_another_process_writes_to_is_refused(tmp_path: Path) -> N
             ResultFolder(folder.path).check(True)
         assert partial.exists()
     ResultFolder(folder.path).check(True)
+
+
+def test_a_part_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyarrow")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    asked, folder = campaign(), ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        folder.write(0, rows(asked, 0))
+    assert list((folder.path / "rows").iterdir()) == []
 
 
 def test_parts_with_crashed_members_or_that_cannot_be_read_are_computed_again(tmp_path: Path) -> None:

@@ -271,11 +271,15 @@ def _crashed(part: Path) -> bool:
 
 def _write_whole(path: Path, content: bytes) -> None:
     partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:  # a full disk, a key
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def _short(value: Any) -> str:
