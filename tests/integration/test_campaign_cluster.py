@@ -8,12 +8,15 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.execution import _fetched as fetched
+from los_testbed.campaign.execution import _one_by_one as one_by_one
 from los_testbed.campaign.execution import _portable as portable
 from los_testbed.campaign.execution import check_workers, cluster, evaluate_chunk, identity, run_campaign
 from los_testbed.cli.app import main
@@ -153,6 +156,34 @@ def test_lost_workers_and_a_lost_scheduler_end_the_campaign_and_resume_completes
 
 
 @pytest.mark.slow
+def test_rows_that_a_lost_worker_had_are_computed_again_and_not_waited_for_without_workers(
+    undisturbed: ResultFolder, processes: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a chunk that was finished but not fetched, and of members that are computed alone."""
+    monkeypatch.setattr("los_testbed.campaign.execution.PATIENCE", 1.0)
+    monkeypatch.setattr("los_testbed.campaign.execution.LOOK", 0.2)
+    first = processes.worker("first")
+    processes.wait(1)
+    (_, members), *_ = asked().chunks()
+    content = portable(BASE, identity(BASE))
+    message = r"no worker is left since 1 s, the rows so far are kept; go on with --resume"
+    with cluster(processes.address, 0) as client:
+        future = client.submit(evaluate_chunk, content, members, "time", pure=False)
+        while not future.done():
+            time.sleep(0.01)
+        first.kill()
+        while client.scheduler_info(n_workers=-1)["workers"]:
+            time.sleep(0.01)
+        with pytest.raises(RuntimeError, match=message):
+            fetched(client, future)
+        with pytest.raises(RuntimeError, match=message):
+            one_by_one(client, content, members, asked())
+        monkeypatch.setattr("los_testbed.campaign.execution.PATIENCE", 1e9)
+        processes.worker("second")
+        assert fetched(client, future) == undisturbed.table().slice(0, 10).to_pylist()
+
+
+@pytest.mark.slow
 def test_workers_without_memory_end_the_campaign_and_resume_completes_it(
     processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +254,46 @@ def test_unreachable_scheduler_is_one_line(
         and "scheduler must be the address of a running Dask scheduler, got tcp://127.0.0.1:9" in captured
     )
     assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (b"", "no answer within 1 s"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers is not Dask"),
+        (bytes(64), "unpack_from requires a buffer"),
+    ],
+)
+def test_address_of_another_program_is_refused(answer: bytes, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent one, a web server, one that sends zeros."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    connection, _ = server.accept()
+                    connections.append(connection)
+                    connection.sendall(answer)
+
+        connections: list[socket.socket] = []
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        message = f"scheduler must be the address of a running Dask scheduler, got {address}: {reason}"
+        with pytest.raises(ValueError, match=message), cluster(address, 0):
+            pass
+    for connection in connections:
+        connection.close()
+
+
+def test_address_of_a_worker_is_refused() -> None:
+    pytest.importorskip("distributed")
+    with cluster("", 1) as client:
+        (worker,) = client.scheduler_info(n_workers=-1)["workers"]
+        message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker answers"
+        with pytest.raises(ValueError, match=message), cluster(worker, 0):
+            pass
 
 
 def test_worker_with_other_parameters_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -84,12 +85,39 @@ def test_rows_come_back_in_order_and_partial_files_are_forgotten(tmp_path: Path)
         folder.write(number, rows(asked, number))
     (folder.path / "rows" / "part-0000001.parquet.partial").write_bytes(b"half")
     assert folder.open(asked, True) == {0, 2}
-    assert not list((folder.path / "rows").glob("*.partial"))
+    with folder.alone():
+        assert not list((folder.path / "rows").glob("*.partial"))
     expected = rows(asked, 0) + rows(asked, 2)
     assert folder.table().to_pylist() == expected
     first = folder.rows_hash()
     folder.write(1, rows(asked, 1))
     assert folder.rows_hash() != first and folder.table().num_rows == 23
+
+
+def test_a_folder_that_another_process_writes_to_is_refused(tmp_path: Path) -> None:
+    folder = ResultFolder(tmp_path / "c")
+    folder.open(campaign(), False)
+    with folder.alone():
+        partial = folder.path / "rows" / "part-0000001.parquet.partial"
+        partial.write_bytes(b"half")
+        with pytest.raises(ValueError, match="c must not be written to by another process, got one that does"):
+            ResultFolder(folder.path).check(True)
+        assert partial.exists()
+    ResultFolder(folder.path).check(True)
+
+
+def test_a_part_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyarrow")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    asked, folder = campaign(), ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        folder.write(0, rows(asked, 0))
+    assert list((folder.path / "rows").iterdir()) == []
 
 
 def test_parts_with_crashed_members_or_that_cannot_be_read_are_computed_again(tmp_path: Path) -> None:

@@ -7,6 +7,9 @@ on when or where it was computed.
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -139,13 +142,17 @@ class ResultFolder:
         Raises
         ------
         ValueError
-            It exists and `resume` is not asked for; it holds no campaign; it cannot be made or written to.
+            It exists and `resume` is not asked for; it holds no campaign; another process writes to it; it cannot be
+            made or written to.
         """
         if resume:
             read_manifest(self.path)
         elif self.path.exists():
             raise ValueError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
         check_output(self.path, "output", folder=True)
+        if resume:
+            with self.alone():
+                pass
 
     def compare(self, campaign: Campaign) -> None:
         """Refuse another campaign than the one that the folder holds.
@@ -178,9 +185,30 @@ class ResultFolder:
             return frozenset()
         self.compare(campaign)
         (self.path / ROWS).mkdir(exist_ok=True)
-        for left in (self.path / ROWS).glob("*.partial"):
-            left.unlink()
         return frozenset(int(file.stem.split("-")[1]) for file in self.parts() if not _crashed(file))
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """No other process writes rows here during the block; what one that was killed left half written is removed.
+
+        The lock is the system's and ends with the process. On file systems without locks there is none.
+
+        Raises
+        ------
+        ValueError
+            Another process does.
+        """
+        with (self.path / MANIFEST).open("r+b") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ValueError(f"{self.path} must not be written to by another process, got one that does") from None
+            except OSError as error:
+                if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                    raise
+            for left in (self.path / ROWS).glob("*.partial"):
+                left.unlink(missing_ok=True)
+            yield
 
     def parts(self) -> list[Path]:
         """Files of rows, in the order of the members."""
@@ -243,11 +271,15 @@ def _crashed(part: Path) -> bool:
 
 def _write_whole(path: Path, content: bytes) -> None:
     partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:  # a full disk, a key
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def _short(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import contextlib
 import hashlib
@@ -86,14 +87,8 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
     except ImportError:
         raise ValueError("dask.distributed must be installed: pip install 'los-testbed[campaign]'") from None
     if scheduler:
-        try:
-            client = Client(scheduler, timeout=CONNECT)
-        except (OSError, ValueError, TypeError) as error:
-            text = str(error) or type(error).__name__
-            raise ValueError(
-                f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {text}"
-            ) from None
-        with client:
+        _check_address(scheduler)
+        with Client(scheduler, timeout=CONNECT) as client:
             if not client.scheduler_info(n_workers=-1)["workers"]:
                 raise ValueError(f"scheduler must have workers, got none at {scheduler}")
             yield client
@@ -102,6 +97,34 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
     count = workers or len(os.sched_getaffinity(0))
     with local_cluster(count) as processes, Client(processes) as client:
         yield client
+
+
+def _check_address(scheduler: str) -> None:
+    """Refuse an address where no Dask scheduler answers: nothing, a program that is silent, or one that is not Dask's.
+
+    Dask itself waits for the answer of a silent one without an end.
+    """
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    async def identity_there() -> dict[str, Any]:
+        async with rpc(scheduler, timeout=CONNECT, connection_args=Security().get_connection_args("client")) as there:
+            found: dict[str, Any] = await there.identity()
+            return found
+
+    try:
+        kind = asyncio.run(asyncio.wait_for(identity_there(), CONNECT + 1.0)).get("type")
+    except asyncio.TimeoutError:
+        reason = f"no answer within {CONNECT:g} s"
+    except MemoryError:  # for a length that is none
+        reason = "what answers is not Dask"
+    except Exception as error:  # whatever Dask makes of the bytes of another program
+        reason = " ".join(str(error).split()) or type(error).__name__
+    else:
+        if kind == "Scheduler":
+            return
+        reason = f"a {kind} answers"
+    raise ValueError(f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {reason}")
 
 
 def check_workers(campaign: Campaign, client: Any) -> None:
@@ -143,9 +166,24 @@ def run_campaign(
 
     Raises
     ------
+    ValueError
+        Another process writes to the folder.
     RuntimeError
         The scheduler was lost, a worker has another installation, or rows cannot be written; what was written stays.
     """
+    with folder.alone():
+        try:
+            _compute(campaign, folder, client, done, progress)
+        except (CancelledError, TimeoutError, asyncio.TimeoutError, OSError) as error:
+            text = " ".join(str(error).split()) or type(error).__name__
+            raise RuntimeError(f"the scheduler was lost, {KEPT} ({text})") from None
+        except WorkerMismatchError as error:
+            raise RuntimeError(f"{error}; {KEPT}") from None
+
+
+def _compute(
+    campaign: Campaign, folder: ResultFolder, client: Any, done: frozenset[int], progress: Callable[[int], None]
+) -> None:
     from distributed import as_completed
 
     content = _portable(campaign.base, campaign.identity)
@@ -161,30 +199,25 @@ def run_campaign(
 
     slots = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
     pending = as_completed([future for future in (submit() for _ in range(slots)) if future is not None])
-    try:
-        while not pending.is_empty():
-            for future in _finished(pending, client):
-                number, members = known.pop(future)
-                rows = _rows(client, future, content, members, campaign)
-                _written(folder, number, rows)
-                progress(len(rows))
-                following = submit()
-                if following is not None:
-                    pending.add(following)
-    except (CancelledError, TimeoutError, OSError) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise RuntimeError(f"the scheduler was lost, {KEPT} ({text})") from None
-    except WorkerMismatchError as error:
-        raise RuntimeError(f"{error}; {KEPT}") from None
+    while not pending.is_empty():
+        _wait(pending.has_ready, client)
+        for future in pending.next_batch(block=False):
+            number, members = known.pop(future)
+            rows = _rows(client, future, content, members, campaign)
+            _written(folder, number, rows)
+            progress(len(rows))
+            following = submit()
+            if following is not None:
+                pending.add(following)
 
 
 KEPT = "the rows so far are kept; go on with --resume"
 
 
-def _finished(pending: Any, client: Any) -> Any:
-    """Futures that are done, waited for; never without a worker for longer than :data:`PATIENCE`."""
+def _wait(ready: Callable[[], bool], client: Any) -> None:
+    """Wait, never without a worker for longer than :data:`PATIENCE`."""
     looked = seen = time.monotonic()
-    while not pending.has_ready():
+    while not ready():
         time.sleep(POLL)
         now = time.monotonic()
         if client.status == "closed":
@@ -195,18 +228,28 @@ def _finished(pending: Any, client: Any) -> Any:
                 seen = now
             if now - seen > PATIENCE:
                 raise RuntimeError(f"no worker is left since {PATIENCE:g} s, {KEPT}")
-    return pending.next_batch(block=False)
+
+
+def _fetched(client: Any, future: Any) -> list[dict[str, Any]] | None:
+    """Rows of a task, waited for; None where it failed. Those of a worker that is gone are computed again."""
+    while True:
+        _wait(future.done, client)
+        if future.status == "cancelled":
+            raise CancelledError("tasks were cancelled")
+        if future.status == "error":
+            return None
+        with contextlib.suppress(TimeoutError, asyncio.TimeoutError):
+            rows: list[dict[str, Any]] = future.result(timeout=LOOK)
+            return rows
 
 
 def _rows(
     client: Any, future: Any, content: str, members: list[dict[str, Any]], campaign: Campaign
 ) -> list[dict[str, Any]]:
     """Rows of a chunk that is done; member by member where it failed."""
-    if future.status == "finished":
-        found: list[dict[str, Any]] = future.result()
+    found = _fetched(client, future)
+    if found is not None:
         return found
-    if future.status in ("cancelled", "lost"):
-        raise CancelledError("tasks were cancelled")
     error = future.exception()
     if isinstance(error, WorkerMismatchError):
         raise error
@@ -238,13 +281,14 @@ def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campai
     crashes = 0
     for member in members:
         future = client.submit(evaluate_chunk, content, [member], campaign.depth, pure=False)
+        found = _fetched(client, future)
+        if found is not None:
+            rows += found
+            crashes = 0
+            continue
         error = future.exception()
         if isinstance(error, (WorkerMismatchError, CancelledError)):
             raise error
-        if error is None:
-            rows += future.result()
-            crashes = 0
-            continue
         crashes += 1
         if crashes == CRASHES:
             raise RuntimeError(
