@@ -68,7 +68,8 @@ class Follower:
         self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
         self._on_any = Waiter(context.node, self._subscriptions)
         early = [i for i, part in enumerate(synchronizer.parts[:-1]) if part.period_ns == TICK_NS]
-        self._early = early if len(early) > 1 else []
+        # in lockstep each further wake-up would cost time: nothing goes on meanwhile
+        self._early = early if len(early) > 1 and not every else []
         self._gathered = [-1] * len(topics)
         self._execution = LatencyHistogram()
         self._period = LatencyHistogram()
@@ -119,7 +120,7 @@ class Follower:
     def _wait(self) -> int:
         """Wait for the last sample of a tick; the time spent on the earlier ones meanwhile [ns].
 
-        Where there are several earlier ones, they are taken while the last one is still on its way.
+        Where there are several earlier ones, they are taken while the last one is still on its way (in real time).
         """
         synchronizer, spent, done = self._synchronizer, 0, 0
         while done < len(self._early) and (done or not synchronizer.waiting):
