@@ -46,6 +46,8 @@ class LockstepPacer:
     def wait(self, now: int) -> bool:
         """Return when both commands of tick `now` are at the gates; False if the run was stopped."""
         io, following = self._io, now + TICK_NS
+        if self._context.stop:
+            return False
         self._on_last.wait(WAIT_NS)
         while True:
             steady = time.monotonic_ns()
