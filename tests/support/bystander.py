@@ -48,11 +48,13 @@ class Bystander:
         hears: Sequence[Topic] = (),
         wait: bool = True,
         pause: float = 0.3,
+        name: str = "bystander",
+        namespace: str = "/",
     ) -> None:
         with middleware():
             self.context = Context()
             self.context.init(domain_id=domain)
-            self.node = Node("bystander", context=self.context)
+            self.node = Node(name, namespace=namespace, context=self.context)
         # deep enough that nothing is pushed out before its reader has it
         self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
         self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_controller
-from los_testbed.loop.changes import NAMES, Changes, Fade, parse_change
+from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, Fade, parse_change
 
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
 from titop_plant.sampled_plant import SampledPlant, Segment, SensorModel
@@ -48,6 +48,9 @@ def test_a_change_for_a_tick_that_was_missed_applies_at_the_next_one():
         ("seed", 2, None, "name must be a setting that this node can change"),
         ("noise", 1, None, "noise must be true or false, got 1"),
         ("camera_dropout", float("nan"), None, "camera_dropout must be between 0 and 1"),
+        ("camera_dropout", 10**400, None, "camera_dropout must be between 0 and 1 1, got inf"),
+        ("stop", False, None, "stop must be true, got False"),
+        ("reset", 1.0, 0.02, "reset must be true, got 1.0"),
         ("noise", False, 0.005, "at must be later than 0.010 s, got 0.005 s"),
     ],
 )
@@ -64,11 +67,24 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(name, value, at, reaso
     "text",
     ["", "fsm", "[]", "{}", '{"name": "loop"}', '{"name": "loop", "value": "fsm", "when": 1}',
      '{"name": 3, "value": 1}',
-     '{"name": "loop", "value": "fsm", "at": -1}', '{"name": "loop", "value": "fsm", "at": "soon"}'],
+     '{"name": "loop", "value": "fsm", "at": -1}', '{"name": "loop", "value": "fsm", "at": "soon"}',
+     '{"name": "loop", "value": "fsm", "at": NaN}', "[" * 100_000, 7, '{"name": "loop", "value": ' + "9" * 5000 + "}"],
+    ids=range(13),
 )  # fmt: skip
 def test_a_fault_that_is_no_change_is_refused(text):
     with pytest.raises(ValueError, match="must be"):
         parse_change(text)
+
+
+def test_changes_that_wait_are_limited():
+    changes, applied = recording()
+    for i in range(MAX_WAITING):
+        changes.request("camera_dropout", 0.1, at=1.0 + 0.001 * i)
+    with pytest.raises(ValueError, match="changes that wait for their tick must be at most 1000"):
+        changes.request("noise", False)
+    changes.advance(2000 * TICK_NS)
+    assert len(applied) == MAX_WAITING
+    changes.request("noise", False)
 
 
 def test_a_fade_is_smooth_both_ways_and_can_turn_round():

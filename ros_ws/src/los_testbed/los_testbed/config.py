@@ -272,9 +272,13 @@ def _checked(entry: Field[Any], value: Any) -> Any:
 def _number(name: str, unit: str, meta: Mapping[str, Any], kind: type, value: Any) -> Any:
     whole = kind is int
     odd = isinstance(value, bool) or not isinstance(value, (int, float))
-    if odd or (whole and math.isfinite(value) and value != int(value)):
+    if odd or (whole and isinstance(value, float) and math.isfinite(value) and value != int(value)):
         raise ValueError(f"{name} must be {'a whole number' if whole else 'a number'}, got {value!r}")
     low, high = meta["low"], meta["high"]
-    if not math.isfinite(value) or not low <= value <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}")
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of more than 308 digits
+        number = math.inf
+    if not math.isfinite(number) or not low <= value <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {number:g}")
     return kind(value)

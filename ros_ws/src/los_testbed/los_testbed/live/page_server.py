@@ -18,6 +18,9 @@ STATIC = Path(__file__).with_name("static")
 FRAME_S = 0.1
 """Time between frames of a viewer that keeps up."""
 
+MAX_VIEWERS = 16
+"""Viewers that are served; each one costs the server some percent of a processor."""
+
 TOKEN_HEADER = "X-Token"
 MAX_REQUEST = 4096
 HEADERS = {
@@ -47,6 +50,9 @@ class _Data(WebSocketHandler):  # type: ignore[misc, unused-ignore]
         self._server = server
 
     async def open(self, *args: str, **kwargs: str) -> None:
+        if len(self._server.viewers) >= MAX_VIEWERS:
+            self.close(1013, f"there are {MAX_VIEWERS} viewers already")
+            return
         self._server.viewers.add(self)
         seen: dict[str, int] = {}
         while self in self._server.viewers:

@@ -15,6 +15,9 @@ NEVER = 1 << 62
 MAX_KEPT = 100
 """Changes that are kept for the record; the first ones stay."""
 
+MAX_WAITING = 1000
+"""Changes that may wait for their tick."""
+
 NAMES = {
     "plant": ("noise", "disturbance", "camera_dropout", "stop", "reset"),
     "controller": ("loop", "fsm_authority", "pma_authority"),
@@ -52,10 +55,10 @@ def parse_change(text: str) -> tuple[str, Any, float | None]:
     """
     try:
         content = json.loads(text)
-    except ValueError:
+    except (ValueError, TypeError, RecursionError):
         content = None
     if not isinstance(content, dict) or not {"name", "value"} <= set(content) <= {"name", "value", "at"}:
-        raise ValueError(f"fault must be a JSON object with name, value and perhaps at, got {text!r}")
+        raise ValueError(f"fault must be a JSON object with name, value and perhaps at, got {str(text)[:200]!r}")
     name, at = content["name"], content.get("at")
     if not isinstance(name, str):
         raise ValueError(f"name of a fault must be a text, got {name!r}")
@@ -110,7 +113,11 @@ class Changes:
         if name not in self.appliers:
             known = ", ".join(sorted(self.appliers)) or "nothing"
             raise ValueError(f"name must be a setting that this node can change ({known}), got {name!r}")
+        if len(self._pending) >= MAX_WAITING:
+            raise ValueError(f"changes that wait for their tick must be at most {MAX_WAITING}, got one more")
         if name in (STOP, RESET):
+            if value is not True:
+                raise ValueError(f"{name} must be true, got {value!r}")
             checked: Any = True
         else:
             checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
