@@ -302,8 +302,8 @@ def summarise(
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
-            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not {SETTLING:g} s "
-            "(--transient SECONDS)"
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
+            f"{SETTLING:g} s (--transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":
         problems.append(

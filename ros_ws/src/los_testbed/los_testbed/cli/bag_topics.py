@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -29,14 +30,16 @@ def topics(
     from pointing_analysis.external_bag import candidates
 
     found = candidates(bag)
-    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left")
+    table = Table(
+        title=f"{bag.name}: what could be the line of sight", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+    )
     table.add_column("--los", no_wrap=True, overflow="fold")  # to be copied
-    for head in ("message type", "components", "time", "messages", "Hz"):
+    for head in ("type", "components", "time", "messages", "Hz"):
         table.add_column(head, justify="right" if head in ("messages", "Hz") else "left", overflow="fold")
     for c in found:
         when = "header" if c.stamped else "log"
         table.add_row(
-            c.name, c.schema.replace("/msg/", "/"), ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}"
+            c.name, c.schema.rpartition("/")[2], ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}"
         )
     Console(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
     if json_:
