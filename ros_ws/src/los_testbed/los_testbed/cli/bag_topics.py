@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -30,12 +29,10 @@ def topics(
     from pointing_analysis.external_bag import candidates
 
     found = candidates(bag)
-    table = Table(
-        title=f"{bag.name}: what could be the line of sight", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
-    )
+    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left", box=None, padding=(0, 1))
     table.add_column("--los", no_wrap=True, overflow="fold")  # to be copied
-    for head in ("type", "components", "time", "messages", "Hz"):
-        table.add_column(head, justify="right" if head in ("messages", "Hz") else "left", overflow="fold")
+    for head in ("type", "values", "time", "count", "Hz"):
+        table.add_column(head, justify="right" if head in ("count", "Hz") else "left", overflow="fold")
     for c in found:
         when = "header" if c.stamped else "log"
         table.add_row(
