@@ -22,7 +22,7 @@ BARS = 10
 
 def digits(value: float) -> str:
     """Number for a table."""
-    return f"{value:.4g}"
+    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
 
 
 def vector(values: Sequence[float]) -> str:
