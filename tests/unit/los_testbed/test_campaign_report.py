@@ -120,6 +120,7 @@ def test_page_table_and_json_say_the_same(pages: dict[int, Any]) -> None:
 
 @pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 def test_axe_finds_nothing_on_the_page(pages: dict[int, Any]) -> None:
+    pytest.importorskip("axe_core_python")
     with headless_browser.Page() as browser:
         for scheme, width in (("light", 390), ("dark", 1280)):
             assert axe.findings(browser, pages[5][0], width, scheme) == []
