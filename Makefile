@@ -96,7 +96,7 @@ docs: $(READY)
 	    && $(BIN)/python docs/fill_tables.py stages < $$folder/stages/stages.md \
 	    && $(BIN)/python docs/fill_tables.py prediction < $$folder/stages/stages.md \
 	    && $(BIN)/python docs/fill_tables.py worst_case < $$folder/stages/stages.md \
-	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --no-report --output $$folder/run > $$folder/run.txt \
+	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --output $$folder/run > $$folder/run.txt \
 	    && $(BIN)/python docs/fill_tables.py run < $$folder/run.txt && rm -r $$folder
 
 designs: $(READY)

@@ -4,7 +4,7 @@
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
     python docs/fill_tables.py prediction < FOLDER/stages.md
     python docs/fill_tables.py worst_case < FOLDER/stages.md
-    COLUMNS=100 los-testbed run --mode inprocess --output FOLDER --no-report | python docs/fill_tables.py run
+    COLUMNS=100 los-testbed run --mode inprocess --output FOLDER | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
 the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
@@ -110,14 +110,17 @@ def screen(text: str) -> str:
 
     Examples
     --------
-    >>> print(screen("a table\\nbag     /tmp/x\\n"))
+    >>> print(screen("a table\\nbag     /tmp/x\\nreport  /tmp/x/report.html\\n"))
     ```text
     a table
-    bag     bags/20261120-120000
+    bag     bags/20261120-120000-inprocess-fsm+pma
+    report  bags/20261120-120000-inprocess-fsm+pma/report.html
     ```
     """
     lines = [line.rstrip() for line in text.strip("\n").splitlines()]
-    lines = ["bag     bags/20261120-120000" if line.startswith("bag  ") else line for line in lines]
+    bag = "bags/20261120-120000-inprocess-fsm+pma"
+    shown = {"bag  ": f"bag     {bag}", "report  ": f"report  {bag}/report.html"}
+    lines = [next((shown[start] for start in shown if line.startswith(start)), line) for line in lines]
     return "\n".join(["```text", *lines, "```"])
 
 

@@ -13,16 +13,20 @@ from matplotlib.figure import Figure
 
 from pointing_analysis.budget_file import Budget
 from pointing_analysis.budget_total import BudgetVerdict, axis_total
-from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
+from pointing_analysis.figures import COLOURS, LIMIT, Picture, legend_above, picture
 
 TEMPLATE = Path(__file__).with_name("budget.html.j2")
 BARS = 10
 """Largest sources that have a bar of their own."""
+ROWS = 12
+"""Rows of a table that are shown at once."""
+FAR = 4.0
+"""Ratio of the limit to the total from which the axis ends before the limit."""
 
 
 def digits(value: float) -> str:
     """Number for a table."""
-    return f"{value:.4g}"
+    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
 
 
 def vector(values: Sequence[float]) -> str:
@@ -47,11 +51,16 @@ def waterfall(verdict: BudgetVerdict, unit: str) -> Picture:
         y = np.arange(len(names) + 1)
         widths = np.append(ends - starts, verdict.total)
         axis.barh(y, widths, left=np.append(starts, 0.0), color=[COLOURS[0]] * len(names) + [COLOURS[1]])
-        axis.axvline(verdict.limit, color=LIMIT, ls="--", label="limit")
+        largest = max(verdict.total, float(ends[-1]))
+        beyond = verdict.limit > FAR * largest > 0
+        name = f"limit {digits(verdict.limit)}" + (", beyond the axis" if beyond else "")
+        axis.axvline(verdict.limit, color=LIMIT, ls="--", label=name)
+        if beyond:
+            axis.set_xlim(0.0, 1.2 * largest)
         axis.set_yticks(y, [*names, f"total at {100 * verdict.requirement.probability:g} %"])
         axis.invert_yaxis()
-        axis.set_xlabel(f"rms so far; total and limit [{unit}]")
-        axis.legend(loc="lower right")
+        axis.set_xlabel(f"rms with all sources above; total [{unit}]")
+        legend_above(figure, axis)
 
     text = f"Waterfall of the contributions; total {digits(verdict.total)}, limit {digits(verdict.limit)} {unit}"
     return picture("waterfall", "Contributions", text, 1.4 + 0.24 * len(names), draw)
@@ -73,6 +82,7 @@ def render_budget(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> str:
         axes=budget.axes,
         verdicts=[_section(v, budget.unit) for v in verdicts],
         totals=totals,
+        most=ROWS,
     )
 
 

@@ -223,15 +223,25 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
 
 
 def measured(path: tuple[str, ...], error: Floats, dt: float) -> Source:
-    """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest."""
+    """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest.
+
+    For the RPE the window must be a whole number of samples, and the recording have one without gaps; else a
+    ValueError names the source when the budget is evaluated.
+    """
     mean = np.nanmean(error, axis=0)
     present = error[~np.isnan(error).any(axis=1)] - mean
 
     def table(window: float) -> Floats:
-        n = metrics.window_samples(window, dt)
-        whole = metrics.rpe_instant(error, dt, window)
+        try:
+            n = metrics.window_samples(window, dt)
+            whole = metrics.rpe_instant(error, dt, window)
+        except ValueError as wrong:
+            raise ValueError(f"{' / '.join(path)}: {wrong}") from None
         whole = whole[: len(whole) // n * n].reshape(-1, n, whole.shape[1])
-        return np.asarray(whole[~np.isnan(whole).any(axis=(1, 2))])
+        complete = whole[~np.isnan(whole).any(axis=(1, 2))]
+        if not len(complete):
+            raise ValueError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
+        return np.asarray(complete)
 
     def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
         if window is None:

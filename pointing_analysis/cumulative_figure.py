@@ -25,6 +25,9 @@ from pointing_analysis.figures import (
 CLOSE = 3.0
 """Ratio of frequencies below which the names of two lines would cover each other."""
 
+SMALL = 0.1
+"""Part of the largest line below which a line makes no visible step and is not named."""
+
 UNLIKE = 5.0
 """Ratio of the whole error to its RPE part from which the axis is logarithmic."""
 
@@ -74,6 +77,7 @@ def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, Floats, Floats]
     """
     for i, view, frequency, curve in curves:
         strongest = sorted(view.tones, key=lambda line: -line.rms)[: 3 if len(curves) == 1 else 1]
+        strongest = [line for line in strongest if line.rms >= SMALL * strongest[0].rms]
         level, before = 0, 0.0
         for line in sorted(strongest, key=lambda line: line.omega):
             hertz = line.omega / (2 * np.pi)

@@ -30,7 +30,7 @@ from pointing_analysis.prediction import Prediction, ToneComparison
 from pointing_analysis.recording import Recording
 from pointing_analysis.report_cards import css_class, digits, run_card, shown_status
 from pointing_analysis.requirements import Requirement, Verdict, judge, load
-from pointing_analysis.summary import WINDOW, summarise_all
+from pointing_analysis.summary import WINDOW, scenario_of, summarise_all
 from pointing_analysis.telescope_values import telescope_value
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
@@ -85,8 +85,8 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
     """Short names of the runs, unique: the loop stage; with scenario, seed or file name where that is not enough."""
     for make in (
         lambda r: r.title,
-        lambda r: f"{r.title}, {r.parameters.get('scenario', '')}",
-        lambda r: f"{r.title}, {r.parameters.get('scenario', '')}, seed {r.parameters.get('seed', '')}",
+        lambda r: f"{r.title}, {scenario_of(r)}",
+        lambda r: f"{r.title}, {scenario_of(r)}, seed {r.parameters.get('seed', '')}",
         lambda r: f"{r.title}, {r.path.name}",
     ):
         names = [make(r) for r in runs]

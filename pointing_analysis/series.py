@@ -34,6 +34,8 @@ ORIGIN = NANO
 """Stamp of the first sample [ns] where the time has no epoch; the stamp 0 stands for "not stamped"."""
 OFF_GRID = 0.02
 """Part of the period by which a stamp may miss the sampling grid."""
+LONGEST = 1e9
+"""Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
 FEW = 0.01
 """Share of the samples that may miss the grid, or fall on a place that is taken."""
 
@@ -170,9 +172,16 @@ def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> NDArray[np.int
         if rate is None:
             raise ValueError("rate must be given where the samples have no times, got none")
         return np.asarray(ORIGIN + np.arange(n, dtype=np.int64) * round(NANO / rate))
-    times = np.asarray(t, dtype=float)
-    if times.shape != (n,) or not np.isfinite(times).all():
-        raise ValueError(f"t must be {n} finite times [s], got an array of shape {times.shape}")
+    times = np.asarray(t)
+    if times.dtype.kind == "M":
+        times = (times - times.min()) / np.timedelta64(1, "s") if times.size else times
+    times = times.astype(float)
+    if times.shape != (n,):
+        raise ValueError(f"t must be {n} times [s], got an array of shape {times.shape}")
+    if not np.isfinite(times).all():
+        raise ValueError(f"t must be finite, got {int((~np.isfinite(times)).sum())} of {n} times that are not")
+    if n and np.ptp(times) > LONGEST:
+        raise ValueError(f"t must be in seconds, got times over {np.ptp(times):g} s")
     if n < 2:
         return np.full(n, ORIGIN, dtype=np.int64)
     since = times - times[0]
@@ -244,7 +253,7 @@ def series(
 
     Parameters
     ----------
-    t : (n,) times [s], or None with a `rate`
+    t : (n,) times [s] or ``datetime64``, or None with a `rate`
     xy : (n, 2 or 3) error of the line of sight, NaN where a sample is missing; **actual minus target**
     unit : rad, mrad, urad, nrad, arcsec or mas
     rate : sampling rate [Hz]; times with jitter are moved to its grid

@@ -97,7 +97,7 @@ class Summary:
 
     Attributes
     ----------
-    path, loop, mode, scenario : which run
+    path, loop, mode, scenario : which run (`scenario_of`)
     ticks : samples of the truth topic that are there or should be
     duration : length of the recording [s]
     transient : seconds dropped at the start
@@ -302,8 +302,8 @@ def summarise(
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
         problems.append(
-            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, the observer may "
-            f"take {SETTLING:g} s to settle"
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
+            f"{SETTLING:g} s (--transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":
         problems.append(
@@ -313,7 +313,7 @@ def summarise(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
         mode=str(run.parameters.get("mode", "")),
-        scenario=str(run.parameters.get("disturbance_source") or run.parameters.get("scenario", "")),
+        scenario=scenario_of(run),
         ticks=round((series.start + series.duration) / series.dt),
         duration=series.start + series.duration,
         transient=series.start,
@@ -327,6 +327,12 @@ def summarise(
         losses=run.losses,
         budget=budget,
     )
+
+
+def scenario_of(run: Recording) -> str:
+    """Scenario of a run; where it had a disturbance or a plant of the user, that one's name."""
+    given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))
+    return next((str(name) for name in given if name), "")
 
 
 def summarise_all(

@@ -1,36 +1,24 @@
 """Line of sight in a table: CSV, Parquet or NumPy file.
 
 Columns are chosen by name (``x,y``) or, without names, by position: two columns are the line of sight; of three the
-first is the time. A time column whose name ends in ``_ns`` is in nanoseconds, any other in seconds.
+first is the time. Times: `pointing_analysis.table_times`.
 """
 
 from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pointing_analysis.series import ORIGIN, Series, make_series, stamps_of
+from pointing_analysis.series import Series, make_series, stamps_of
+from pointing_analysis.table_times import Column, column_stamps, dates, time_column
 
-Column = NDArray[np.float64] | NDArray[np.int64]
 SUFFIXES = (".csv", ".txt", ".parquet", ".npy", ".npz")
-TIME_NAMES = (
-    "t",
-    "time",
-    "time_s",
-    "t_s",
-    "seconds",
-    "timestamp",
-    "stamp",
-    "time_ns",
-    "t_ns",
-    "stamp_ns",
-    "timestamp_ns",
-)
+DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"))
 
 
@@ -49,7 +37,7 @@ def read_table(
     los : names of two columns, ``x,y``; by default x, y or those that are left beside the time
     unit : of the line of sight
     rate : sampling rate [Hz]; needed where there is no time
-    time : name of the time column; by default one of `TIME_NAMES`, or the first of three
+    time : name of the time column; by default `pointing_analysis.table_times.time_column`
 
     Raises
     ------
@@ -66,18 +54,19 @@ def read_table(
     when = _time_column(path, columns, time, los)
     x, y = _los_columns(path, columns, los, when)
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
+    try:
+        stamps = stamps_of(None, len(xy), rate) if when is None else column_stamps(when, columns[when], rate)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}{_others(columns, x, y) if when is None else ''}") from None
+    unused = _others(columns, x, y) if when is None else ""
+    problems = [f"no time column: {rate:g} Hz without gaps assumed{unused}"] if unused else []
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate"}
-    return make_series(_stamps(columns, when, len(xy), rate), xy, unit=unit, rate=rate, path=path, parameters=about)
+    return make_series(stamps, xy, unit=unit, rate=rate, path=path, parameters=about, problems=problems)
 
 
-def _stamps(columns: Mapping[str, Column], when: str | None, n: int, rate: float | None) -> NDArray[np.int64]:
-    if when is None:
-        return stamps_of(None, n, rate)
-    column = columns[when]
-    if not when.endswith("_ns"):
-        return stamps_of(column, n, rate)
-    whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column).astype(np.int64)
-    return np.asarray(whole - whole.min() + ORIGIN)
+def _others(columns: Mapping[str, Column], x: str, y: str) -> str:
+    rest = [name for name in columns if name not in (x, y)]
+    return f" (others, for --time: {', '.join(rest)})" if rest else ""
 
 
 def _time_column(path: Path, columns: Mapping[str, Column], asked: str | None, los: str | None) -> str | None:
@@ -85,12 +74,8 @@ def _time_column(path: Path, columns: Mapping[str, Column], asked: str | None, l
         if asked not in columns:
             raise TableError(f"{path}: time must be one of {', '.join(columns)}, got {asked!r}")
         return asked
-    lower = {name.lower(): name for name in columns}
-    for name in TIME_NAMES:
-        if name in lower:
-            return lower[name]
-    names = list(columns)
-    return names[0] if los is None and len(names) == 3 and not _known_pair(names) else None
+    named = [part.strip() for part in los.split(",")] if los else list(_known_pair(list(columns)) or ())
+    return time_column(columns, named)
 
 
 def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:
@@ -116,6 +101,23 @@ def _number(text: str) -> float:
     return float(text) if text else math.nan
 
 
+def _column(name: str, cells: Sequence[str]) -> Column | None:
+    """Numbers or dates; None for other text."""
+    try:
+        if name.endswith("_ns"):
+            return np.array([int(cell) for cell in cells], np.int64)
+    except (ValueError, OverflowError):
+        pass
+    try:
+        return np.array([_number(cell) for cell in cells])
+    except ValueError:
+        pass
+    try:
+        return dates(cells)
+    except ValueError:
+        return None
+
+
 def _csv(path: Path) -> dict[str, Column]:
     """Numeric columns; an empty cell is a missing sample. Lines that begin with # are left out."""
     try:
@@ -127,6 +129,8 @@ def _csv(path: Path) -> dict[str, Column]:
         raise TableError(f"{path}: table must have rows, got none")
     separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
     rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    if separator != ",":
+        rows = [[DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] if "," in "".join(row) else row for row in rows]
     try:
         [_number(cell) for cell in rows[0]]
         names = [f"column_{i + 1}" for i in range(len(rows[0]))]
@@ -137,16 +141,8 @@ def _csv(path: Path) -> dict[str, Column]:
     uneven = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
     if uneven is not None:
         raise TableError(f"{path}: every row must have {len(names)} cells, got {len(rows[uneven])} in row {uneven + 1}")
-    found: dict[str, Column] = {}
-    for i, name in enumerate(names):
-        cells = [row[i] for row in rows]
-        try:
-            found[name] = np.array([int(c) for c in cells], np.int64) if name.endswith("_ns") else np.array(
-                [_number(c) for c in cells]
-            )  # fmt: skip
-        except (ValueError, OverflowError):
-            continue  # text
-    return found
+    columns = {name: _column(name, [row[i] for row in rows]) for i, name in enumerate(names)}
+    return {name: column for name, column in columns.items() if column is not None}
 
 
 def _parquet(path: Path) -> dict[str, Column]:
@@ -163,9 +159,8 @@ def _parquet(path: Path) -> dict[str, Column]:
     for name in table.column_names:
         column = table.column(name)
         if pyarrow.types.is_timestamp(column.type):
-            column = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
-            name = name if name.endswith("_ns") else f"{name}_ns"
-        if pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+            found[name] = column.cast(pyarrow.timestamp("ns")).to_numpy()
+        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
             found[name] = column.to_numpy()
     return found
 
@@ -177,7 +172,7 @@ def _numpy(path: Path) -> dict[str, Column]:
         raise TableError(f"{path}: file must hold plain NumPy arrays, got {error}") from None
     if isinstance(content, np.ndarray):
         if content.dtype.names:
-            return {name: content[name] for name in content.dtype.names}
+            return {name: content[name] for name in content.dtype.names if content.dtype[name].kind in "fiuM"}
         if content.ndim != 2 or content.shape[1] not in (2, 3) or content.dtype.kind not in "fiu":
             raise TableError(
                 f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {content.shape}"
@@ -186,7 +181,7 @@ def _numpy(path: Path) -> dict[str, Column]:
     found: dict[str, Column] = {}
     for name in content.files:
         array = content[name]
-        if array.dtype.kind not in "fiu":
+        if array.dtype.kind not in "fiuM":
             continue
         if array.ndim == 1:
             found[name] = array

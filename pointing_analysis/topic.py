@@ -261,8 +261,8 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
         raise BagError(f"{topic.name}: topic must have at least two samples, got {len(topic)}")
     if state.conflicts:
         raise BagError(
-            f"{topic.name}: a bag must hold one plant, got two publishers on this topic: "
-            f"{state.conflicts} stamps carry two different values"
+            f"{topic.name}: each stamp must have one value, got {state.conflicts} with two "
+            "(two publishers on the topic?)"
         )
     if state.other_rate > 0.01:
         raise BagError(
@@ -271,7 +271,8 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
         )
     if state.irregular > 0.01 * len(topic):
         raise BagError(
-            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, not {state.irregular} others"
+            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, got {state.irregular} intervals "
+            "off it (with a known sampling rate, --rate HZ moves them to its grid)"
         )
     rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after
     if rows > 4 * len(topic) + 100_000:

@@ -14,15 +14,18 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 ROOT = Path(__file__).parents[2]
-OUTSIDE = ("CONTRIBUTING.md", "CHANGELOG.md", "bags/README.md", "ros_ws/README.md")
-"""Pages of the repository that are part of the site."""
+OUTSIDE = {"README.md": "overview.md"} | {
+    page: page for page in ("CONTRIBUTING.md", "CHANGELOG.md", "bags/README.md", "ros_ws/README.md")
+}
+"""Pages of the repository outside docs/ that are part of the site, and their names there (index.md is the start)."""
 PACKAGES = {
     name: ROOT / name
     for name in (
         "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
     )
 } | {"los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed"}  # fmt: skip
-LINK = re.compile(r"(\]\()([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?\))")
+LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
+PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")
 
 
@@ -93,8 +96,8 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages outside docs/ and those of the API."""
     from mkdocs.structure.files import File
 
-    for page in OUTSIDE:
-        files.append(File.generated(config, page, content=(ROOT / page).read_text("utf-8")))
+    for path, page in OUTSIDE.items():
+        files.append(File.generated(config, page, content=(ROOT / path).read_text("utf-8")))
     for name, path in modules().items():
         files.append(File.generated(config, f"api/{name}.md", content=api_page(name, path)))
     return files
@@ -105,7 +108,27 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     source = page.file.src_uri
     if source.startswith("api/"):
         return markdown
-    return LINK.sub(lambda match: match[1] + site_link(source, match[2]) + match[3], markdown)
+    text = PICTURE.sub(lambda match: match[1] + site_link(source, match[2]) + match[3], markdown)
+    return LINK.sub(lambda match: linked(source, *match.groups()), text)
+
+
+def linked(source: str, text: str, target: str, anchor: str) -> str:
+    """Link of the site; the text alone where the target is no page of it, such as a folder of examples.
+
+    Examples
+    --------
+    >>> linked("overview.md", "glossary", "docs/glossary.md", "#design"), linked("overview.md", "x", "examples", "")
+    ('[glossary](glossary.md#design)', 'x')
+    """
+    on_site = target.endswith(".md") or repository_path(source, target).startswith("docs/")
+    return f"[{text}]({site_link(source, target)}{anchor})" if on_site else text
+
+
+def repository_path(source: str, target: str) -> str:
+    """Path in the repository of what a page of the site links to."""
+    paths = {page: path for path, page in OUTSIDE.items()}
+    folder = posixpath.dirname(paths.get(source, f"docs/{source}"))
+    return posixpath.normpath(posixpath.join(folder, target))
 
 
 def site_link(source: str, target: str) -> str:
@@ -116,12 +139,12 @@ def site_link(source: str, target: str) -> str:
     >>> site_link("real_time.md", "../ros_ws/README.md"), site_link("ros_ws/README.md", "../docs/glossary.md")
     ('ros_ws/README.md', '../glossary.md')
     >>> site_link("index.md", "../README.md"), site_link("real_time.md", "glossary.md")
-    ('index.md', 'glossary.md')
+    ('overview.md', 'glossary.md')
+    >>> site_link("overview.md", "docs/figures/report.png")
+    'figures/report.png'
     """
-    folder = posixpath.dirname(source if source in OUTSIDE else f"docs/{source}")
-    place = posixpath.normpath(posixpath.join(folder, target))
-    place = "index.md" if place == "README.md" else place.removeprefix("docs/")
-    return posixpath.relpath(place, posixpath.dirname(source) or ".")
+    path = repository_path(source, target)
+    return posixpath.relpath(OUTSIDE.get(path, path.removeprefix("docs/")), posixpath.dirname(source) or ".")
 
 
 def mathml(source: str, language: str, css_class: str, options: Any, md: Any, **_: Any) -> str:

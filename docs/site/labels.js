@@ -3,7 +3,7 @@
   const name = () => {
     document.querySelector(".md-search")?.setAttribute("aria-label", "Search");
     document.querySelectorAll(".md-code__nav").forEach((nav, i) => nav.setAttribute("aria-label", `Code block ${i + 1}`));
-    document.querySelectorAll("pre > code, .md-typeset__scrollwrap").forEach((box) => box.setAttribute("tabindex", "0"));
+    document.querySelectorAll("pre > code, .md-typeset__scrollwrap, div.math").forEach((box) => box.setAttribute("tabindex", "0"));
   };
   name();
   new MutationObserver(name).observe(document.body, { childList: true, subtree: true });

@@ -52,7 +52,7 @@ def test_examples(hooks: ModuleType, links: ModuleType) -> None:
 
 def test_every_page_is_in_the_navigation_once(hooks: ModuleType) -> None:
     listed = leaves(yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"])
-    assert sorted(listed) == sorted([path.name for path in (ROOT / "docs").glob("*.md")] + list(hooks.OUTSIDE))
+    assert sorted(listed) == sorted([path.name for path in (ROOT / "docs").glob("*.md")] + list(hooks.OUTSIDE.values()))
 
 
 def test_the_start_page_leads_to_every_page(hooks: ModuleType) -> None:

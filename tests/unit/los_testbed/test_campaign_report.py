@@ -16,6 +16,7 @@ from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
+from support import axe, headless_browser
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
 
@@ -115,6 +116,14 @@ def test_page_table_and_json_say_the_same(pages: dict[int, Any]) -> None:
     assert all(member["command"].split(" --")[0] in text for member in summary["worst"])
     assert summary["influence"][0]["parameter"] == "tau" and summary["influence"][1]["parameter"] == "wheel_speed_2"
     assert text.count("<figure>") == 5 and "http" not in text.replace("http://www.w3.org", "")
+
+
+@pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
+def test_axe_finds_nothing_on_the_page(pages: dict[int, Any]) -> None:
+    pytest.importorskip("axe_core_python")
+    with headless_browser.Page() as browser:
+        for scheme, width in (("light", 390), ("dark", 1280)):
+            assert axe.findings(browser, pages[5][0], width, scheme) == []
 
 
 def test_members_that_are_no_random_draws_have_no_probability(tmp_path: Path) -> None:

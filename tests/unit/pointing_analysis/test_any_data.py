@@ -95,9 +95,10 @@ def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
     stamps = external_bags.START + np.arange(len(xy)) * round(1e9 / RATE)
     columns = {"when": pyarrow.array(stamps, pyarrow.timestamp("ns")), "az": xy[:, 0], "el": xy[:, 1]}
     parquet.write_table(pyarrow.table(columns), folder / "a.parquet")
-    run = open_los(folder / "a.parquet", los="az,el", unit="arcsec", time="when_ns")
     ours = summarise(Run.open(folder / "ours"), requirements=load(folder / "mission.toml"))
-    assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))
+    for time in ("when", None):  # the only dates are the time
+        run = open_los(folder / "a.parquet", los="az,el", unit="arcsec", time=time)
+        assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))
 
 
 def test_parquet_without_pyarrow_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,6 +246,73 @@ def test_an_empty_cell_is_a_missing_sample(tmp_path: Path) -> None:
     found = summarise(open_los(tmp_path / "a.csv", unit="mas"), requirements=[parse(
         "prob(|RPE(20 ms)| < 1 mas) >= 0.9 at 90 % confidence")])  # fmt: skip
     assert found.windows_skipped == 1 and found.ticks == 300
+
+
+TIMES = {
+    "time_ms": lambda t: [repr(1e3 * v) for v in t],
+    "Time [us]": lambda t: [repr(1e6 * v) for v in t],
+    "t_ns": lambda t: [str(round(1e9 * v)) for v in t],
+    "clock": lambda t: [repr(1.7e9 + v) for v in t],
+    "utc": lambda t: [f"{np.datetime64('2026-11-20T11:00:00') + np.timedelta64(round(1e9 * v), 'ns')}Z" for v in t],
+    "local": lambda t: [
+        f"{np.datetime64('2026-11-20 12:00') + np.timedelta64(round(1e6 * v), 'us')}+01:00".replace("T", " ") for v in t
+    ],
+}
+
+
+@pytest.mark.parametrize("name", TIMES)
+@pytest.mark.parametrize("rate", [None, RATE])
+def test_times_of_a_table_in_any_usual_form(tmp_path: Path, name: str, rate: float | None) -> None:
+    kept = np.delete(np.arange(6000), [3000, 3001, 4100])
+    xy, text = samples()[kept], TIMES[name]((kept / RATE).tolist())
+    rows = "\n".join(f"{a},{x!r},{y!r}" for a, (x, y) in zip(text, xy.tolist()))
+    (tmp_path / "a.csv").write_text(f"{name},x,y\n{rows}\n")
+    stamps = 10**9 + kept * round(1e9 / RATE)
+    write_bag(tmp_path / "ours", {"truth/los": xy * RAD_PER_ARCSEC}, dt=1 / RATE, stamps={"truth/los": stamps})
+    requirements = [parse("prob(|RPE(15.625 ms)| < 20 mas) >= 0.9 at 90 % confidence")]
+    ours = summarise(Run.open(tmp_path / "ours"), requirements=requirements)
+    run = open_los(tmp_path / "a.csv", unit="arcsec", rate=rate)
+    assert run["truth/los"].integrity.missing == 3
+    assert repr(comparable(summarise(run, requirements=requirements))) == repr(comparable(ours))
+
+
+def test_dates_of_arrays_and_numpy_files(tmp_path: Path) -> None:
+    xy = samples(4000)
+    moments = np.datetime64("2026-11-20T12:00") + (np.arange(4000) * round(1e9 / RATE)).astype("timedelta64[ns]")
+    np.savez(tmp_path / "a.npz", when=moments, los=xy)
+    requirements = [parse("prob(|APE| < 0.12 arcsec) >= 0.95 at 90 % confidence")]
+    found = [
+        judge_series(t, xy, unit="arcsec", requirements=requirements) for t in (moments, np.arange(4000) / RATE)
+    ] + [summarise(open_los(tmp_path / "a.npz", unit="arcsec"), requirements=requirements)]
+    assert repr(comparable(found[0])) == repr(comparable(found[1])) == repr(comparable(found[2]))
+
+
+def test_columns_that_may_be_the_time_are_named_where_none_is_used(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / RATE},{i}.5,1,20" for i in range(3000))
+    (tmp_path / "a.csv").write_text("clock,az,el,celsius\n" + rows)
+    with pytest.raises(ValueError, match=r"rate must be given .* for --time: clock, celsius"):
+        open_los(tmp_path / "a.csv", los="az,el", unit="mas")
+    run = open_los(tmp_path / "a.csv", los="az,el", unit="mas", rate=RATE)
+    assert run.problems == ("no time column: 512 Hz without gaps assumed (others, for --time: clock, celsius)",)
+    assert open_los(tmp_path / "a.csv", los="az,el", unit="mas", time="clock").problems == ()
+
+
+def test_times_that_cannot_be_used() -> None:
+    xy = samples(100)
+    gap = np.arange(100) / RATE
+    gap[50] = np.nan
+    for t, message in (
+        (gap, "t must be finite, got 1 of 100 times"),
+        (1e12 * np.arange(100), "t must be in seconds, got times over 9.9e"),
+        (np.arange(99), r"t must be 100 times \[s\], got an array of shape \(99,\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            series(t, xy, unit="mas")
+
+
+def test_a_decimal_comma(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(f"{i / 100:.2f};{i},5;1".replace(".", ",") for i in range(300)))
+    assert open_los(tmp_path / "a.csv", unit="mas")["truth/los"].values[2, 0] == pytest.approx(2.5e-3 * RAD_PER_ARCSEC)
 
 
 def test_a_message_that_lies_about_its_length_is_left_out(tmp_path: Path) -> None:

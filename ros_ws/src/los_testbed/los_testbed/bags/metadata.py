@@ -67,13 +67,13 @@ def _budget(config: RunConfig) -> dict[str, float]:
 def final_metadata(
     config: RunConfig, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
 ) -> dict[str, str]:
-    """The same with the statistics of each node, as one JSON object, the plant's tones, and ``rpe_budget_mas``.
+    """The same with the statistics of each node, as one JSON object, the plant's name and tones, ``rpe_budget_mas``.
 
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.tone_budget`).
     """
     record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
     plant = dict(statistics.get("plant", {}))
-    for name in ("tones_rad_s", "motion", "plant_parameters_hash"):
+    for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
             record[name] = plant.pop(name)
     record["statistics"] = json.dumps({**statistics, "plant": plant})

@@ -29,12 +29,15 @@ def topics(
     from pointing_analysis.external_bag import candidates
 
     found = candidates(bag)
-    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left")
-    for head in ("--los", "message type", "components", "time", "messages", "Hz"):
-        table.add_column(head, justify="right" if head in ("messages", "Hz") else "left", overflow="fold")
+    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left", box=None, padding=(0, 1))
+    table.add_column("--los", no_wrap=True, overflow="fold")  # to be copied
+    for head in ("type", "values", "time", "count", "Hz"):
+        table.add_column(head, justify="right" if head in ("count", "Hz") else "left", overflow="fold")
     for c in found:
         when = "header" if c.stamped else "log"
-        table.add_row(c.name, c.schema, ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}")
+        table.add_row(
+            c.name, c.schema.rpartition("/")[2], ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}"
+        )
     Console(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
     if json_:
         rows = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]

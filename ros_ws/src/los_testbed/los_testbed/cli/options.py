@@ -13,7 +13,10 @@ MAX_CHUNK_MB = 64.0
 
 Json = Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")]
 MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
-Transient = Annotated[float | None, typer.Option(help="Seconds to leave out at the start.")]
+Transient = Annotated[
+    float | None,
+    typer.Option(help="Seconds to leave out at the start; default: as the bag says, else 5, at most half."),
+]
 Requirements = Annotated[
     Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
 ]

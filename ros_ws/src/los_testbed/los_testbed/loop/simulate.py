@@ -180,16 +180,18 @@ def run_in_process(
         Plant, observer or controller raised an exception; the bag holds the run up to there and says so, and there is
         none if it failed at the first tick.
     """
+    name = {}
     if plant is not None:  # what is steady is known of the telescope only
         check_plant(plant)
         config = at_rest(config)
+        name = {"plant": config.plant or f"{type(plant).__module__}:{type(plant).__qualname__}"}
     estimator, controller = build_estimator(config), build_controller(config)
     start = run_start(config) if plant is None else RunStart()
     if plant is None:
         plant = build_plant(config)
     estimator.reset()
     controller.reset()
-    statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant)}}
+    statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
     bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config, start)}, attachments(config, start))
     sink, done = BagSink(bag, plant.frame_ticks), 0
 

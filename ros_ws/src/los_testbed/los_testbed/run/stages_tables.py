@@ -107,7 +107,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
             table = Table(title=f"{scenario}: {title}", title_justify="left")
             table.add_column("stage", no_wrap=True)
             for _, _, head in chosen:
-                table.add_column(head.replace(" alone", "").replace("[", "\\["), justify="right")
+                table.add_column(head.replace(" alone", "").replace("[", "\\["), justify="right", overflow="fold")
             for row in rows(results, scenario, chosen):
                 table.add_row(*row)
             if chosen:
@@ -128,7 +128,7 @@ def _of(found: Sequence[Any], total: int) -> str:
 def _plain_table(heads: Sequence[str], found: Sequence[Sequence[str]], title: str) -> Table:
     table = Table(title=title, title_justify="left")
     for head in heads:
-        table.add_column(head, justify="right")
+        table.add_column(head, justify="right", overflow="fold")
     for row in found:
         table.add_row(*row)
     return table
