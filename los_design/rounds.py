@@ -37,6 +37,8 @@ UNSEEN = 0.01
 """Where there is one, all points that exceed what the descent reached by this part are added."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
+HALVINGS = 7
+"""Of the way to an unstable point."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
 
 
@@ -154,7 +156,7 @@ class Outcome:
 
 def design_in_rounds(
     task: Task,
-    start: FloatArray,
+    start: Callable[[], FloatArray],
     effort: Effort,
     report: Report = lambda text: None,
     kept: tuple[Path, Mapping[str, Any]] | None = None,
@@ -164,8 +166,9 @@ def design_in_rounds(
     Parameters
     ----------
     task : Task
-    start : ndarray
-        Entries of both gain matrices; they must stabilise the nominal telescope.
+    start : callable
+        Gives the entries of both gain matrices; they must stabilise the nominal telescope. Not called where a design
+        goes on.
     effort : Effort
     report : callable
         Receives one line for each step.
@@ -205,7 +208,7 @@ def design_in_rounds(
 
 def _begin(
     task: Task,
-    start: FloatArray,
+    start: Callable[[], FloatArray],
     effort: Effort,
     report: Report,
     kept: tuple[Path, Mapping[str, Any]] | None,
@@ -213,7 +216,7 @@ def _begin(
     """The state that is kept, or a new one; its parameter points are sampled."""
     state = RoundState.load(*kept) if kept else None
     if state is None:
-        state = RoundState(np.array(start, dtype=float), points=_first_points(task, effort))
+        state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
     else:
         report(f"goes on after {state.number} rounds")
     first = len(state.points) - sum(state.added)
@@ -253,7 +256,7 @@ def _searched(
 def _stabilising(
     task: Task, problem: ResponseProblem, state: RoundState, options: DescentOptions, step: Callable[[int, float], None]
 ) -> Descent:
-    """A descent with a result that is stable at all parameter points; it is repeated with those at which it is not."""
+    """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
     watched: list[dict[str, float]] = [{}]
 
@@ -263,16 +266,17 @@ def _stabilising(
     while True:
         descent = descend(problem, state.x, stable, options, step)
         lost = [v for v in map(loop.values, state.points) if v not in watched and not task.stable(descent.x, v)]
+        lost = [v for v in lost if task.stable(state.x, v)]
         if not lost:
             return descent
         watched += lost[:3]
 
 
-def _first_points(task: Task, effort: Effort) -> list[FloatArray]:
-    """The nominal point, random corners and random points of the box."""
+def first_points(task: Task, count: int) -> list[FloatArray]:
+    """The nominal point and `count` others of the box, the first half of them random corners."""
     rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
-    points = rng.uniform(size=(effort.points, len(loop.names)))
-    points[: effort.points // 2] = np.round(points[: effort.points // 2])
+    points = rng.uniform(size=(count, len(loop.names)))
+    points[: count // 2] = np.round(points[: count // 2])
     return [loop.point({}), *points]
 
 
@@ -330,11 +334,28 @@ def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent
 
 def _add(task: Task, state: RoundState, new: Sequence[WorstPoint]) -> None:
     """Sample new points on the whole grid, and closely around their frequency."""
-    around = [(float(p.omega), task.samples.open_loop.point(dict(p.parameters))) for p in new]
+    loop = task.samples.open_loop
+    around = [(float(p.omega), _stable_point(task, state.x, loop.point(dict(p.parameters)))) for p in new]
     _sample(task, around)
     state.points += [at for _, at in around]
     state.around += around
     state.added.append(len(around))
+
+
+def _stable_point(task: Task, x: FloatArray, point: FloatArray) -> FloatArray:
+    """A point; where the loop is unstable there, the last stable one on the way from the nominal point.
+
+    Gains are large beside the boundary of stability, so that a descent moves it away; beyond it they are small again.
+    """
+    loop, whole = task.samples.open_loop, point
+    nominal, stable, unstable = loop.point({}), 0.0, 1.0
+    if task.stable(x, loop.values(point)):
+        return point
+    for _ in range(HALVINGS):
+        part = 0.5 * (stable + unstable)
+        point = nominal + part * (whole - nominal)
+        stable, unstable = (part, unstable) if task.stable(x, loop.values(point)) else (stable, part)
+    return np.asarray(nominal + stable * (whole - nominal))
 
 
 def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:

@@ -85,7 +85,7 @@ class Bench:
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
         task = Task(self.samples, (BOTH,), (0, 1), lambda x: None)
-        return design_in_rounds(task, np.zeros(2), effort, self.lines.append, kept)
+        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
 
 
 @pytest.fixture
