@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from los_design.implemented_loop import ImplementedLoop
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
 from los_design.round_state import RoundState
 from los_design.sampled_loop import sampled_loop
@@ -99,8 +100,7 @@ class Task:
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
-        loop = self.samples.open_loop
-        return Search(loop.system, loop.parameters, *self.sampled(x), STAGE_NAMES[stage], options)
+        return Search(ImplementedLoop(self.samples.open_loop, *self.sampled(x), STAGE_NAMES[stage]), options)
 
     def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""

@@ -62,7 +62,7 @@ def test_every_gain_is_that_of_the_implemented_loop(parameters, open_loop, pair,
     problem = ResponseProblem(blocks(parameters, (OBSERVER, ACTUATORS)), samples, gains(parameters, (ALONE, BOTH)))
     found = {gain.name: row for gain, row in zip(problem.gains, problem.values(x))}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
-        loop = ImplementedLoop(open_loop.system, parameters, *pair, name)
+        loop = ImplementedLoop(open_loop, *pair, name)
         for metric in loop_metrics(parameters, name).values():
             share = limits(parameters, stage)[metric.name]
             expected = [

@@ -11,6 +11,7 @@ from small_loop import SmallFamily, small_controllers, small_plant
 
 from los_design import starts, synthesis, trade_off
 from los_design.implemented_loop import ImplementedLoop, loop_metrics
+from los_design.open_loop import OpenLoop
 from los_design.options import LOOP_DELAY, DesignOptions
 from los_design.pair_problem import ALONE, BOTH, blocks, grid, limits, named
 from los_design.rounds import Effort
@@ -73,7 +74,7 @@ def measured(parameters, pair, values) -> dict[str, float]:
     """Worst gamma of every requirement of the tuned values' names at one parameter point, by the implemented loop."""
     system, found = control_loop_plant(telescope(), parameters), {}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
-        loop = ImplementedLoop(system, parameters, *pair, name)
+        loop = ImplementedLoop(OpenLoop(system, parameters), *pair, name)
         for metric in loop_metrics(parameters, name).values():
             share = limits(parameters, stage)[metric.name]
             omega = [w for w in grid() if metric.band[0] <= w < metric.band[1]][::4]
