@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOp
 from robust_design.frequency_domain import gain_matrices
 from titop_plant.simulation import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
-from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
@@ -167,14 +168,8 @@ def _implemented(
     begin = time.monotonic()
     effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
     with Workers(options.workers) as workers:
-
-        def other(table: Parameters) -> Task:
-            return _task(build_telescope(table), table, options, tuned, workers)
-
-        def start() -> FloatArray:
-            return choose_start(task, other, telescope, parameters, options, observer, report)
-
         task = _task(telescope, parameters, options, tuned, workers)
+        start = partial(choose_start, task, telescope, parameters, options, observer, report)
         outcome = design_in_rounds(task, start, effort, report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),

@@ -13,7 +13,7 @@ from los_design import starts, synthesis, trade_off
 from los_design.implemented_loop import ImplementedLoop, loop_metrics
 from los_design.open_loop import OpenLoop
 from los_design.options import LOOP_DELAY, DesignOptions
-from los_design.pair_problem import ALONE, BOTH, blocks, grid, limits, named
+from los_design.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.rounds import Effort
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
@@ -21,10 +21,9 @@ from los_design.starts import screened, zero_controller
 from los_design.store import continuous, load_designs
 from los_design.trade_off import TradeOffPoint, undominated
 from los_design.worst_case_search import SearchOptions
-from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_estimator.problem import observer_plant, observer_requirements
 from lti import StateSpace
 from robust_design import certify
-from robust_design.frequency_domain import gain_matrices
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.budget import error_budget
@@ -126,38 +125,6 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameter
 def test_a_pair_is_designed_for_the_implemented_loop_only(parameters) -> None:
     with pytest.raises(ValueError, match="got no loop delay"):
         synthesis.design_pair(telescope(), parameters, DesignOptions(loop_delay=0.0))
-
-
-@pytest.mark.parametrize("stabilised", [0, 1, 2])
-def test_a_start_that_does_not_stabilise_is_replaced(stabilised: int, parameters, monkeypatch) -> None:
-    """The stored start; else the Kalman observer with a random law, the largest that it bears; else an error."""
-    starts_seen, lines = [], []
-
-    def stable(task, x, values=None):
-        F, P = gain_matrices(blocks(parameters, BOTH), x)
-        size = float(np.abs(P).max())
-        if stabilised == 0:
-            return True
-        return stabilised == 1 and np.array_equal(F, kalman) and size < 500.0
-
-    def stop(task, start, *rest):
-        starts_seen.append(gain_matrices(blocks(parameters, BOTH), start))
-        raise InterruptedError
-
-    plant = observer_plant(telescope(), parameters, **DesignOptions().hold_delays)
-    structure = observer_structure(plant, camera_hold=True)
-    kalman = structure.gain_matrix(kalman_start(structure, telescope(), parameters, lead=LOOP_DELAY))
-    monkeypatch.setattr(synthesis.Task, "stable", stable)
-    monkeypatch.setattr(synthesis, "design_in_rounds", stop)
-    error = ValueError if stabilised == 2 else InterruptedError
-    with pytest.raises(error, match="K_FSM must stabilise" if stabilised == 2 else ""):
-        synthesis.design_pair(telescope(), parameters, DesignOptions(), lines.append)
-    if stabilised == 0:
-        assert np.array_equal(starts_seen[0][0][:4, :4], starts.stored_start("k-fsm").A) and lines == []
-    else:
-        assert lines[0].startswith("the stored start does not stabilise")
-    if stabilised == 1:
-        assert np.array_equal(starts_seen[0][0], kalman) and 0.0 < np.abs(starts_seen[0][1]).max() < 500.0
 
 
 def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None:
