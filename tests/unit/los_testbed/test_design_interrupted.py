@@ -25,7 +25,7 @@ sys.exit(main(["design", "all", "--effort", "short", "--workers", "2", "--output
 """The command with a design of small effort: rounds that never end by themselves, because nothing is below 0.5."""
 
 
-def begun(folder: Path) -> subprocess.Popen[str]:
+def started(folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, str(folder)],
         text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
@@ -57,14 +57,14 @@ def members(session: int) -> list[int]:
 @pytest.mark.slow
 def test_an_interrupted_design_ends_at_once_and_goes_on(tmp_path: Path) -> None:
     """The second round is interrupted, with worker processes of the first one's search; then the continued design."""
-    process = begun(tmp_path)
+    process = started(tmp_path)
     until_line(process, "round 2, step")
     assert len(members(process.pid)) >= 3, "this process and two workers"
     end_by_interrupt(process)
     assert [p.name for p in tmp_path.iterdir()] == ["rounds.json"]
     number = json.loads((tmp_path / "rounds.json").read_text())["number"]
 
-    again = begun(tmp_path)
+    again = started(tmp_path)
     until_line(again, f"goes on after {number} rounds")
     until_line(again, f"round {number + 1}:")
     end_by_interrupt(again)
