@@ -88,6 +88,8 @@ class Task:
         Of the whole design [s].
     workers : Workers
         Processes of the searches; the result does not depend on them.
+    known : tuple of WorstPoint
+        Of another telescope's design: their parameters are among the first points, the first search climbs from them.
     """
 
     samples: Samples
@@ -97,6 +99,7 @@ class Task:
     seed: int = 0
     wall_limit: float = np.inf
     workers: Workers = field(default_factory=Workers)
+    known: tuple[WorstPoint, ...] = ()
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
@@ -217,6 +220,8 @@ def _begin(
     state = RoundState.load(*kept) if kept else None
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
+        if effort.searches:
+            _begin_with_known(task, state)
     else:
         report(f"goes on after {state.number} rounds")
     first = len(state.points) - sum(state.added)
@@ -224,6 +229,16 @@ def _begin(
     for end, count in zip(np.cumsum(state.added), state.added):
         _sample(task, state.around[end - count : end])
     return state
+
+
+def _begin_with_known(task: Task, state: RoundState) -> None:
+    """Add the known worst points to a state without rounds."""
+    loop = task.samples.open_loop
+    for point in task.known:
+        state.known.setdefault(named(point.requirement, _stage(point)), []).append(point)
+        at = _stable_point(task, state.x, np.clip(loop.point(dict(point.parameters)), 0.0, 1.0))
+        if not any(np.allclose(at, other) for other in state.points):
+            state.points.append(at)
 
 
 def _status(worse: bool, late: bool) -> str:

@@ -71,7 +71,7 @@ def choose_start(
         return all(task.stable(x, values) for values in at)
 
     stored = [given if given is not None else gain_matrix(stored_start("k-fsm")), gain_matrix(stored_start("k-pma"))]
-    if parameters_hash(parameters) == parameters_hash(load_parameters()) and stable(stored):
+    if is_reference(parameters) and stable(stored):
         return parameters_of(own, stored)
     report("another telescope than that of the stored start: starts are compared")
     k_fsm, k_pma = (gain_matrix(continuous(system).data_at({})) for system in load_designs("implemented"))
@@ -87,6 +87,11 @@ def choose_start(
     if not found:
         raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
     return _best(task, found, 0 if options.nominal else POINTS, report)
+
+
+def is_reference(parameters: Parameters) -> bool:
+    """Whether these are the parameters that the stored controllers were designed for."""
+    return parameters_hash(parameters) == parameters_hash(load_parameters())
 
 
 def _corners(task: Task, seed: int) -> list[dict[str, float]]:

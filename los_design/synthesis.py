@@ -22,11 +22,12 @@ from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
 from los_design.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
 from los_design.provenance import commit
-from los_design.rounds import Effort, Outcome, Task, design_in_rounds
-from los_design.start_choice import choose_start
+from los_design.rounds import STAGE_NAMES, Effort, Outcome, Task, design_in_rounds
+from los_design.start_choice import choose_start, is_reference
 from los_design.starts import random_start, screened
 from los_design.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.worst_case_search import SearchOptions
+from los_design.worst_points import WorstPoint, load_worst_points
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space
@@ -48,7 +49,7 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6)
 EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(QUICK, THOROUGH))
-SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, several=6)
+SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, patience=1, several=6)
 SHORT_EFFORT = Effort(rounds=8, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
@@ -203,7 +204,11 @@ def _task(
         return k_fsm, k_pma
 
     samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
-    return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers)
+    known: tuple[WorstPoint, ...] = ()
+    if not is_reference(parameters):
+        names = [STAGE_NAMES[stage] for stage in stages]
+        known = tuple(point for name in names for point in load_worst_points()[name].values())
+    return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers, known)
 
 
 def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
