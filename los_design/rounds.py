@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +222,7 @@ def _begin(
     state = RoundState.load(*kept) if kept else None
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
-        if effort.searches:
-            _begin_with_known(task, state)
+        _begin_with_known(task, state)
     else:
         report(f"goes on after {state.number} rounds")
     first = len(state.points) - sum(state.added)
@@ -233,10 +234,10 @@ def _begin(
 
 def _begin_with_known(task: Task, state: RoundState) -> None:
     """Add the known worst points to a state without rounds."""
-    loop = task.samples.open_loop
     for point in task.known:
         state.known.setdefault(named(point.requirement, _stage(point)), []).append(point)
-        at = _stable_point(task, state.x, np.clip(loop.point(dict(point.parameters)), 0.0, 1.0))
+        at = np.clip(task.samples.open_loop.point(dict(point.parameters)), 0.0, 1.0)
+        at = _stable_point(task, state.x, at)
         if not any(np.allclose(at, other) for other in state.points):
             state.points.append(at)
 
@@ -280,8 +281,10 @@ def _stabilising(
 
     while True:
         descent = descend(problem, state.x, stable, options, step)
-        lost = [v for v in map(loop.values, state.points) if v not in watched and not task.stable(descent.x, v)]
-        lost = [v for v in lost if task.stable(state.x, v)]
+        others = [v for v in map(loop.values, state.points) if v not in watched]
+        with ThreadPoolExecutor(task.workers.count) as pool:
+            kept = list(pool.map(partial(task.stable, descent.x), others))
+        lost = [v for v, stable_there in zip(others, kept) if not stable_there and task.stable(state.x, v)]
         if not lost:
             return descent
         watched += lost[:3]
@@ -362,15 +365,13 @@ def _stable_point(task: Task, x: FloatArray, point: FloatArray) -> FloatArray:
 
     Gains are large beside the boundary of stability, so that a descent moves it away; beyond it they are small again.
     """
-    loop, whole = task.samples.open_loop, point
-    nominal, stable, unstable = loop.point({}), 0.0, 1.0
+    loop, stable, nominal = task.samples.open_loop, 0.0, task.samples.open_loop.point({})
     if task.stable(x, loop.values(point)):
         return point
-    for _ in range(HALVINGS):
-        part = 0.5 * (stable + unstable)
-        point = nominal + part * (whole - nominal)
-        stable, unstable = (part, unstable) if task.stable(x, loop.values(point)) else (stable, part)
-    return np.asarray(nominal + stable * (whole - nominal))
+    for step in 0.5 ** np.arange(1, HALVINGS + 1):
+        if task.stable(x, loop.values(nominal + (stable + step) * (point - nominal))):
+            stable += step
+    return np.asarray(nominal + stable * (point - nominal))
 
 
 def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:

@@ -205,7 +205,7 @@ def _task(
 
     samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
     known: tuple[WorstPoint, ...] = ()
-    if not is_reference(parameters):
+    if not (options.nominal or is_reference(parameters)):
         names = [STAGE_NAMES[stage] for stage in stages]
         known = tuple(point for name in names for point in load_worst_points()[name].values())
     return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers, known)

@@ -79,7 +79,7 @@ def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> No
         blocks(parameters, (OBSERVER, ACTUATORS)),
         sample(open_loop, np.array([1.0]), np.full((1, 7), 0.5)),
         gains(parameters, (BOTH,)),
-        noises(open_loop, (ALONE, BOTH)),
+        noises(Samples(open_loop), (ALONE, BOTH)),
     )
     plant, budget = open_loop.system.data_at({}), error_budget(parameters)
     shares = {"fsm": budget.noise, "fsm+pma": budget.total_noise}
