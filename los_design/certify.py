@@ -122,8 +122,8 @@ def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, Com
     poles: list[ComplexArray] = [np.zeros(0, complex)]
     into, out = [], []
     for gain, system, rows, columns in (
-        (loop.gains_of_stage[0], loop.controllers[0], slice(0, 2), slice(0, MEASUREMENTS)),
-        (loop.gains_of_stage[1], loop.controllers[1], slice(2, COMMANDS), PLATFORM),
+        (loop.stage_gains[0], loop.pair[0], slice(0, 2), slice(0, MEASUREMENTS)),
+        (loop.stage_gains[1], loop.pair[1], slice(2, COMMANDS), PLATFORM),
     ):
         if not gain:
             continue

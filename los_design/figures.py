@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from los_design.implemented_loop import ImplementedLoop
+from los_design.open_loop import OpenLoop
 from los_design.plant_figures import STYLE
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import disturbance_response, loop_grid
@@ -192,7 +193,7 @@ def _controllers(parameters: Parameters) -> Figure:
 def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
-    worst = load_worst_points()
+    worst, open_loop = load_worst_points(), OpenLoop(system, parameters)
     rng = np.random.default_rng(seed)
     figure = Figure(figsize=(7.2, 3.2), layout="constrained")
     for axes, (stage, name, channels, title) in zip(
@@ -202,7 +203,7 @@ def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
             ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
         ),
     ):
-        loop = ImplementedLoop(system, parameters, *pair, stage)
+        loop = ImplementedLoop(open_loop, *pair, stage)
         members = [{}, *system.sample_values(rng, samples), dict(worst[stage][name].parameters)]
         points = np.array([loop.point(values) for values in members])
         peak = worst[stage][name].omega  # of a mode that is narrower than the steps of the grid

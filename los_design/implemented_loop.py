@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from los_design.open_loop import OpenLoop
-from lti import SampledSystem, UncertainSystem
+from lti import SampledSystem
 from lti.batched_linalg import largest_gains, solve
 from titop_plant.interface import (
     CAMERA,
@@ -115,23 +115,18 @@ class ImplementedLoop:
 
     Parameters
     ----------
-    system : UncertainSystem
-        As :func:`titop_plant.simulation.control_loop_plant` makes it.
-    parameters : mapping
-        Telescope parameters.
+    open_loop : OpenLoop
     k_fsm, k_pma : SampledSystem
     stage : {"none", "isolator", "fsm", "fsm+pma"}
         The loops that are closed; for ``none`` the system is that of the hard-mounted payload.
     """
 
-    def __init__(
-        self, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
-    ) -> None:
-        self.open = OpenLoop(system, parameters)
-        self.system, self.parameters, self.stage = system, self.open.parameters, stage
-        self.names = self.open.names
-        self.controllers = (k_fsm, k_pma)
-        self.gains_of_stage = self._stage_gains(k_fsm)
+    def __init__(self, open_loop: OpenLoop, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> None:
+        self.open = open_loop
+        self.system, self.parameters, self.stage = open_loop.system, open_loop.parameters, stage
+        self.names = open_loop.names
+        self.pair = (k_fsm, k_pma)
+        self.stage_gains = self._stage_gains(k_fsm)
 
     def _stage_gains(self, k_fsm: SampledSystem) -> tuple[float, float]:
         mirror = 0.0
@@ -156,8 +151,8 @@ class ImplementedLoop:
         """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
         z = np.exp(1j * omega * DT)
         out = np.zeros((COMMANDS, MEASUREMENTS), complex)
-        k_fsm, k_pma = self.controllers
-        mirror, forces = self.gains_of_stage
+        k_fsm, k_pma = self.pair
+        mirror, forces = self.stage_gains
         if mirror:
             out[:2] = mirror * _sampled_response(k_fsm, z)
             out[:2, CAMERA] *= np.mean(z ** -np.arange(FRAME_TICKS))

@@ -12,6 +12,7 @@ budget as limits. Those of the mirror alone have the suffix ``, alone``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,22 +150,25 @@ def named(name: str, stage: tuple[int, ...]) -> str:
     return name if stage == BOTH else name + ALONE_SUFFIX
 
 
-def noises(open_loop: OpenLoop, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
-    """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
-    parameters = open_loop.parameters
-    budget, table = error_budget(parameters), parameters["sensors"]
+def noise_frequencies() -> FloatArray:
+    """Frequencies [rad/s] at which the density of the noise is summed."""
     parts = [np.geomspace(low, high, count) for low, high, count in NOISE_FREQUENCIES]
-    omega: FloatArray = np.asarray(np.unique(np.concatenate(parts))[:-1], dtype=float)
+    return np.asarray(np.unique(np.concatenate(parts))[:-1], dtype=float)
+
+
+def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
+    """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
+    parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
+    budget, table, omega = error_budget(parameters), parameters["sensors"], nominal.omega
     amplitude = np.r_[
         np.tile(table["accelerometer_noise"], 3),
         np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
         np.full(2, table["strain_gauge_noise"]),
     ]
-    samples = sample(open_loop, omega, open_loop.point({})[None])
     step = np.gradient(omega) * (DT / np.pi) * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
     density = np.broadcast_to(amplitude, (len(omega), MEASUREMENTS))
     shares = {ALONE: budget.noise, BOTH: budget.total_noise}
-    return tuple(ResponseNoise(named("noise -> RPE", s), s, samples, density, step, shares[s]) for s in stages)
+    return tuple(ResponseNoise(named("noise -> RPE", s), s, nominal, density, step, shares[s]) for s in stages)
 
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
@@ -212,6 +216,11 @@ class Samples:
         """A worst point with the frequencies close to it."""
         self._parts.append(sample(self.open_loop, np.asarray(omega * (1.0 + AROUND), dtype=float), point[None]))
 
+    @cached_property
+    def at_noise_frequencies(self) -> PlantSamples:
+        """Samples of the nominal point at the frequencies of :func:`noises`."""
+        return sample(self.open_loop, noise_frequencies(), self.open_loop.point({})[None])
+
     def all(self) -> PlantSamples:
         """All samples."""
         self._parts = [PlantSamples.joined(self._parts)]
@@ -242,6 +251,6 @@ def pair_problem(
         blocks(parameters, tuned),
         samples.all(),
         gains(parameters, stages),
-        noises(samples.open_loop, stages),
+        noises(samples, stages),
         threads,
     )

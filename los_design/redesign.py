@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from los_design.implemented_loop import ImplementedLoop
+from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
 from los_design.synthesis import design_pair
 from los_design.verification import ImplementedCheck, broken_requirements, check_implemented, verification_points
@@ -26,7 +28,7 @@ from los_design.worst_points import (
     store_worst_points,
     worst_of,
 )
-from lti import SampledSystem, UncertainSystem
+from lti import SampledSystem
 from lti.threads import one_thread
 from lti.workers import Workers
 from titop_plant.interface import MIRROR_STAGES, STAGES
@@ -149,15 +151,15 @@ def search_stages(
 
     The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
     """
-    systems: dict[bool, UncertainSystem] = {
-        isolated: control_loop_plant(build_telescope(parameters, isolated=isolated), parameters)
+    open_loops = {
+        isolated: OpenLoop(control_loop_plant(build_telescope(parameters, isolated=isolated), parameters), parameters)
         for isolated in (False, True)
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
     for stage, system in zip(MIRROR_STAGES, (k_fsm, k_pma)):
         known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
     return {
-        stage: Search(systems[stage != STAGES[0]], parameters, k_fsm, k_pma, stage, options).run(
+        stage: Search(ImplementedLoop(open_loops[stage != STAGES[0]], k_fsm, k_pma, stage), options).run(
             starts=known[stage], workers=workers
         )
         for stage in STAGES

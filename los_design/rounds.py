@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from los_design.implemented_loop import ImplementedLoop
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
 from los_design.round_state import RoundState
 from los_design.sampled_loop import sampled_loop
@@ -37,6 +40,8 @@ UNSEEN = 0.01
 """Where there is one, all points that exceed what the descent reached by this part are added."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
+HALVINGS = 7
+"""Of the way to an unstable point."""
 STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
 
 
@@ -85,6 +90,8 @@ class Task:
         Of the whole design [s].
     workers : Workers
         Processes of the searches; the result does not depend on them.
+    known : tuple of WorstPoint
+        Of another telescope's design: their parameters are among the first points, the first search climbs from them.
     """
 
     samples: Samples
@@ -94,11 +101,11 @@ class Task:
     seed: int = 0
     wall_limit: float = np.inf
     workers: Workers = field(default_factory=Workers)
+    known: tuple[WorstPoint, ...] = ()
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
-        loop = self.samples.open_loop
-        return Search(loop.system, loop.parameters, *self.sampled(x), STAGE_NAMES[stage], options)
+        return Search(ImplementedLoop(self.samples.open_loop, *self.sampled(x), STAGE_NAMES[stage]), options)
 
     def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
@@ -154,7 +161,7 @@ class Outcome:
 
 def design_in_rounds(
     task: Task,
-    start: FloatArray,
+    start: Callable[[], FloatArray],
     effort: Effort,
     report: Report = lambda text: None,
     kept: tuple[Path, Mapping[str, Any]] | None = None,
@@ -164,8 +171,9 @@ def design_in_rounds(
     Parameters
     ----------
     task : Task
-    start : ndarray
-        Entries of both gain matrices; they must stabilise the nominal telescope.
+    start : callable
+        Gives the entries of both gain matrices; they must stabilise the nominal telescope. Not called where a design
+        goes on.
     effort : Effort
     report : callable
         Receives one line for each step.
@@ -205,7 +213,7 @@ def design_in_rounds(
 
 def _begin(
     task: Task,
-    start: FloatArray,
+    start: Callable[[], FloatArray],
     effort: Effort,
     report: Report,
     kept: tuple[Path, Mapping[str, Any]] | None,
@@ -213,7 +221,8 @@ def _begin(
     """The state that is kept, or a new one; its parameter points are sampled."""
     state = RoundState.load(*kept) if kept else None
     if state is None:
-        state = RoundState(np.array(start, dtype=float), points=_first_points(task, effort))
+        state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
+        _begin_with_known(task, state)
     else:
         report(f"goes on after {state.number} rounds")
     first = len(state.points) - sum(state.added)
@@ -221,6 +230,16 @@ def _begin(
     for end, count in zip(np.cumsum(state.added), state.added):
         _sample(task, state.around[end - count : end])
     return state
+
+
+def _begin_with_known(task: Task, state: RoundState) -> None:
+    """Add the known worst points to a state without rounds."""
+    for point in task.known:
+        state.known.setdefault(named(point.requirement, _stage(point)), []).append(point)
+        at = np.clip(task.samples.open_loop.point(dict(point.parameters)), 0.0, 1.0)
+        at = _stable_point(task, state.x, at)
+        if not any(np.allclose(at, other) for other in state.points):
+            state.points.append(at)
 
 
 def _status(worse: bool, late: bool) -> str:
@@ -253,7 +272,7 @@ def _searched(
 def _stabilising(
     task: Task, problem: ResponseProblem, state: RoundState, options: DescentOptions, step: Callable[[int, float], None]
 ) -> Descent:
-    """A descent with a result that is stable at all parameter points; it is repeated with those at which it is not."""
+    """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
     watched: list[dict[str, float]] = [{}]
 
@@ -262,17 +281,20 @@ def _stabilising(
 
     while True:
         descent = descend(problem, state.x, stable, options, step)
-        lost = [v for v in map(loop.values, state.points) if v not in watched and not task.stable(descent.x, v)]
+        others = [v for v in map(loop.values, state.points) if v not in watched]
+        with ThreadPoolExecutor(task.workers.count) as pool:
+            kept = list(pool.map(partial(task.stable, descent.x), others))
+        lost = [v for v, stable_there in zip(others, kept) if not stable_there and task.stable(state.x, v)]
         if not lost:
             return descent
         watched += lost[:3]
 
 
-def _first_points(task: Task, effort: Effort) -> list[FloatArray]:
-    """The nominal point, random corners and random points of the box."""
+def first_points(task: Task, count: int) -> list[FloatArray]:
+    """The nominal point and `count` others of the box, the first half of them random corners."""
     rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
-    points = rng.uniform(size=(effort.points, len(loop.names)))
-    points[: effort.points // 2] = np.round(points[: effort.points // 2])
+    points = rng.uniform(size=(count, len(loop.names)))
+    points[: count // 2] = np.round(points[: count // 2])
     return [loop.point({}), *points]
 
 
@@ -330,11 +352,26 @@ def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent
 
 def _add(task: Task, state: RoundState, new: Sequence[WorstPoint]) -> None:
     """Sample new points on the whole grid, and closely around their frequency."""
-    around = [(float(p.omega), task.samples.open_loop.point(dict(p.parameters))) for p in new]
+    loop = task.samples.open_loop
+    around = [(float(p.omega), _stable_point(task, state.x, loop.point(dict(p.parameters)))) for p in new]
     _sample(task, around)
     state.points += [at for _, at in around]
     state.around += around
     state.added.append(len(around))
+
+
+def _stable_point(task: Task, x: FloatArray, point: FloatArray) -> FloatArray:
+    """A point; where the loop is unstable there, the last stable one on the way from the nominal point.
+
+    Gains are large beside the boundary of stability, so that a descent moves it away; beyond it they are small again.
+    """
+    loop, stable, nominal = task.samples.open_loop, 0.0, task.samples.open_loop.point({})
+    if task.stable(x, loop.values(point)):
+        return point
+    for step in 0.5 ** np.arange(1, HALVINGS + 1):
+        if task.stable(x, loop.values(nominal + (stable + step) * (point - nominal))):
+            stable += step
+    return np.asarray(nominal + stable * (point - nominal))
 
 
 def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:

@@ -22,11 +22,9 @@ from los_design.margins import change_names, changed_loops, doubtful
 from los_design.sampled_loop import SampledLoop, radius_of, sampled_loop, slow_modes
 from los_design.worst_case_search import Search
 from los_design.worst_points import WorstPoint
-from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
 from lti.workers import Workers
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.telescope.parameters import Parameters
 
 FloatArray = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -86,10 +84,7 @@ def grid() -> FloatArray:
 
 
 def check_stage(
-    system: UncertainSystem,
-    parameters: Parameters,
-    pair: tuple[SampledSystem, SampledSystem],
-    stage: str,
+    loop: ImplementedLoop,
     points: Sequence[Values],
     *,
     changes: bool = True,
@@ -100,12 +95,8 @@ def check_stage(
 
     Parameters
     ----------
-    system : UncertainSystem
-        As :func:`titop_plant.simulation.control_loop_plant` makes it.
-    parameters : mapping
-        Telescope parameters.
-    pair : (K_FSM, K_PMA)
-    stage : {"isolator", "fsm", "fsm+pma"}
+    loop : ImplementedLoop
+        Of the stage ``isolator``, ``fsm`` or ``fsm+pma``.
     points : sequence of mapping
     changes : bool
         Check the changed loops, too.
@@ -117,7 +108,7 @@ def check_stage(
     if not points:
         raise ValueError("points must hold at least one parameter point, got none")
     workers = workers or Workers()
-    search = Search(system, parameters, *pair, stage)
+    search = Search(loop)
     chunks = [_Chunk(points[k : k + CHUNK], changes, k == 0) for k in range(0, len(points), CHUNK)]
     parts: list[_Part] = []
     for part in workers.each(partial(_look, search), chunks):
@@ -129,7 +120,7 @@ def check_stage(
     found = workers.map(partial(_worst, search), list(brackets.items()) if stable.any() else [])
     unstable = [names for part in parts for names in part.unstable_changes]
     envelope = {name: np.max([part.envelope[name] for part in parts], axis=0) for name in search.metrics}
-    return StageCheck(stage, dict(zip(search.metrics, found)), stable, unstable, envelope)
+    return StageCheck(loop.stage, dict(zip(search.metrics, found)), stable, unstable, envelope)
 
 
 @dataclass(frozen=True)
@@ -176,7 +167,7 @@ def _loop(search: Search, values: Values) -> SampledLoop:
     sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
     stage = "isolator" if loop.stage == "none" else loop.stage
     return sampled_loop(
-        loop.system.data_at(values), *search.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
+        loop.system.data_at(values), *loop.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
     )
 
 

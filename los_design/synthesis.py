@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +22,18 @@ from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
 from los_design.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
 from los_design.provenance import commit
-from los_design.rounds import Effort, Outcome, Task, design_in_rounds
-from los_design.starts import random_law, random_start, screened, stored_start
+from los_design.rounds import STAGE_NAMES, Effort, Outcome, Task, design_in_rounds
+from los_design.start_choice import choose_start, is_reference
+from los_design.starts import random_start, screened
 from los_design.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.worst_case_search import SearchOptions
+from los_design.worst_points import WorstPoint, load_worst_points
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem, StateSpace, state_space
 from lti.workers import Workers
 from robust_design import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
-from robust_design.frequency_domain import gain_matrices, parameters_of
+from robust_design.frequency_domain import gain_matrices
 from titop_plant.simulation import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
@@ -46,8 +49,8 @@ WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6)
 EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(QUICK, THOROUGH))
-SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, several=6)
-SHORT_EFFORT = Effort(rounds=4, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
+SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, patience=1, several=6)
+SHORT_EFFORT = Effort(rounds=8, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
 
@@ -164,21 +167,10 @@ def _implemented(
 ) -> tuple[SampledSystem, SampledSystem]:
     """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""
     begin = time.monotonic()
-    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
-
-    def pair(x: FloatArray, provenance: Mapping[str, Any] | None = None) -> tuple[SampledSystem, SampledSystem]:
-        matrices = gain_matrices(blocks(parameters, tuned), x)
-        k_fsm, k_pma = (
-            _sampled(kind, _state_space(M), parameters, options, provenance)
-            for kind, M in zip(DESIGN_PACKAGES, matrices)
-        )
-        return k_fsm, k_pma
-
-    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
     effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
     with Workers(options.workers) as workers:
-        task = Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers)
-        start = _start(task, telescope, parameters, options, observer, report)
+        task = _task(telescope, parameters, options, tuned, workers)
+        start = partial(choose_start, task, telescope, parameters, options, observer, report)
         outcome = design_in_rounds(task, start, effort, report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
@@ -190,13 +182,33 @@ def _implemented(
         "active_models": outcome.active,
     }
     found = []
-    for stage, system, M in zip(
-        (ALONE, BOTH), pair(outcome.x), gain_matrices(blocks(parameters, tuned), outcome.x), strict=True
-    ):
+    matrices_of = gain_matrices(blocks(parameters, tuned), outcome.x)
+    for stage, system, M in zip((ALONE, BOTH), task.sampled(outcome.x), matrices_of, strict=True):
         A, B, C, D = _state_space(M)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
         found.append(replace(system, provenance={**common, **_values(outcome, stage), "continuous": matrices}))
     return found[0], found[1]
+
+
+def _task(
+    telescope: Telescope, parameters: Parameters, options: DesignOptions, tuned: tuple[int, ...], workers: Workers
+) -> Task:
+    """The task for a telescope, with no parameter points yet."""
+    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
+
+    def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
+        k_fsm, k_pma = (
+            _sampled(kind, _state_space(M), parameters, options, None)
+            for kind, M in zip(DESIGN_PACKAGES, gain_matrices(blocks(parameters, tuned), x))
+        )
+        return k_fsm, k_pma
+
+    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
+    known: tuple[WorstPoint, ...] = ()
+    if not (options.nominal or is_reference(parameters)):
+        names = [STAGE_NAMES[stage] for stage in stages]
+        known = tuple(point for name in names for point in load_worst_points()[name].values())
+    return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers, known)
 
 
 def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
@@ -212,48 +224,6 @@ def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
         if own(case["requirement"])
     ]
     return {"tuned_values": tuned, "worst_cases": worst}
-
-
-def _start(
-    task: Task,
-    telescope: Telescope,
-    parameters: Parameters,
-    options: DesignOptions,
-    observer: SampledSystem | None,
-    report: Report,
-) -> FloatArray:
-    """Entries of both gain matrices that a design begins with: the stored start, or Kalman observer and random law."""
-    own = blocks(parameters, task.tuned)
-    given = None if observer is None else continuous(observer).data_at({})
-    k_fsm = _gain_matrix(stored_start("k-fsm") if given is None else given)
-    law = _gain_matrix(stored_start("k-pma"))
-    corners = task.samples.open_loop.values
-    rng = np.random.default_rng(options.seed)
-    at = [{}, *(corners(p) for p in np.round(rng.uniform(size=(START_CORNERS, len(task.samples.open_loop.names)))))]
-
-    def stable(*matrices: FloatArray) -> bool:
-        x = parameters_of(own, matrices)
-        return all(task.stable(x, values) for values in at)
-
-    if stable(k_fsm, law):
-        return parameters_of(own, [k_fsm, law])
-    report("the stored start does not stabilise this telescope: start from the Kalman observer and a random law")
-    if given is None:
-        plant = observer_plant(telescope, parameters, **options.hold_delays)
-        structure = observer_structure(plant, camera_hold=True)
-        k_fsm = structure.gain_matrix(kalman_start(structure, telescope, parameters, lead=options.loop_delay))
-    for gain in START_GAINS:
-        law = _gain_matrix(random_law(START_SEEDS[0], gain))
-        if stable(k_fsm, law):
-            return parameters_of(own, [k_fsm, law])
-    raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
-
-
-START_CORNERS, START_GAINS = 8, (100.0, 10.0, 1.0, 0.0)
-
-
-def _gain_matrix(system: StateSpace) -> FloatArray:
-    return np.block([[system.A, system.B], [system.C, system.D]])
 
 
 def _state_space(M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

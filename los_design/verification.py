@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements
 from los_design.implemented_loop import ImplementedLoop
 from los_design.margins import Margins, delay_margin, rounded
+from los_design.open_loop import OpenLoop
 from los_design.sampled_loop_norms import noise_metrics
 from los_design.stage_check import StageCheck, check_stage, grid
 from los_design.store import continuous
@@ -227,9 +228,9 @@ def check_implemented(
     workers : Workers, optional
         Processes; the result does not depend on them.
     """
-    points, pair = list(at), (k_fsm, k_pma)
+    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters)
     alone, both = (
-        check_stage(system, parameters, pair, stage, points, changes=changes, tick=tick, workers=workers)
+        check_stage(ImplementedLoop(open_loop, *pair, stage), points, changes=changes, tick=tick, workers=workers)
         for stage in MIRROR_STAGES
     )
     nominal, noise = system.data_at({}), {}
@@ -239,13 +240,11 @@ def check_implemented(
     platform = noise_metrics(
         nominal, *pair, parameters, loop=MIRROR_STAGES[-1], frame_ticks=FRAME_TICKS, sensors="platform"
     )
-    delay = _delays(system, parameters, pair, points)
+    delay = _delays(open_loop, pair, points)
     return ImplementedCheck(alone, both, noise, platform[0], delay, parameters)
 
 
-def _delays(
-    system: UncertainSystem, parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], points: list[Values]
-) -> dict[str, float]:
+def _delays(open_loop: OpenLoop, pair: tuple[SampledSystem, SampledSystem], points: list[Values]) -> dict[str, float]:
     """Guaranteed delay margins [s] at up to :data:`DELAY_POINTS` of the points."""
     some = points[:: max(1, len(points) // DELAY_POINTS)]
     found = {}
@@ -255,7 +254,7 @@ def _delays(
         ("pma, mirror", "fsm+pma", MIRROR),
         ("pma, forces", "fsm+pma", FORCES),
     ):
-        loop = ImplementedLoop(system, parameters, *pair, stage)
+        loop = ImplementedLoop(open_loop, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
         found[name] = delay_margin(loop, channels, cube, omega)
     return found

@@ -25,12 +25,10 @@ from los_design.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, lo
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_gains
 from los_design.worst_points import WorstPoint
-from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains
 from lti.workers import Workers
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import BAND_EDGE
-from titop_plant.telescope.parameters import Parameters
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -106,28 +104,14 @@ class Search:
 
     Parameters
     ----------
-    system : UncertainSystem
-        As :func:`titop_plant.simulation.control_loop_plant` makes it.
-    parameters : mapping
-        Telescope parameters.
-    k_fsm, k_pma : SampledSystem
-    stage : {"none", "isolator", "fsm", "fsm+pma"}
+    loop : ImplementedLoop
     options : SearchOptions, optional
     """
 
-    def __init__(
-        self,
-        system: UncertainSystem,
-        parameters: Parameters,
-        k_fsm: SampledSystem,
-        k_pma: SampledSystem,
-        stage: str,
-        options: SearchOptions | None = None,
-    ) -> None:
-        self.loop = ImplementedLoop(system, parameters, k_fsm, k_pma, stage)
-        self.pair = (k_fsm, k_pma)
+    def __init__(self, loop: ImplementedLoop, options: SearchOptions | None = None) -> None:
+        self.loop = loop
         self.options = options or SearchOptions()
-        self.metrics = loop_metrics(parameters, stage)
+        self.metrics = loop_metrics(loop.parameters, loop.stage)
 
     def run(
         self,
@@ -297,7 +281,7 @@ class Search:
             plant = loop.system.data_at(values)
             sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
             stage = "isolator" if loop.stage == "none" else loop.stage
-            closed = sampled_loop(plant, *self.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
+            closed = sampled_loop(plant, *loop.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
             response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
             gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
             gamma = gain / metric.limit

@@ -22,7 +22,7 @@ class Workers:
 
     Each item is computed by itself, with one thread of linear algebra, and results come in the order of the items: they
     do not depend on the number of processes. Processes start with the first items and end with the context, or with
-    this process, however it ends.
+    this process, however it ends; an exception, an interrupt among them, ends them at once, in the midst of an item.
 
     Parameters
     ----------
@@ -41,6 +41,7 @@ class Workers:
             raise ValueError(f"workers must be at least 1, got {count}")
         self.count = count
         self._pool: ProcessPoolExecutor | None = None
+        self._stop: connection.Connection | None = None
 
     def __enter__(self) -> Workers:
         return self
@@ -48,9 +49,14 @@ class Workers:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+        pool, stop = self._pool, self._stop
+        self._pool = self._stop = None
+        if pool is None or stop is None:
+            return
+        if kind is not None:
+            stop.close()
+        pool.shutdown(wait=True, cancel_futures=True)
+        stop.close()
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """Results of the function for the items; functions and items that go to other processes must be picklable."""
@@ -61,19 +67,24 @@ class Workers:
         if self.count == 1 or len(items) < 2:
             return map(function, items)
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.count, mp_context=get_context("spawn"), initializer=_begin)
+            context = get_context("spawn")
+            stopped, self._stop = context.Pipe(duplex=False)
+            self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(stopped,))
         return self._pool.map(function, items)
 
 
-def _begin() -> None:
-    """In a new process: one thread of linear algebra, no interrupts of its own, and an end with the parent's end."""
+def _begin(stopped: connection.Connection) -> None:
+    """In a new process: one thread of linear algebra, no interrupts of its own, and an end with the parent's end.
+
+    It ends, too, when the other end of `stopped` is closed, which only the parent has.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1, user_api="blas")
     parent = parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+        threading.Thread(target=_end_with, args=(parent.sentinel, stopped), daemon=True).start()
 
 
-def _end_with(sentinel: int) -> None:
-    connection.wait([sentinel])
+def _end_with(sentinel: int, stopped: connection.Connection) -> None:
+    connection.wait([sentinel, stopped])
     os._exit(1)

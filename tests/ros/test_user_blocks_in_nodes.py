@@ -12,6 +12,7 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for, topic_hashes
+from user_code import STORED_LAW
 
 from pointing_analysis.read import Run
 
@@ -21,7 +22,9 @@ MODULE = """
 import numpy as np
 from los_estimator.runtime import LosEstimator
 from lti.sampled_system import SampledSystem
-
+"""
+MODULE += STORED_LAW
+MODULE += """
 class Gusts:
     def __init__(self, config):
         self.seed = config.seed
@@ -34,16 +37,10 @@ class Observer(LosEstimator):
     def __init__(self):
         super().__init__(SampledSystem.from_file("k_fsm.json"))
 
-class Law:
-    def __init__(self):
-        self.law = SampledSystem.from_file("k_pma.json")
-    def reset(self):
-        self.law.reset()
-        self.tick = 0
+class Law(StoredLaw):
     def step(self, accel_Ip, out):
-        self.law.step(accel_Ip, out)
+        super().step(accel_Ip, out)
         np.tanh(out, out=out)
-        self.tick += 1
 
 class Raising(Law):
     def step(self, accel_Ip, out):

@@ -22,6 +22,7 @@ from los_design.certify import (
     telescope_model,
 )
 from los_design.implemented_loop import ImplementedLoop
+from los_design.open_loop import OpenLoop
 from los_design.store import load_designs
 from los_design.worst_points import WorstPoint
 from lti import SampledSystem
@@ -48,7 +49,7 @@ def system(parameters):
 
 @pytest.fixture(scope="module")
 def loop(system, parameters) -> ImplementedLoop:
-    return ImplementedLoop(system, parameters, *load_designs("implemented"), "fsm+pma")
+    return ImplementedLoop(OpenLoop(system, parameters), *load_designs("implemented"), "fsm+pma")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def deviations(loop: ImplementedLoop, points) -> np.ndarray:
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
 def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, parameters) -> None:
     """All figures, random members and frequencies; 16 occurrences of the angle in place of 32."""
-    loop = ImplementedLoop(system, parameters, *load_designs("implemented"), stage)
+    loop = ImplementedLoop(OpenLoop(system, parameters), *load_designs("implemented"), stage)
     rng = np.random.default_rng(3)
     for metric in figures_of(parameters, stage).values():
         model = telescope_model(loop, metric)
@@ -113,7 +114,7 @@ def test_a_part_without_time_is_open_and_not_kept(part: Part, tmp_path: Path) ->
 def test_the_level_of_a_known_worst_point_is_violated(system, parameters, tmp_path: Path) -> None:
     """Controllers of before, without margins: 40 mas is broken by 1.484."""
     pair = [SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma")]
-    loop = ImplementedLoop(system, parameters, *pair, "fsm+pma")
+    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma")
     values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
     with Workers() as workers:

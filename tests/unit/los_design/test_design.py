@@ -13,7 +13,6 @@ from los_design.options import DesignOptions
 from los_design.sampled_loop_norms import sampled_loop_metrics
 from los_design.starts import random_start
 from los_design.store import continuous, design_file, load_designs
-from los_design.trade_off import least_noise
 from los_estimator.problem import NOISE, kalman_start, observer_plant, observer_requirements, observer_structure
 from lti import SampledSystem
 from robust_design import H2Gain
@@ -110,15 +109,6 @@ def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:
         design_file("k-xyz")
 
 
-def test_least_noise_problem_minimises_nothing_else(parameters) -> None:
-    requirements = observer_requirements(parameters, implemented=True)
-    changed = {r.name: r for r in least_noise(requirements, 2e-7)}
-    assert [name for name, r in changed.items() if not r.hard] == ["noise -> RPE"]
-    before = {r.name: r for r in requirements}
-    assert changed["slow"].bound == changed["fast"].bound == 2e-7
-    assert all(changed[name].bound == before[name].bound for name in changed if name not in ("slow", "fast"))
-
-
 def test_table_as_json(capsys) -> None:
     assert main(["design", "table", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
@@ -132,8 +122,6 @@ def test_table_as_json(capsys) -> None:
         (["k-fsm", "--loop-delay", "-1"], "--loop-delay must be between 0 and 1 s, got -1"),
         (["k-pma", "--time-limit", "0"], "--time-limit must be between 0.001 and 1e+07 s, got 0"),
         (["verify", "--samples", "-3"], "--samples must be between 0 and 1e+06, got -3"),
-        (["trade-off", "--bounds", "0.5,x"], "--bounds must be numbers with commas between them, got '0.5,x'"),
-        (["trade-off", "--bounds", "0.5,-1"], "levels must be positive bounds on the relative error, got [0.5, -1.0]"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, message, capsys) -> None:

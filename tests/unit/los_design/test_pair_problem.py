@@ -62,7 +62,7 @@ def test_every_gain_is_that_of_the_implemented_loop(parameters, open_loop, pair,
     problem = ResponseProblem(blocks(parameters, (OBSERVER, ACTUATORS)), samples, gains(parameters, (ALONE, BOTH)))
     found = {gain.name: row for gain, row in zip(problem.gains, problem.values(x))}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
-        loop = ImplementedLoop(open_loop.system, parameters, *pair, name)
+        loop = ImplementedLoop(open_loop, *pair, name)
         for metric in loop_metrics(parameters, name).values():
             share = limits(parameters, stage)[metric.name]
             expected = [
@@ -79,7 +79,7 @@ def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> No
         blocks(parameters, (OBSERVER, ACTUATORS)),
         sample(open_loop, np.array([1.0]), np.full((1, 7), 0.5)),
         gains(parameters, (BOTH,)),
-        noises(open_loop, (ALONE, BOTH)),
+        noises(Samples(open_loop), (ALONE, BOTH)),
     )
     plant, budget = open_loop.system.data_at({}), error_budget(parameters)
     shares = {"fsm": budget.noise, "fsm+pma": budget.total_noise}

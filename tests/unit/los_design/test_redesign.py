@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from los_design import redesign
+from los_design.implemented_loop import ImplementedLoop
+from los_design.open_loop import OpenLoop
 from los_design.redesign import design_all, digest
 from los_design.store import load_designs
 from los_design.verification import check_implemented, verification_points
@@ -43,7 +45,7 @@ def stand_ins(monkeypatch) -> list[str]:
 
     def points(parameters, k_fsm, k_pma, options, workers):
         system = control_loop_plant(build_telescope(parameters), parameters)
-        search = Search(system, parameters, k_fsm, k_pma, "fsm")
+        search = Search(ImplementedLoop(OpenLoop(system, parameters), k_fsm, k_pma, "fsm"))
         found = [search.confirmed(search.metrics["slow"], 5.0, np.full(7, share)) for share in (0.6, 0.3, 0.6)]
         return {"fsm": {"slow": found}, "fsm+pma": {"slow": []}}
 

@@ -81,11 +81,11 @@ class Bench:
     def stable(self, task, x, values=None):
         return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
 
-    def design(self, count: int = 5, kept=None, points: int = 0):
+    def design(self, count: int = 5, kept=None, points: int = 0, known=()):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
-        task = Task(self.samples, (BOTH,), (0, 1), lambda x: None)
-        return design_in_rounds(task, np.zeros(2), effort, self.lines.append, kept)
+        task = Task(self.samples, (BOTH,), (0, 1), lambda x: None, known=known)
+        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
 
 
 @pytest.fixture
@@ -149,6 +149,24 @@ def test_an_unstable_point_is_watched_and_the_descent_repeated(bench) -> None:
     made.lost = [made.samples.open_loop.point({})[0]]
     found = made.design()
     assert made.tuned == [1, 1] and found.status == "converged"
+
+
+def test_a_point_that_is_unstable_all_along_ends_nothing(bench, monkeypatch) -> None:
+    """It is not watched: no descent could begin at it. What is sampled of it is the last stable point on the way."""
+    made = bench([[peak("soft tones", 0.6, 100.0)], [], []])
+    monkeypatch.setattr(Task, "stable", lambda task, x, values=None: not values or values["p"] > 0.3)
+    found = made.design()
+    assert made.tuned == [1, 2] and found.status == "converged"
+    at = made.samples.points[1]  # on the way from 0.5 to 0.1
+    assert 0.3 < at[0] < 0.3 + 0.4 / 2**7 * 1.01 and made.samples.around == [100.0]
+
+
+def test_known_worst_points_are_sampled_and_climbed_from(bench) -> None:
+    known = (peak("soft tones", 0.6, 70.0), peak("hard tones", 0.6, 80.0), peak("soft tones", 0.5, 70.0))
+    made = bench([[], []])
+    found = made.design(known=known)
+    assert found.active == [{"p": p, "q": 0.5} for p in (0.5, 0.07, 0.08)]
+    assert made.tuned == [3] and [known for _, _, known in made.searched] == [3, 3]
 
 
 def test_random_points_and_corners_come_first(bench) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from los_design.implemented_loop import ImplementedLoop
 from los_design.open_loop import OpenLoop
 from los_design.pair_problem import ALONE, BOTH, Samples, pair_problem
 from los_design.stage_check import CHUNK, check_stage
@@ -23,12 +24,13 @@ def test_a_search_and_a_check_in_two_processes() -> None:
     parameters, pair = load_parameters(), load_designs("implemented")
     system = control_loop_plant(telescope(), parameters)
     at = verification_points(parameters, system, 0)[: CHUNK + 3]
-    found, checked = [], []
+    open_loop, found, checked = OpenLoop(system, parameters), [], []
     with one_thread(), Workers(2) as two:
         for workers in (Workers(), two):
-            search = Search(system, parameters, *pair, "fsm+pma", SMALL)
+            search = Search(ImplementedLoop(open_loop, *pair, "fsm+pma"), SMALL)
+            loop = ImplementedLoop(open_loop, *pair, "fsm")
             found.append(search.run(["fast", "force"], workers=workers))
-            checked.append(check_stage(system, parameters, pair, "fsm", at, changes=False, workers=workers))
+            checked.append(check_stage(loop, at, changes=False, workers=workers))
     for name, points in found[0].items():
         assert [p.to_mapping() for p in points] == [p.to_mapping() for p in found[1][name]]
     one, other = checked

@@ -1,47 +1,30 @@
-"""Designs from end to end with very small effort: what the returned file holds, screening, trade-off."""
+"""Designs from end to end with very small effort: what the returned file holds, screening."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_loop import SmallFamily, small_controllers, small_plant
 
-from los_design import starts, synthesis, trade_off
+from los_design import starts, synthesis
 from los_design.implemented_loop import ImplementedLoop, loop_metrics
+from los_design.open_loop import OpenLoop
 from los_design.options import LOOP_DELAY, DesignOptions
-from los_design.pair_problem import ALONE, BOTH, blocks, grid, limits, named
+from los_design.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.rounds import Effort
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import weighted_response
 from los_design.starts import screened, zero_controller
 from los_design.store import continuous, load_designs
-from los_design.trade_off import TradeOffPoint, undominated
 from los_design.worst_case_search import SearchOptions
-from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
-from lti import StateSpace
-from robust_design import certify
-from robust_design.frequency_domain import gain_matrices
-from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
+from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation import control_loop_plant, telescope
-from titop_plant.telescope.budget import error_budget
 from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
 
-MAS = np.pi / 648e6
-NOISE_SHARE = error_budget(load_parameters()).noise / MAS
 PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
 STATUSES = {"converged", "rounds", "out_of_time"}
-
-
-def certified(system, plant, measured, requirements, options: DesignOptions, points) -> dict[str, float]:
-    """Worst norms of the continuous controller by the certificate, which shares no code with the tuner."""
-    data = continuous(system).data_at({})
-    K = StateSpace(*data.matrices, tuple(plant.system.output_port(m) for m in measured), data.outputs, "K")
-    found = certify([plant(values) for values in points], K, requirements, options.delay)
-    assert found.stable
-    return dict(zip((r.name for r in requirements), found.values.max(axis=1)))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +56,7 @@ def measured(parameters, pair, values) -> dict[str, float]:
     """Worst gamma of every requirement of the tuned values' names at one parameter point, by the implemented loop."""
     system, found = control_loop_plant(telescope(), parameters), {}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
-        loop = ImplementedLoop(system, parameters, *pair, name)
+        loop = ImplementedLoop(OpenLoop(system, parameters), *pair, name)
         for metric in loop_metrics(parameters, name).values():
             share = limits(parameters, stage)[metric.name]
             omega = [w for w in grid() if metric.band[0] <= w < metric.band[1]][::4]
@@ -125,38 +108,6 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameter
 def test_a_pair_is_designed_for_the_implemented_loop_only(parameters) -> None:
     with pytest.raises(ValueError, match="got no loop delay"):
         synthesis.design_pair(telescope(), parameters, DesignOptions(loop_delay=0.0))
-
-
-@pytest.mark.parametrize("stabilised", [0, 1, 2])
-def test_a_start_that_does_not_stabilise_is_replaced(stabilised: int, parameters, monkeypatch) -> None:
-    """The stored start; else the Kalman observer with a random law, the largest that it bears; else an error."""
-    starts_seen, lines = [], []
-
-    def stable(task, x, values=None):
-        F, P = gain_matrices(blocks(parameters, BOTH), x)
-        size = float(np.abs(P).max())
-        if stabilised == 0:
-            return True
-        return stabilised == 1 and np.array_equal(F, kalman) and size < 500.0
-
-    def stop(task, start, *rest):
-        starts_seen.append(gain_matrices(blocks(parameters, BOTH), start))
-        raise InterruptedError
-
-    plant = observer_plant(telescope(), parameters, **DesignOptions().hold_delays)
-    structure = observer_structure(plant, camera_hold=True)
-    kalman = structure.gain_matrix(kalman_start(structure, telescope(), parameters, lead=LOOP_DELAY))
-    monkeypatch.setattr(synthesis.Task, "stable", stable)
-    monkeypatch.setattr(synthesis, "design_in_rounds", stop)
-    error = ValueError if stabilised == 2 else InterruptedError
-    with pytest.raises(error, match="K_FSM must stabilise" if stabilised == 2 else ""):
-        synthesis.design_pair(telescope(), parameters, DesignOptions(), lines.append)
-    if stabilised == 0:
-        assert np.array_equal(starts_seen[0][0][:4, :4], starts.stored_start("k-fsm").A) and lines == []
-    else:
-        assert lines[0].startswith("the stored start does not stabilise")
-    if stabilised == 1:
-        assert np.array_equal(starts_seen[0][0], kalman) and 0.0 < np.abs(starts_seen[0][1]).max() < 500.0
 
 
 def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None:
@@ -221,50 +172,3 @@ def test_a_zero_controller_fits_the_runtime_and_does_nothing(kind: str) -> None:
     system = zero_controller(kind)
     system.require(*PORTS[kind], 1e-3)
     assert system.order == 0 and not system.D.any()
-
-
-@pytest.mark.slow
-def test_one_level_of_the_trade_off(parameters, monkeypatch) -> None:
-    """Two iterations on one model: values are those of the tuner, the stored design comes first, ticks are counted."""
-    monkeypatch.setattr(trade_off, "MAX_ITERATIONS", 2)
-    monkeypatch.setattr(trade_off, "MAX_POINTS", 1)
-    results, ticks, tune = [], [], trade_off.tune
-
-    def recorded(models, requirements, *args, **kwargs):
-        results.append((requirements, kwargs, tune(models, requirements, *args, **kwargs)))
-        return results[-1][2]
-
-    monkeypatch.setattr(trade_off, "tune", recorded)
-    stored, point = trade_off.trade_off([0.5], lambda: ticks.append(1))
-    assert len(ticks) == len(results) == 2
-    assert (stored.bound, stored.status, point.bound) == (None, "stored", 0.5)
-    names = [r.name for r in results[0][0]]
-    candidates = []
-    for requirements, _, result in results:
-        assert [r.name for r in requirements if not r.hard] == ["noise -> RPE"]
-        values = dict(zip(names, result.values.max(axis=1)))
-        # 1 is 50 mas for slow and fast tones, the share of the budget for the noise
-        tones = 50.0 * max(values["slow"], values["fast"])
-        candidates.append((not result.feasible, NOISE_SHARE * values["noise -> RPE"], tones))
-    best = min(candidates)
-    assert (point.infeasible, point.noise, point.disturbance) == pytest.approx(best, rel=1e-12)
-    if results[0][2].feasible:  # the second one starts from the first
-        assert np.array_equal(results[1][1]["initial"][0], results[0][2].x)
-    plant = observer_plant(telescope(), parameters, **DesignOptions().hold_delays)
-    k_fsm, _ = load_designs("implemented")
-    at = k_fsm.provenance["active_models"][:1]
-    requirements = observer_requirements(parameters, implemented=True)
-    known = certified(k_fsm, plant, MEASURED, requirements, DesignOptions(), at)
-    shares = error_budget(parameters)
-    tones = max(known["slow"] * shares.slow, known["fast"] * shares.fast_mirror)
-    assert stored.disturbance == pytest.approx(tones / MAS, rel=2e-3)
-    assert stored.noise == pytest.approx(NOISE_SHARE * known["noise -> RPE"], rel=2e-3)
-
-
-def test_undominated_points_are_those_no_other_one_beats() -> None:
-    points = [TradeOffPoint(0.1 * k, d, n, s) for k, (d, n, s) in enumerate([
-        (10.0, 50.0, "converged"), (20.0, 40.0, "converged"), (25.0, 45.0, "converged"), (15.0, 10.0, "infeasible"),
-        (30.0, 30.0, "iterations"), (30.0, 35.0, "converged"),
-    ])]  # fmt: skip
-    assert [(p.disturbance, p.noise) for p in undominated(list(reversed(points)))] == [(10, 50), (20, 40), (30, 30)]
-    assert undominated([replace(points[3])]) == []

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from los_design.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_design.open_loop import OpenLoop
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import tone_response, weighted_gains
 from los_design.worst_case_search import Search, SearchOptions
@@ -58,7 +59,7 @@ def known_values(stage: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
 def test_the_response_is_that_of_the_periodic_solution(stage: str, system, parameters, pair) -> None:
-    loop, values = ImplementedLoop(system, parameters, *pair, stage), known_values("fsm+pma")
+    loop, values = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), known_values("fsm+pma")
     plant = system.data_at(values)
     exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
@@ -73,7 +74,7 @@ def test_the_response_is_that_of_the_periodic_solution(stage: str, system, param
 
 def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pair) -> None:
     """With the plant's response from the mirror alone: S = (I - L)^-1, L by tones on the command, no LFT."""
-    loop, values, w = ImplementedLoop(system, parameters, *pair, "fsm"), known_values("fsm"), 7.0
+    loop, values, w = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"), known_values("fsm"), 7.0
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.data_at(values)
     n = plant.A.shape[0]
@@ -90,7 +91,7 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
 
 @pytest.mark.parametrize(("stage", "name"), [("fsm", "fast"), ("fsm+pma", "force"), ("fsm+pma", "sensitivity, forces")])
 def test_gradients_equal_differences(stage: str, name: str, system, parameters, pair) -> None:
-    loop, metric = ImplementedLoop(system, parameters, *pair, stage), loop_metrics(parameters, stage)[name]
+    loop, metric = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), loop_metrics(parameters, stage)[name]
     closed, h = loop.at(683.9), 1e-5
     point = np.clip(loop.point(known_values("fsm+pma")), 2.0 * h, 1.0 - 2.0 * h)
     _, slope = loop.gain(closed, metric, point)
@@ -102,7 +103,7 @@ def test_gradients_equal_differences(stage: str, name: str, system, parameters, 
 def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, parameters, pair) -> None:
     """From frequencies 0.2 % and parameters 3 % of the box away; confirmed by the periodic solution."""
     omega, _, gamma = KNOWN[stage]
-    search = Search(system, parameters, *pair, stage)
+    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, stage))
     metric, start = search.metrics["fast"], search.loop.point(known_values(stage))
     rng = np.random.default_rng(1)
     near = np.clip(start + 0.03 * rng.uniform(-1.0, 1.0, 7), 0.0, 1.0)
@@ -119,7 +120,7 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, parameters
 
 def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> None:
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
-    search = Search(system, parameters, *pair, "fsm")
+    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"))
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
     assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
         1.0
@@ -133,7 +134,7 @@ def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> 
 
 
 def test_points_are_stored_and_read_back(tmp_path, system, parameters, pair) -> None:
-    search = Search(system, parameters, *pair, "fsm")
+    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"))
     slow, fast = (
         search.confirmed(search.metrics[name], w, np.full(7, 0.5)) for name, w in (("slow", 5.0), ("fast", 400.0))
     )
@@ -152,7 +153,8 @@ def test_points_are_stored_and_read_back(tmp_path, system, parameters, pair) -> 
 
 def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system, parameters, pair) -> None:
     options = SearchOptions(frequencies=40, points=4, ascents=6, iterations=3, seed=3)
-    runs = [Search(system, parameters, *pair, "isolator", options).run(["fast"])["fast"] for _ in range(2)]
+    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "isolator")
+    runs = [Search(loop, options).run(["fast"])["fast"] for _ in range(2)]
     assert [(p.gamma, p.omega) for p in runs[0]] == [(p.gamma, p.omega) for p in runs[1]]
     assert all(85.0 <= p.omega <= 3000.0 for p in runs[0])
     assert [p.gamma for p in runs[0]] == sorted((p.gamma for p in runs[0]), reverse=True)
@@ -163,7 +165,8 @@ def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system,
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["fsm+pma", "fsm"])
 def test_the_search_finds_the_known_worst_cases_by_itself(stage: str, system, parameters, pair) -> None:
-    found: list[WorstPoint] = Search(system, parameters, *pair, stage, SearchOptions(seed=5)).run(["fast"])["fast"]
+    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, stage)
+    found: list[WorstPoint] = Search(loop, SearchOptions(seed=5)).run(["fast"])["fast"]
     omega, _, gamma = KNOWN[stage]
     assert found[0].gamma >= gamma - 1e-3
     assert any(abs(p.omega / omega - 1.0) < 0.01 for p in found)

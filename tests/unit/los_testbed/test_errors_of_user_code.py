@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from los_testbed.plugins import in_one_line
 from simple_telescope import write_controllers
+from user_code import STORED_LAW
 
 from pointing_analysis.read import Run
 from pointing_analysis.summary import summarise
@@ -44,18 +45,12 @@ class Plant(SimpleTelescope):
         FAULTS["{fault}"]()
 """
 
-LAW = """
-class Law:
-    def __init__(self):
-        self.law = SampledSystem.from_file("k_pma.json")
-    def reset(self):
-        self.law.reset()
-        self.tick = 0
+LAW = f"""{STORED_LAW}
+class Law(StoredLaw):
     def step(self, accel_Ip, out):
-        self.law.step(accel_Ip, out)
-        if self.tick == {tick}:
-            FAULTS["{fault}"]()
-        self.tick += 1
+        super().step(accel_Ip, out)
+        if self.tick == {{tick}} + 1:
+            FAULTS["{{fault}}"]()
 """
 
 KINDS = ["ZeroDivisionError", "LinAlgError", "KeyError", "SystemExit", "RecursionError"]

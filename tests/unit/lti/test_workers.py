@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -39,6 +40,24 @@ def test_an_error_comes_from_the_item() -> None:
         assert workers.map(abs, [-1, -2]) == [1, 2], "and the others go on"
     with pytest.raises(ValueError, match="workers must be at least 1, got 0"):
         Workers(0)
+
+
+def test_an_exception_ends_the_processes_in_the_midst_of_their_items() -> None:
+    pids: list[int] = []
+
+    def interrupted() -> None:
+        with Workers(2) as workers:
+            pids.extend(workers.map(identity_of_process, range(8)))
+            workers.each(time.sleep, [3600.0] * 8)  # begun; nobody waits for them
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert pids and not any(alive(pid) for pid in pids)
+
+
+def identity_of_process(item: int) -> int:
+    return os.getpid()
 
 
 SCRIPT = """

@@ -28,6 +28,8 @@ MOST_ASCENTS = 200
 @lru_cache(maxsize=1)
 def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[str, float]], ...]:
     """Value and parameters of the worst point of each band of each metric, worst first."""
+    from los_design.implemented_loop import ImplementedLoop
+    from los_design.open_loop import OpenLoop
     from los_design.worst_case_search import Search, SearchOptions
     from titop_plant.simulation import PlantFamily
 
@@ -35,10 +37,9 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
     with one_thread():
         family = PlantFamily.of(plant_config(replace(base, scenario="design")))
         options = SearchOptions(ascents=ascents, seed=seed)
-        search = Search(
-            family.control_loop, family.parameters, controllers["k_fsm"], controllers["k_pma"], base.loop, options
-        )
-        found = search.run(METRICS)
+        open_loop = OpenLoop(family.control_loop, family.parameters)
+        loop = ImplementedLoop(open_loop, controllers["k_fsm"], controllers["k_pma"], base.loop)
+        found = Search(loop, options).run(METRICS)
     points = [point for band in found.values() for point in band]
     return tuple((p.gamma, dict(p.parameters)) for p in sorted(points, key=lambda p: -p.gamma))
 

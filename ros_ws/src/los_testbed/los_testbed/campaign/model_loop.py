@@ -23,6 +23,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from los_design.implemented_loop import HIGHEST, ImplementedLoop
+from los_design.open_loop import OpenLoop
 from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import solve
 from titop_plant.telescope.parameters import Parameters, parameter_corners
@@ -159,8 +160,8 @@ class ModelLoop:
     def of(
         cls, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelLoop:
-        """Evaluate the LFT of the closed loop on the grid; the arguments are those of `ImplementedLoop`."""
-        loop = ImplementedLoop(system, parameters, k_fsm, k_pma, stage)
+        """Evaluate the LFT of an `ImplementedLoop` on the grid."""
+        loop = ImplementedLoop(OpenLoop(system, parameters), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
         rng = np.random.default_rng(0)
         members = [*parameter_corners(parameters), *system.sample_values(rng, DRAWS)]

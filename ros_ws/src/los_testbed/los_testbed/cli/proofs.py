@@ -105,6 +105,7 @@ def certify(
 def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
     """The implemented loops, and the worst points that are known of them."""
     from los_design.implemented_loop import ImplementedLoop
+    from los_design.open_loop import OpenLoop
     from los_design.store import load_designs
     from los_design.worst_points import load_worst_points
     from lti import SampledSystem
@@ -126,15 +127,15 @@ def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemente
     points = []
     if folder is None or (folder / WORST_POINTS).exists():
         points = [point for table in load_worst_points(folder).values() for point in table.values()]
-    return {stage: ImplementedLoop(system, parameters, k_fsm, k_pma, stage) for stage in stages}, points
+    open_loop = OpenLoop(system, parameters)
+    return {stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points
 
 
 def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint]:
     """Worst points by a search, where none are stored."""
     from los_design.worst_case_search import Search
 
-    search = Search(loop.system, loop.parameters, *loop.controllers, loop.stage)
-    return search.run([name], workers=workers)[name]
+    return Search(loop).run([name], workers=workers)[name]
 
 
 def _writable(folder: Path) -> None:

@@ -1,0 +1,118 @@
+"""Start of a design: the stored one for the reference telescope, the best of several for another one."""
+
+from __future__ import annotations
+
+import copy
+from functools import partial
+
+import numpy as np
+import pytest
+
+from los_design import start_choice, synthesis
+from los_design.options import LOOP_DELAY, DesignOptions
+from los_design.pair_problem import BOTH, blocks
+from los_design.start_choice import gain_matrix
+from los_design.starts import stored_start
+from los_design.store import continuous, load_designs
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from robust_design.frequency_domain import gain_matrices
+from titop_plant.simulation import telescope
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters
+
+KEPT = 500.0
+"""Random laws with larger entries are taken as not stabilising."""
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+@pytest.fixture(scope="module")
+def kalman(parameters):
+    structure = observer_structure(
+        observer_plant(telescope(), parameters, **DesignOptions().hold_delays), camera_hold=True
+    )
+    return structure.gain_matrix(kalman_start(structure, telescope(), parameters, lead=LOOP_DELAY))
+
+
+@pytest.fixture
+def chosen(monkeypatch):
+    """What a design begins with, as gain matrices, and the lines of the choice."""
+
+    def choose(parameters, assembled, options=None, observer=None):
+        lines, found = [], []
+
+        def stop(task, start, *rest):
+            found.append(gain_matrices(blocks(parameters, task.tuned), start()))
+            raise InterruptedError
+
+        monkeypatch.setattr(synthesis, "design_in_rounds", stop)
+        options = options or DesignOptions()
+        design = synthesis.design_pair
+        if observer is not None:
+            design = partial(synthesis.design_actuators, observer=observer)
+        with pytest.raises(InterruptedError):
+            design(assembled, parameters, options=options, report=lines.append)
+        return found[0], lines
+
+    return choose
+
+
+def another(parameters) -> dict:
+    table = copy.deepcopy(dict(parameters))
+    table["isolator"]["stiffness"] = [0.25 * k for k in table["isolator"]["stiffness"]]
+    return table
+
+
+def test_the_reference_telescope_has_the_stored_start(parameters, chosen) -> None:
+    found, lines = chosen(parameters, telescope())
+    assert lines == []
+    for M, kind in zip(found, ("k-fsm", "k-pma")):
+        np.testing.assert_array_equal(M, gain_matrix(stored_start(kind)))
+
+
+def test_another_telescope_has_the_best_of_several_after_a_short_descent(parameters, chosen, monkeypatch) -> None:
+    """With the soft isolator the stored start and the random laws are worse than the stored pair."""
+    monkeypatch.setattr(start_choice, "POINTS", 1)
+    monkeypatch.setattr(start_choice, "STEPS", 6)
+    monkeypatch.setattr(start_choice, "COMPARED", 1)
+    table = another(parameters)
+    found, lines = chosen(table, build_telescope(table))
+    assert lines[0] == "another telescope than that of the stored start: starts are compared"
+    assert lines[1].startswith("start from the stored pair: ") and len(lines) == 2
+    before, after = (float(text.split()[-1]) for text in lines[1].split(", after"))
+    assert after < before
+    stored = [gain_matrix(continuous(system).data_at({})) for system in load_designs("implemented")]
+    assert all(np.abs(M - S).max() > 0.0 for M, S in zip(found, stored))
+
+
+def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(parameters, kalman, chosen, monkeypatch):
+    """With the random law of the largest gain that it bears; the lowest value of the three seeds is chosen."""
+
+    def stable(task, x, values=None):
+        F, P = gain_matrices(blocks(parameters, BOTH), x)
+        stored = np.array_equal(P, gain_matrix(continuous(load_designs("implemented")[1]).data_at({})))
+        return np.array_equal(F, kalman) and np.abs(P).max() < KEPT and not stored
+
+    monkeypatch.setattr(synthesis.Task, "stable", stable)
+    monkeypatch.setattr(start_choice, "descended", lambda task, problem, x: x)
+    monkeypatch.setattr(start_choice, "POINTS", 0)
+    (F, P), lines = chosen(parameters, telescope())
+    assert np.array_equal(F, kalman) and 0.0 < np.abs(P).max() < KEPT
+    values = [float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("start from a random K_PMA")]
+    assert len(values) == len(lines) - 1 == 2 and values == sorted(values)
+
+    monkeypatch.setattr(synthesis.Task, "stable", lambda *rest: False)
+    with pytest.raises(ValueError, match="K_FSM must stabilise the telescope with a small K_PMA, got one that does"):
+        chosen(parameters, telescope())
+
+
+def test_a_given_observer_stays_as_it_is(parameters, chosen, monkeypatch) -> None:
+    monkeypatch.setattr(start_choice, "descended", lambda task, problem, x: x)
+    monkeypatch.setattr(start_choice, "POINTS", 0)
+    table, observer = another(parameters), load_designs("implemented")[0]
+    (F, _), lines = chosen(table, build_telescope(table), DesignOptions(nominal=True), observer)
+    np.testing.assert_array_equal(F, gain_matrix(continuous(observer).data_at({})))
+    assert not any("Kalman" in line for line in lines)
