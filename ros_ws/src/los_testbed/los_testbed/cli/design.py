@@ -302,7 +302,10 @@ def figures(
     """Draw the four stages over sampled parameters with their templates, and the controllers."""
     from los_design.figures import draw
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
 
+    number("--samples", samples, 0, 10_000)
+    check_output(output, "--output", folder=True)
     with one_thread():
         for path in draw(output, samples):
             sys.stdout.write(f"{path}\n")
@@ -321,12 +324,14 @@ def trade_off(
     from los_design.trade_off import LEVELS, check_levels, draw_trade_off
     from los_design.trade_off import trade_off as curve
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
 
     try:
         levels = [float(text) for text in bounds.split(",")] if bounds else list(LEVELS)
     except ValueError:
         raise ValueError(f"--bounds must be numbers with commas between them, got {bounds!r}") from None
     check_levels(levels)
+    check_output(output, "--output", folder=True)
     with Progress("trade-off") as bar, one_thread():
         points = curve(levels, _counted(bar, 2 * len(levels)))
     output.mkdir(parents=True, exist_ok=True)
