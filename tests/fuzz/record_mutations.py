@@ -258,8 +258,8 @@ KINDS: dict[str, Callable[[list[Record], RecordMutation, list[Record]], list[Rec
     "forged_record": _forged_record,
 }  # fmt: skip
 
-PLACES = st.integers(0, 10_000)
+INTEGERS = st.integers(0, 10_000)
 RECORD_MUTATIONS = st.builds(
-    RecordMutation, st.sampled_from(sorted(KINDS)), PLACES, PLACES,
+    RecordMutation, st.sampled_from(sorted(KINDS)), INTEGERS, INTEGERS,
     st.sampled_from(ODD_NUMBERS) | st.integers(0, 2**64 - 1), st.text(max_size=20), st.binary(min_size=1, max_size=200),
 )  # fmt: skip
