@@ -90,6 +90,17 @@ def _temporary(path: Path) -> Path:
 
 
 @contextlib.contextmanager
+def named_errors(path: Path, temporary: Path) -> Iterator[None]:
+    """Errors of writing name this path: that of a full disk has none, and a temporary name would say nothing."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None and not str(error.filename).startswith(str(temporary)):
+            raise  # of another file
+        raise OSError(error.errno, os.strerror(error.errno or 0), str(path)) from error
+
+
+@contextlib.contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """A path to write to; the file gets its name when the block ends without an exception.
 
@@ -105,8 +116,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     _check_kind(path, "an output")
     temporary = _temporary(path)
     try:
-        yield temporary
-        os.replace(temporary, path)
+        with named_errors(path, temporary):
+            yield temporary
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -123,10 +135,11 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     path.absolute().parent.mkdir(parents=True, exist_ok=True)
     temporary = _temporary(path)
     try:
-        yield temporary
-        if path.exists():
-            raise ValueError(f"{path} must be a new name, got one that came into being meanwhile")
-        os.rename(temporary, path)
+        with named_errors(path, temporary):
+            yield temporary
+            if path.exists():
+                raise ValueError(f"{path} must be a new name, got one that came into being meanwhile")
+            os.rename(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

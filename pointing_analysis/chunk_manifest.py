@@ -32,6 +32,8 @@ RUN = np.dtype(
 )
 BURST = 4
 """Longest damage within one record that its checksum can undo [byte]."""
+MAX_LENGTH, MAX_WORK = 100_000, 2_000_000_000
+"""Damage is undone in records of this length at most [byte], by trials that read so many bytes of the chunk."""
 
 
 @dataclass(frozen=True)
@@ -132,13 +134,15 @@ def _mended(content: bytearray, manifest: Manifest, wrong: Sequence[int]) -> byt
     choices = []
     for i in wrong:
         begin, end = int(offsets[i]), int(offsets[i + 1])
+        if end - begin > MAX_LENGTH:
+            return None
         found = _bursts(zlib.crc32(content[begin:end]) ^ int(manifest.checksums[i]), end - begin)
         if not found:
             return None
         choices.append([(begin + at, pattern) for at, pattern in found])
     # Fewest damaged bytes first. With one wrong record the chunk's digest chooses among all.
     trials = choices[0] if len(choices) == 1 else [None]
-    for trial in trials:
+    for trial in trials[: max(MAX_WORK // max(len(content), 1), 1)]:
         changed = bytearray(content)
         for at, pattern in [trial] if trial is not None else [options[0] for options in choices]:
             changed[at : at + BURST] = bytes(a ^ b for a, b in zip(changed[at : at + BURST], pattern))

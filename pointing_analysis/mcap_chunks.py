@@ -36,6 +36,8 @@ _MAGIC = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
 _PIECE = 1 << 17  # unpacked at a time where the size is not believed [byte]; a block of zstd
 _HEAD_BITS = 8 * 18  # longest head of a zstd frame, and of its first block [bit]
 KINDS = ("", "zstd", "lz4")
+MAX_OTHERS = 1000
+"""Records of a chunk that are no messages: so many, and one more for each byte of the packed chunk."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +212,14 @@ def whole_records(info: FileInfo, found: Unpacked, manifest: Manifest, where: st
     return Block(found.content, _heads(found.content, offsets), offsets) if offsets.size else None
 
 
-def block_of(info: FileInfo, data: bytes, indexed: list[bytes], where: str = "", offset: int = 0) -> Block | None:
-    """Find the messages of a chunk: by its index records where they are right, by walking where they are not."""
+def block_of(
+    info: FileInfo, data: bytes, indexed: list[bytes], where: str = "", offset: int = 0, packed: int | None = None
+) -> Block | None:
+    """Find the messages of a chunk: by its index records where they are right, by walking where they are not.
+
+    `packed` is the size of the chunk in the file [byte]: a few bytes may not stand for millions of records.
+    """
+    most = MAX_OTHERS + (len(data) if packed is None else packed)
     offsets = index_offsets(indexed)
     if offsets.size and (offsets[0] < 0 or offsets[-1] + HEAD > len(data)):
         offsets = offsets[:0]
@@ -225,7 +233,7 @@ def block_of(info: FileInfo, data: bytes, indexed: list[bytes], where: str = "",
     extra = [
         o
         for i in np.flatnonzero(starts > ends)
-        for o in _scan(info, data, int(ends[i]), int(starts[i]), (where, offset))
+        for o in _scan(info, data, (int(ends[i]), int(starts[i])), (where, offset), most)
     ]
     if extra or heads.size != offsets.size:
         offsets = np.sort(np.concatenate([offsets, np.array(extra, dtype=np.int64)]))
@@ -233,9 +241,9 @@ def block_of(info: FileInfo, data: bytes, indexed: list[bytes], where: str = "",
     return Block(data, heads, offsets) if offsets.size else None
 
 
-def _scan(info: FileInfo, data: bytes, start: int, stop: int, place: tuple[str, int]) -> list[int]:
-    """Offsets of the messages between two positions, reading the other records on the way."""
-    offsets, at, head = [], start, RECORD.unpack_from
+def _scan(info: FileInfo, data: bytes, part: tuple[int, int], place: tuple[str, int], most: int) -> list[int]:
+    """Offsets of the messages between two positions, reading the other records on the way, `most` of them."""
+    offsets, head, (at, stop) = [], RECORD.unpack_from, part
     while at + RECORD.size <= stop:
         op, length = head(data, at)
         end = at + RECORD.size + length
@@ -243,7 +251,12 @@ def _scan(info: FileInfo, data: bytes, start: int, stop: int, place: tuple[str, 
             break
         if op == OP_MESSAGE and length >= HEAD - RECORD.size:
             offsets.append(at)
-        elif op in SIDE_RECORDS:
-            read_side_record(info, op, data[at + RECORD.size : end], *place)
+        elif not op or not most:
+            info.note(*place, "a chunk holds what is no record: the rest of it is left out")
+            break
+        else:
+            most -= 1
+            if op in SIDE_RECORDS:
+                read_side_record(info, op, data[at + RECORD.size : end], *place)
         at = end
     return offsets

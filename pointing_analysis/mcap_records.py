@@ -32,6 +32,8 @@ BODY = HEAD - RECORD.size  # 22: part of the length that is not payload
 MAX_CHUNK = 64_000_000
 """Largest chunk and largest other record that are read [byte]; declared sizes are compared with it before anything is
 allocated."""
+MAX_NOTES = 10_000
+"""Damaged places of a file that are told one by one."""
 
 
 class BagError(ValueError):
@@ -127,7 +129,11 @@ class FileInfo:
             )
 
     def note(self, where: str, offset: int, what: str) -> None:
-        """Keep a defect with its place."""
+        """Keep a defect with its place; the same of the same place once."""
+        if (self.damage and self.damage[-1] == (offset, what)) or len(self.damage) > MAX_NOTES:
+            return
+        if len(self.damage) == MAX_NOTES:
+            what = f"more than {MAX_NOTES} places are damaged; those from here on are not listed"
         self.damage.append((offset, what))
         self.problems.append(f"{where}, byte {offset}: {what}")
 

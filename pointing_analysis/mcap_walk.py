@@ -15,7 +15,7 @@ from typing import BinaryIO
 import zstandard
 
 from pointing_analysis.chunk_manifest import Manifest, decode_manifest
-from pointing_analysis.mcap_chunks import block_of, index_times, take_apart, unpack, whole_records
+from pointing_analysis.mcap_chunks import Unpacked, block_of, index_times, take_apart, unpack, whole_records
 from pointing_analysis.mcap_framing import Frame, Framing
 from pointing_analysis.mcap_records import (
     MAGIC,
@@ -43,7 +43,7 @@ from pointing_analysis.mcap_summary import Summary, read_summary
 
 PLAIN_BLOCK = 4 << 20  # unchunked files are read in blocks of this size [byte]
 MAX_RATIO, MAX_SPARE = 100, 1 << 30
-"""A file compressed as a whole may unpack to this many times its size, and so many bytes more."""
+"""A file compressed as a whole, or all chunks of one, may unpack to so many times its size, and so many bytes more."""
 
 
 class _Walk:
@@ -56,6 +56,7 @@ class _Walk:
         self.chunk: tuple[Frame, bytes] | None = None
         self.indexed: list[bytes] = []
         size = stream.seek(0, os.SEEK_END)
+        self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
         self.summary = read_summary(stream, info, where) or Summary()
         self.framing = Framing(stream, size, self.summary.anchors)
 
@@ -168,12 +169,18 @@ class _Walk:
         if packed is None:
             self._lost(frame, "the head of a chunk is damaged; it is left out")
             return None
-        found = unpack(packed, manifest, self.info.max_chunk, cut)
+        found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut)
+        self.left -= len(found.content)
+        if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
+            self.left = 0
+            found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
         if found.reason and not cut:
             self._lost(frame, found.reason)
         if found.whole is not None and manifest is not None:
             return whole_records(self.info, found, manifest, self.where, frame.at)
-        return block_of(self.info, found.content, indexed, self.where, frame.at) if found.content else None
+        if not found.content:
+            return None
+        return block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
 
     def _flush_plain(self) -> Iterator[Block]:
         if self.plain:

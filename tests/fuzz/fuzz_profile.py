@@ -10,11 +10,11 @@ PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
 """Without shrinking: it takes minutes at a second for each example, and the examples are small."""
 
 
-def examples(fixed: int) -> settings:
-    """Settings of a test: this number of examples, always the same, or FUZZ_EXAMPLES random ones."""
+def examples(fixed: int, times: int = 1) -> settings:
+    """Settings of a test: this number of examples, always the same, or `times` FUZZ_EXAMPLES random ones."""
     if EXAMPLES:
         return settings(
-            max_examples=EXAMPLES, deadline=None, print_blob=True, phases=PHASES, suppress_health_check=QUIET
+            max_examples=times * EXAMPLES, deadline=None, print_blob=True, phases=PHASES, suppress_health_check=QUIET
         )
     return settings(
         max_examples=fixed, deadline=None, derandomize=True, database=None, phases=PHASES, suppress_health_check=QUIET

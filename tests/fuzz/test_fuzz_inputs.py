@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import os
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,8 @@ from titop_plant.telescope.parameters import load_parameters
 
 CODES = {0, 1, 2, 3, 130}
 LIMIT_S = 20.0
+QUICK = 5
+"""A command line takes a fraction of the time of a damaged bag, so that there are more of them in a round."""
 ODD = st.one_of(
     st.none(), st.booleans(), st.integers(-(10**400), 10**400), st.floats(), st.text(max_size=20),
     st.sampled_from(["[x]", "[/]", "\0", "../x", "nan", "1e999", "", " ", "\u202e", "x" * 400]),
@@ -32,6 +36,14 @@ ODD = st.one_of(
 VALUES = st.recursive(
     ODD, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4)
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def command_made_once() -> Iterator[None]:
+    """Typer makes all commands anew at each call: 50 ms, more than most of the examples take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli.typer.main, "get_command", functools.cache(cli.typer.main.get_command))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +107,7 @@ TEXTS = st.one_of(
 
 
 @given(data=st.data())
-@examples(40)
+@examples(40, times=QUICK)
 def test_any_command_line(folder: Path, data: st.DataObject) -> None:
     command = data.draw(st.sampled_from(sorted(OPTIONS)))
     option = data.draw(st.sampled_from(OPTIONS[command]))
@@ -119,7 +131,7 @@ def test_any_command_line(folder: Path, data: st.DataObject) -> None:
 
 
 @given(value=VALUES, key=st.sampled_from(["A", "D", "dt", "inputs", "version", "design_basis", "provenance", "name"]))
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_value_in_a_controller(folder: Path, value: object, key: str) -> None:
     content = json.loads((folder / "k_fsm.json").read_text())
     content[key] = value
@@ -133,7 +145,7 @@ KEYS = ["relative_file_paths", "files", "version", "compression_mode", "topics_w
 
 
 @given(value=VALUES, where=st.lists(st.sampled_from(KEYS), max_size=2))
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_value_in_metadata_yaml(folder: Path, value: object, where: list[str]) -> None:
     file = folder / "bag" / "metadata.yaml"
     good = file.read_text()
@@ -148,7 +160,7 @@ def test_any_value_in_metadata_yaml(folder: Path, value: object, where: list[str
 
 
 @given(value=VALUES)
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_value_in_a_configuration_or_requirement_file(folder: Path, value: object) -> None:
     for name, content in (
         ("c.yaml", value),
@@ -182,7 +194,7 @@ ENTRIES = [
 @given(
     value=VALUES, place=st.sampled_from(ENTRIES), kind=st.sampled_from(["{} = {}", "{}.x = {}", "[[{}]]\nname = {}"])
 )
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple[str, str], kind: str) -> None:
     table, key = place
     where = f"{table}.{key}" if kind.startswith("[[") else key
@@ -192,7 +204,7 @@ def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple
 
 
 @given(value=VALUES, key=st.sampled_from(["", "requirement", "name", "text", "contribution", "budget", "version"]))
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, value: object, key: str) -> None:
     (folder / "own.toml").write_text(f"{key or 'requirement.x'} = {as_toml(value)}\n", "utf-8")
     check(
@@ -205,7 +217,7 @@ def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, valu
     text=st.text(st.characters(codec="utf-8"), max_size=200)
     | st.sampled_from(["[" * 9000, "a = " + "[" * 9000, "a." * 5000 + "b = 1"])
 )
-@examples(20)
+@examples(20, times=QUICK)
 def test_any_text_as_a_file(folder: Path, text: str) -> None:
     for name, arguments in (
         ("t.toml", ["plant", "--parameters=FILE"]), ("t.toml", ["budget", "FILE", "--output=no/b.html"]),

@@ -6,6 +6,7 @@ import io
 import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,9 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.mcap_records import OP_CHUNK, OP_DATA_END, RECORD
+from pointing_analysis import chunk_manifest, mcap_chunks, mcap_walk
+from pointing_analysis.chunk_manifest import decode_manifest, encode_manifest, salvage
+from pointing_analysis.mcap_records import MAX_NOTES, OP_CHUNK, OP_DATA_END, OP_SCHEMA, RECORD, FileInfo
 from pointing_analysis.read import Run
 
 EIGHT_GB = 8 << 30
@@ -67,3 +70,74 @@ def test_the_limit_can_be_raised(made: Path) -> None:
     assert len(whole["truth/los"]) == 2000 and not whole.problems
     assert any("--max-chunk" in problem for problem in small.problems)
     assert "truth/los" not in small or not len(small["truth/los"])
+
+
+def chunk(content: bytes) -> bytes:
+    """A chunk record of this content, with right size and checksum."""
+    packed = zstandard.ZstdCompressor().compress(content)
+    head = struct.pack("<QQQI", 1, 2, len(content), zlib.crc32(content)) + struct.pack("<I", 4) + b"zstd"
+    return RECORD.pack(OP_CHUNK, len(head) + 8 + len(packed)) + head + struct.pack("<Q", len(packed)) + packed
+
+
+def with_chunks(made: Path, target: Path, *chunks: bytes) -> Path:
+    good = made.read_bytes()
+    end = good.rindex(RECORD.pack(OP_DATA_END, 4))
+    target.write_bytes(good[:end] + b"".join(chunks) + good[end:])
+    return target
+
+
+@pytest.mark.parametrize("op", [0, OP_SCHEMA, OP_CHUNK, 0x90])
+def test_a_few_bytes_do_not_stand_for_millions_of_records(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, op: int
+) -> None:
+    """Two kilobytes held seven million records, each of which was looked at, and a damaged one was told."""
+    record, read = chunk(RECORD.pack(op, 0) * 1_000_000), []
+    assert len(record) < 3000
+    side_record = mcap_chunks.read_side_record
+    monkeypatch.setattr(mcap_chunks, "read_side_record", lambda *given: (read.append(1), side_record(*given)))
+    run = Run.open(with_chunks(made, tmp_path / "many.mcap", record))
+    assert len(run["truth/los"]) == 2000
+    assert len(read) < 5000
+    assert sum("no record: the rest of it is left out" in problem for problem in run.problems) == 1
+    assert len(run.problems) < 5
+
+
+def test_many_chunks_do_not_unpack_to_more_than_a_multiple_of_the_file(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_walk, "MAX_SPARE", 30_000_000)
+    monkeypatch.setattr(mcap_walk, "MAX_RATIO", 10)
+    file = with_chunks(made, tmp_path / "many.mcap", *[chunk(bytes(20_000_000))] * 10)
+    size, unpacked = file.stat().st_size, []
+    expand = mcap_chunks._expand
+    monkeypatch.setattr(mcap_chunks, "_expand", lambda *given: (unpacked.append(expand(*given)), unpacked[-1])[1])
+    run = Run.open(file)
+    assert len(run["truth/los"]) == 2000
+    assert sum(len(content) for content, _ in unpacked) < 10 * size + 35_000_000
+    assert any("the chunks of the file unpack to more than 10 times its size" in problem for problem in run.problems)
+
+
+def test_trials_to_undo_damage_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One record of a whole chunk would have as many trials as bytes, each over all of it."""
+    runs = [(0, 1, 5_000_000, 0, 0, 0)]
+    content = bytes(5_000_000)
+    manifest = decode_manifest(encode_manifest(content, runs))
+    assert manifest is not None
+    monkeypatch.setattr(chunk_manifest, "_bursts", lambda *_: pytest.fail("a record as long as this is not mended"))
+    assert not salvage(b"\1" + content[1:], manifest)[1].any()
+    monkeypatch.undo()
+    runs = [(0, 1, 90_000, 0, 0, 0), (0, 1, 60_000_000, 0, 0, 0)]
+    content = bytes(60_090_000)
+    manifest, made = decode_manifest(encode_manifest(content, runs)), []
+    monkeypatch.setattr(chunk_manifest, "_digest", lambda _: made.append(1) or b"")
+    assert manifest is not None
+    assert salvage(b"\1" * 40_000 + content[40_000:], manifest)[1].tolist() == [False, True]
+    assert 1 <= len(made) <= 40
+
+
+def test_damaged_places_are_told_up_to_a_number() -> None:
+    info = FileInfo()
+    for i in range(3 * MAX_NOTES):
+        info.note("a.mcap", i // 2, "damaged")
+    assert len(info.damage) == len(info.problems) == MAX_NOTES + 1
+    assert "not listed" in info.problems[-1]

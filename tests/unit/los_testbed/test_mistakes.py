@@ -121,6 +121,10 @@ def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path)
         (["bag", "repair", "nothing"], ["no such bag"]),
         (["stages", "--output={bag}"], ["exists already"]),
         (["plant", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
+        (["design", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
+        (["design", "figures", "--samples=-1"], ["--samples", "-1"]),
+        (["design", "trade-off", "--output={bag}/metadata.yaml"], ["must be a folder"]),
+        (["design", "trade-off", "--output={bag}/metadata.yaml/x"], ["not a folder"]),
     ],
     ids=lambda value: " ".join(value)[:60],
 )  # fmt: skip
@@ -230,3 +234,25 @@ def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_defau
         assert len(value) > 1
         assert found == value or any(f"{table}.{key}" in line for line in differences(own)), (table, key)
         assert found == value or "name" not in value[0]
+
+
+LONG, DEEP = "x" * 300, "d/" * 2500 + "x"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "analyse {}", "analyse {}.csv --unit=rad --rate=10", "report {}", "replay {}", "bag repair {}", "bag topics {}",
+        "replay bag --k-fsm={}", "report bag --requirements={}", "budget {}", "plant --parameters={}",
+        "design check-proof {}", "design verify {}", "stages --mode=inprocess --k-fsm={}", "campaign --designs={}",
+        "campaign --sampling={}", "run --mode=inprocess --k-fsm={}", "run --mode=inprocess --designs={}",
+        "run --mode=inprocess --config={}", "run --mode=inprocess --parameters={}",
+        "run --mode=inprocess --cases={} --case=a", "run --mode=inprocess --set=profile={}",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("name", [LONG, DEEP], ids=["long name", "long path"])
+def test_a_path_that_cannot_exist_is_a_mistake(call: Call, bag: Path, line: str, name: str) -> None:
+    before = sorted(bag.parent.rglob("*"))
+    code, out, err = call(*(word.format(name) for word in line.split()))
+    assert code == 2 and out == "" and one_line(err), err
+    assert sorted(bag.parent.rglob("*")) == before

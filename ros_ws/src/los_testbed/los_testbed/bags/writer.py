@@ -18,7 +18,7 @@ from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config import NAMESPACE
 from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
-from pointing_analysis.atomic_output import check_output
+from pointing_analysis.atomic_output import check_output, named_errors
 from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
 
 QOS = [
@@ -139,11 +139,13 @@ class BagWriter:
         sequences: NDArray[np.int64] | None = None,
     ) -> None:
         """Append messages (n, length) of one topic with their times (n,) [ns]; see `McapBlockWriter.add_block`."""
-        self._mcap.add_block(self._channels[topic], log_times, publish_times, messages, sequences)
+        with named_errors(self.path, self.path):
+            self._mcap.add_block(self._channels[topic], log_times, publish_times, messages, sequences)
 
     def end_chunk(self) -> None:
         """Compress and write out what came since the last call; called once per second of data."""
-        self._mcap.flush_chunk()
+        with named_errors(self.path, self.path):
+            self._mcap.flush_chunk()
 
     @property
     def topics(self) -> frozenset[str]:
@@ -159,8 +161,12 @@ class BagWriter:
         if self._closed:
             return
         self._closed = True
+        with named_errors(self.path, self.path):
+            self._finish(metadata or {})
+
+    def _finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         self._mcap.flush_chunk()
-        for name, table in (metadata or {}).items():
+        for name, table in metadata.items():
             self._mcap.add_metadata(name, _sealed(name, table))
         description = self._description()
         text = _yaml(description)

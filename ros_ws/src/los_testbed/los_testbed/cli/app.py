@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -71,6 +72,9 @@ INTERRUPTED = 130
 """Exit code after a signal."""
 
 
+NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP)
+"""Errors that only a path on the command line, or in a file of the user, can be the cause of."""
+
 AGAIN_S = 0.05
 
 
@@ -107,7 +111,11 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail("interrupted", INTERRUPTED)
     except ValueError as error:
         return _fail(str(error), 2)
-    except (LoopDivergedError, OSError) as error:
+    except OSError as error:
+        if error.errno in NO_PATH:
+            return _fail(f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}", 2)
+        return _fail(str(error), 1)
+    except LoopDivergedError as error:
         return _fail(str(error), 1)
     except RuntimeError as error:
         return _fail(str(error), int(getattr(error, "code", 1)))

@@ -302,7 +302,10 @@ def figures(
     """Draw the four stages over sampled parameters with their templates, and the controllers."""
     from los_design.figures import draw
     from lti.threads import one_thread
+    from pointing_analysis.atomic_output import check_output
 
+    number("--samples", samples, 0, 10_000)
+    check_output(output, "--output", folder=True)
     with one_thread():
         for path in draw(output, samples):
             sys.stdout.write(f"{path}\n")

@@ -110,8 +110,6 @@ def _through(
 
 
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeout: float) -> dict[str, Any]:
-    from los_testbed.bags.metadata import METADATA_NAME
-    from los_testbed.bags.writer import BagWriter
     from los_testbed.run import replay as replay_run
     from los_testbed.run.runner import check_ros
     from pointing_analysis.replay import compare
@@ -133,8 +131,8 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeou
         console.print(f"answers of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
     if output is not None:
         signals = {name: (run[name].stamp, run[name].values) for name in played.sent}
-        with BagWriter(output, {METADATA_NAME: {"mode": "replay to ROS", "replay_of": run.path.name}}) as bag:
-            replay_run.write_signals(bag, {**signals, **played.answers})
+        metadata = {"mode": "replay to ROS", "replay_of": run.path.name}
+        replay_run.write_signal_bag(output, metadata, {**signals, **played.answers})
         say(console, f"bag     {output}")
     return {**content, "output": None if output is None else str(output)}
 

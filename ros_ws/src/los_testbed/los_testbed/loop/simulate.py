@@ -7,7 +7,7 @@ controller compute the next command from that measurement.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -210,7 +210,19 @@ def run_in_process(
     finally:
         statistics["plant"]["ticks"] = str(done)
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
-        bag.close({METADATA_NAME: final_metadata(config, statistics, start)})
-        if not done:
-            shutil.rmtree(bag_path, ignore_errors=True)
+        _close(bag, {METADATA_NAME: final_metadata(config, statistics, start)}, done)
     return statistics
+
+
+def _close(bag: BagWriter, metadata: Mapping[str, Mapping[str, str]], done: int) -> None:
+    """Complete the bag; without a tick in it, it is removed."""
+    try:
+        bag.close(metadata)
+    except OSError as error:  # the disk is full
+        if done:
+            advice = f"`los-testbed bag repair {bag.path}` makes a bag of what was written"
+            raise OSError(error.errno, f"{error.strerror}; {advice}", error.filename) from None
+        raise
+    finally:
+        if not done:
+            shutil.rmtree(bag.path, ignore_errors=True)

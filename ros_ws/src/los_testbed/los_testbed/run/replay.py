@@ -28,6 +28,7 @@ from los_testbed.topics import TOPICS
 from lti.sampled_system import SampledSystem
 from lti.threads import one_thread
 from pointing_analysis import replay
+from pointing_analysis.atomic_output import atomic_folder
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, knowledge_error_of
 from pointing_analysis.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.mcap_records import BagError
@@ -232,7 +233,17 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
     others = {name: data for name, data in run.attachments.items() if name not in chosen.files}
     files = {name: ("application/octet-stream", data) for name, data in others.items()}
     files.update({name: ("application/json", data) for name, data in chosen.files.items()})
-    with BagWriter(path, {METADATA_NAME: metadata}, files) as bag:
+    write_signal_bag(path, metadata, signals, files)
+
+
+def write_signal_bag(
+    path: Path, metadata: Mapping[str, str], signals: Signals, files: Mapping[str, tuple[str, bytes]] | None = None
+) -> None:
+    """Write a new bag of stamped signals, as `write_signals` does; it appears whole or not at all."""
+    with (
+        atomic_folder(path) as folder,
+        BagWriter(folder, {METADATA_NAME: metadata}, files, name=path.name) as bag,
+    ):
         write_signals(bag, signals)
 
 
