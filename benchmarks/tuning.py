@@ -252,8 +252,13 @@ def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def compared(row: dict[str, Any], rivals: tuple[str, ...]) -> int:
-    """1 where the tuner is better than the best of the rivals by more than 0.1 %, -1 where it is worse, else 0."""
+def compared(row: Row, rivals: tuple[str, ...]) -> int | None:
+    """1 where the tuner is better than the best of the rivals by more than 0.1 %, -1 where it is worse, else 0.
+
+    None where no rival was measured.
+    """
+    if not any(name in row for name in rivals):
+        return None
     ours, rival = (np.inf if v is None else v for v in (row["ours"], min_of(row.get(name) for name in rivals)))
     if ours == rival or abs(ours - rival) <= AGREEMENT * min(ours, rival) + FLOOR:
         return 0
@@ -322,7 +327,7 @@ def arguments() -> argparse.Namespace:
 def line(row: dict[str, Any]) -> str:
     """One row as text."""
     numbers = {k: "none" if row.get(k) is None else f"{row[k]:.7g}" for k in ("best_known", *METHODS)}
-    word = {1: "win", 0: "tie", -1: "LOSS"}[compared(row, ("bfgs", "other"))]
+    word = {1: "win", 0: "tie", -1: "LOSS", None: "no rival measured"}[compared(row, ("bfgs", "other"))]
     return (
         f"{row['name']:6s} order {row['order']}: best known {numbers['best_known']}, ours {numbers['ours']} "
         f"({row['status']}), BFGS {numbers['bfgs']}, other {numbers['other']}, {row['seconds']:.1f} s: {word}"

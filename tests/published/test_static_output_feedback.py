@@ -51,6 +51,16 @@ def test_decoupling_is_found_for_ac1() -> None:
     assert result.certificate is not None and result.certificate.upper.max() < 1e-2
 
 
+@pytest.mark.parametrize("start", [[258.4, -438.5, 163.0, -276.5], [413.6, -697.6, 264.7, -446.4]])
+def test_a_value_that_falls_as_the_gains_grow_is_not_converged(start: list[float]) -> None:
+    """HE2: along a valley the value falls from 3.913 at gains of 300 to 3.896 at gains of 1e5; 3.899 is published."""
+    plant = PLANTS["HE2"]()
+    options = TuningOptions(starts=0, wall_limit=NO_LIMIT)
+    result = tune([plant], [HinfGain("w", "z")], gain([("y", 2)], [("u", 2)]), initial=[start], options=options)
+    assert result.status != "converged" or result.soft < 1.0007 * 3.896
+    assert result.soft < 1.0005 * BEST_KNOWN["HE2"]
+
+
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_has_a_value_and_ports(name: str) -> None:
     plant = PLANTS[name]()
