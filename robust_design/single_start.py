@@ -122,6 +122,8 @@ class _Run:
         confirmed = False
         limits = replace(limits, target=max(limits.target, negligible)) if negligible else limits
         for _ in range(MAX_CYCLES):
+            if time.monotonic() > limits.deadline:
+                return TuningStatus.OUT_OF_TIME
             left = max(limits.iterations - self.steps, 1)
             found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
             self.stationarity = found.stationarity

@@ -22,7 +22,7 @@ from robust_design.structures import gain, state_space
 from robust_design.tuner import TuningOptions, TuningResult, tune
 
 STARTS = {"AC2": 3, "AC4": 3, "AC6": 3, "AC16": 6, "AC17": 3, "HE1": 6, "REA2": 6}
-SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24}
+SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24, "HE2": 24, "NN4": 24, "NN8": 24}
 NO_LIMIT = 1e6
 """Seconds: work is limited by starts and iterations, so that the speed of the machine does not matter."""
 
