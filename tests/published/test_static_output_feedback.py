@@ -108,6 +108,23 @@ def closed_norm(plant: StateSpace, K: np.ndarray) -> float:
     return hinf_norm(A + B[:, nw:] @ K @ C[nz:], B[:, :nw], C[:nz] + D[:nz, nw:] @ K @ C[nz:], D[:nz, :nw]).upper
 
 
+@pytest.mark.parametrize("certificate", ["auto", "interval", "hamiltonian"])
+def test_a_low_hill_over_the_gain_at_infinity_is_seen(certificate: str) -> None:
+    """AC4: 0.93558 near 0.17 rad/s, 0.93542 at infinity; a level just above that makes the Hamiltonian matrix inexact.
+
+    Its eigenvalues of the two crossings had real parts of 0.023 where the crossings were 0.08 rad/s apart.
+    """
+    plant, K = PLANTS["AC4"](), np.array([[-0.30046289, -0.07267883]])
+    A, B, C, D = plant.matrices
+    nw, nz = plant.inputs[0].size, plant.outputs[0].size
+    closed = A + B[:, nw:] @ K @ C[nz:], B[:, :nw] + B[:, nw:] @ K @ D[nz:, :nw]
+    outputs = C[:nz] + D[:nz, nw:] @ K @ C[nz:], D[:nz, :nw] + D[:nz, nw:] @ K @ D[nz:, :nw]
+    at_hill = outputs[0] @ np.linalg.solve(0.1718j * np.eye(len(A)) - closed[0], closed[1]) + outputs[1]
+    found = hinf_norm(*closed, *outputs, certificate=certificate)
+    assert found.upper > np.linalg.norm(at_hill, 2) > 1.0001 * np.linalg.norm(outputs[1], 2)
+    assert found.value == pytest.approx(np.linalg.norm(at_hill, 2), rel=1e-7)
+
+
 def scherer() -> StateSpace:
     """Scherer, Gahinet and Chilali 1997, example 7, H-infinity channel."""
     return StateSpace(
