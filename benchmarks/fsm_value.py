@@ -33,6 +33,7 @@ from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
 DESIGN = Path(__file__).parents[1] / "los_estimator" / "designs" / "k_fsm.json"
 MODELS = 8
+FRUITLESS = 1e-5  # relative decrease by a smooth phase after which no other one is begun
 
 
 def problem_and_start() -> tuple[Problem, NDArray[np.float64]]:
@@ -60,7 +61,7 @@ def _active_models(tree: Any) -> list[dict[str, float]]:
 
 
 def measure(seconds: float) -> dict[str, list[float]]:
-    """Descend for about this many CPU seconds."""
+    """Descend for about this many CPU seconds; a smooth phase that ended by itself is followed by another one."""
     problem, x = problem_and_start()
     rows: dict[str, list[float]] = {"cpu_seconds": [], "value": [], "evaluations": []}
     begin = time.process_time()
@@ -68,10 +69,15 @@ def measure(seconds: float) -> dict[str, list[float]]:
     def report(point: Point, evaluations: int) -> bool:
         rows["cpu_seconds"].append(time.process_time() - begin)
         rows["value"].append(point.soft)
-        rows["evaluations"].append(evaluations)
+        rows["evaluations"].append(before + evaluations)
         return time.process_time() - begin < seconds
 
-    smooth_phase(problem, x, 1_000_000, np.inf, 0.0, report=report)
+    best, before = np.inf, 0
+    while time.process_time() - begin < seconds:
+        phase = smooth_phase(problem, x, 1_000_000, np.inf, 0.0, report=report)
+        if not phase.point.soft < best * (1.0 - FRUITLESS):
+            break
+        x, best, before = phase.point.x, phase.point.soft, before + phase.evaluations
     return rows
 
 

@@ -1,6 +1,7 @@
 """The tuner beside two nonsmooth optimisers on the published plants, same wall time, one core each.
 
     python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json] [--cpu] [--rows FILE]
+                                [--methods ours]
 
 - ``bfgs``: written here, apart from the tuner: BFGS with a weak Wolfe line search and random restarts on the
   H-infinity norm itself (Lewis and Overton 2013), stabilised by the same method on the spectral abscissa. The norm is
@@ -14,7 +15,8 @@ that is more than 0.1 % (and 1e-6) above the smaller one of the others.
 
 With ``--cpu`` all limits and times are processor seconds of this process: on a machine that does other work, too, every
 method then gets the same amount of computation. With ``--rows FILE`` every row is written there as soon as it is
-measured, one JSON object a line, and what the file has is not measured again.
+measured, one JSON object a line (the last one of a plant and order counts), and what the file has is not measured
+again; ``--methods`` says which methods to measure in this run, so that the tuner may run first.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +57,8 @@ SYSTEM = "CISD"  # AB13DD: continuous, E = I, scaled, with D
 
 Function = Callable[[np.ndarray], tuple[float, np.ndarray]]
 Minimiser = Callable[[Function, np.ndarray, float], float]
+Row = dict[str, Any]
+METHODS = ("ours", "bfgs", "other")
 
 
 class Loop:
@@ -219,27 +224,27 @@ def restarted(plant: StateSpace, order: int, seconds: float, minimise: Minimiser
     return float(best)
 
 
-def measure(name: str, order: int, seconds: float, whole_limit: bool) -> dict[str, Any]:
-    """One plant and order, all methods."""
-    plant = PLANTS[name]()
+def measured(row: Row, seconds: float, whole_limit: bool, methods: Collection[str]) -> Row:
+    """The row of a plant and order with these methods measured, too, where they were not."""
+    plant, order, row = PLANTS[row["name"]](), row["order"], dict(row)
+    if "ours" in methods and "ours" not in row:
+        row |= tuned(plant, order, seconds)
+    rival_seconds = seconds if whole_limit else row["seconds"]
+    for name, minimise in (("bfgs", by_bfgs), ("other", by_pygranso if pygranso else None)):
+        if name in methods and name not in row and minimise:
+            row[name] = finite(restarted(plant, order, rival_seconds, minimise))
+            row["rival_seconds"] = rival_seconds
+    return row
+
+
+def tuned(plant: StateSpace, order: int, seconds: float) -> Row:
+    """The tuner's certified value with default options."""
     structure = state_space([plant.outputs[1]], [plant.inputs[1]], order)
     start_time, start_cpu = time.monotonic(), time.process_time()
     result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(wall_limit=seconds))
     used, cpu = time.monotonic() - start_time, time.process_time() - start_cpu
-    rival_seconds = seconds if whole_limit else used
     ours = result.certificate.upper.max() if result.certificate and result.certificate.stable else np.inf
-    return {
-        "name": name,
-        "order": order,
-        "best_known": BEST_KNOWN[name] if order == 0 else None,
-        "ours": finite(ours),
-        "status": str(result.status),
-        "bfgs": finite(restarted(plant, order, rival_seconds, by_bfgs)),
-        "other": finite(restarted(plant, order, rival_seconds, by_pygranso)) if pygranso else None,
-        "seconds": used,
-        "cpu_seconds": cpu,
-        "rival_seconds": rival_seconds,
-    }
+    return {"ours": finite(ours), "status": str(result.status), "seconds": used, "cpu_seconds": cpu}
 
 
 def finite(value: float) -> float | None:
@@ -247,9 +252,14 @@ def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def compared(row: dict[str, Any], rivals: tuple[str, ...]) -> int:
-    """1 where the tuner is better than the best of the rivals by more than 0.1 %, -1 where it is worse, else 0."""
-    ours, rival = (np.inf if v is None else v for v in (row["ours"], min_of(row[name] for name in rivals)))
+def compared(row: Row, rivals: tuple[str, ...]) -> int | None:
+    """1 where the tuner is better than the best of the rivals by more than 0.1 %, -1 where it is worse, else 0.
+
+    None where no rival was measured.
+    """
+    if not any(name in row for name in rivals):
+        return None
+    ours, rival = (np.inf if v is None else v for v in (row["ours"], min_of(row.get(name) for name in rivals)))
     if ours == rival or abs(ours - rival) <= AGREEMENT * min(ours, rival) + FLOOR:
         return 0
     return 1 if ours < rival else -1
@@ -271,7 +281,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
     value = {(r["name"], r["order"]): np.inf if r["ours"] is None else r["ours"] for r in rows}
     return {
-        "plants": rows,
+        "plants": [dict.fromkeys(METHODS) | row for row in rows],
         "within_0.1_percent": sum(reached(r) for r in known),
         "known": len(known),
         **counts,
@@ -297,6 +307,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--plants", default=",".join(PLANTS), help="names, separated by commas")
     parser.add_argument("--orders", default="0", help="orders of the controller, separated by commas")
     parser.add_argument("--seconds", type=float, default=60.0, help="wall limit of the tuner")
+    parser.add_argument("--methods", default=",".join(METHODS), help="those to measure, the tuner (ours) first")
     parser.add_argument("--rival-time", choices=("used", "limit"), default="used", help="wall time of the others")
     parser.add_argument("--cpu", action="store_true", help="all limits and times in processor seconds")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="rows measured so far, and those to come")
@@ -304,6 +315,8 @@ def arguments() -> argparse.Namespace:
     found = parser.parse_args()
     if unknown := sorted(set(found.plants.split(",")) - set(PLANTS)):
         parser.error(f"--plants must be among {', '.join(PLANTS)}, got {', '.join(unknown)}")
+    if unknown := sorted(set(found.methods.split(",")) - set(METHODS)):
+        parser.error(f"--methods must be among {', '.join(METHODS)}, got {', '.join(unknown)}")
     if any(not order.isdigit() for order in found.orders.split(",")):
         parser.error(f"--orders must be whole numbers separated by commas, got {found.orders}")
     if not found.seconds > 0:
@@ -313,19 +326,20 @@ def arguments() -> argparse.Namespace:
 
 def line(row: dict[str, Any]) -> str:
     """One row as text."""
-    numbers = {k: "none" if row[k] is None else f"{row[k]:.7g}" for k in ("best_known", "ours", "bfgs", "other")}
-    word = {1: "win", 0: "tie", -1: "LOSS"}[compared(row, ("bfgs", "other"))]
+    numbers = {k: "none" if row.get(k) is None else f"{row[k]:.7g}" for k in ("best_known", *METHODS)}
+    word = {1: "win", 0: "tie", -1: "LOSS", None: "no rival measured"}[compared(row, ("bfgs", "other"))]
     return (
         f"{row['name']:6s} order {row['order']}: best known {numbers['best_known']}, ours {numbers['ours']} "
         f"({row['status']}), BFGS {numbers['bfgs']}, other {numbers['other']}, {row['seconds']:.1f} s: {word}"
     )
 
 
-def known_rows(file: Path | None) -> list[dict[str, Any]]:
-    """Rows measured before."""
+def known_rows(file: Path | None) -> dict[tuple[str, int], Row]:
+    """Rows measured before, by plant and order; of several the last."""
     if file is None or not file.exists():
-        return []
-    return [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+        return {}
+    rows = [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+    return {(row["name"], row["order"]): row for row in rows}
 
 
 def main() -> None:
@@ -333,20 +347,19 @@ def main() -> None:
     options = arguments()
     if options.cpu:
         time.monotonic = time.time = time.process_time  # the clocks of the tuner, of the methods here and of PyGRANSO
-    rows = known_rows(options.rows)
+    known, rows = known_rows(options.rows), []
     with threadpool_limits(1):
         if pygranso:
             torch.set_num_threads(1)
-        for name in options.plants.split(","):
-            for order in map(int, options.orders.split(",")):
-                if any((row["name"], row["order"]) == (name, order) for row in rows):
-                    continue
-                rows.append(measure(name, order, options.seconds, options.rival_time == "limit"))
-                if options.rows:
-                    with options.rows.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(rows[-1]) + "\n")
-                if not options.json:
-                    print(line(rows[-1]), flush=True)
+        for name, order in product(options.plants.split(","), map(int, options.orders.split(","))):
+            best = BEST_KNOWN[name] if order == 0 else None
+            row = known.get((name, order), {"name": name, "order": order, "best_known": best})
+            rows.append(measured(row, options.seconds, options.rival_time == "limit", options.methods.split(",")))
+            if options.rows and rows[-1] != row:
+                with options.rows.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+            if not options.json:
+                print(line(rows[-1]), flush=True)
     found = summary(rows)
     if options.json:
         print(json.dumps(found))

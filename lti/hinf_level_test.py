@@ -25,6 +25,7 @@ sl: Any = scipy.linalg
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+EPS = float(np.finfo(float).eps)
 MAX_INTERVALS = 40_000
 CHUNK = 40_000  # entries of the arrays of one step, so that they stay in the cache
 PEAK_CUTS = 13  # halvings of the distance of the nearest pole
@@ -206,7 +207,8 @@ def hamiltonian_test(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     d = D * scale
     R = np.eye(m) - d.T @ d
     S = np.eye(p) - d @ d.T
-    if sl.eigvalsh(R)[0] <= 0.0:  # then so is the smallest eigenvalue of S
+    gap = float(sl.eigvalsh(R)[0])
+    if gap <= 0.0:  # then so is the smallest eigenvalue of S
         return LevelTest(False, True, np.array([np.inf]))
     balance = np.sqrt(scale)
     b, c = B * balance, C * balance
@@ -214,7 +216,9 @@ def hamiltonian_test(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     H = np.block([[F, b @ sl.solve(R, b.T, assume_a="pos")], [-c.T @ sl.solve(S, c, assume_a="pos"), -F.T]])
     values = sl.eigvals(H, overwrite_a=True, check_finite=False)
     size = float(np.abs(values).max(initial=0.0))
-    imaginary = np.abs(values.real) <= 1e-7 * np.abs(values) + 1e-13 * size
+    solved = EPS * size * (1.0 / gap - 1.0)  # rounding of the solutions with R and S where the level is near norm(D)
+    sizes = np.abs(values)
+    imaginary = np.abs(values.real) <= 1e-7 * sizes + 1e-13 * size + 2.0 * np.sqrt(solved * sizes)
     crossings = np.unique(np.abs(values[imaginary].imag))
     if len(crossings) == 0:
         return LevelTest(True, True, np.zeros(0))

@@ -28,6 +28,7 @@ MAX_LEVELS = 8
 SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
 TRUSTED = 0.1  # relative rounding of the modal form over `rtol`, at most, where it alone says that there is no peak
 CANCELLATION = 1e-12  # smallest norm over the bound of the sum of the modal terms
+SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
 DIRECT = 1e-2  # relative rounding of a direct solution without refinement over `rtol`, at most
 
 
@@ -54,6 +55,7 @@ def small_hinf_norm(system: Matrices, rtol: float) -> Peak | None:
     if form is None or form.rounding > SEPARATION * rtol**0.5 * form.decay:
         return None
     omega, gain = form.best(form.seeds())
+    direct = float(lapack.dgesdd(system[3], compute_uv=0)[1][0])
     smallest = CANCELLATION * form.terms()
     for _ in range(MAX_LEVELS):
         omega, gain = form.climbed(omega, gain, rtol)
@@ -61,12 +63,14 @@ def small_hinf_norm(system: Matrices, rtol: float) -> Peak | None:
         if abs(value - gain) > TRUSTED * rtol * value or value <= smallest:
             return None
         upper = value * (1.0 + rtol)
-        crossings = form.crossings(system, upper)
+        gap = 1.0 - (direct / upper) ** 2
+        crossings = form.crossings(system, upper, gap)
         if not len(crossings):
             return Peak(value, upper, omega)
         omega, gain = form.best(np.concatenate([crossings, 0.5 * (crossings[:-1] + crossings[1:])]))
         if gain <= upper:  # the crossings are rounding, provided that the modal form tells so little apart
-            return Peak(value, upper, omega) if form.rounding <= TRUSTED * rtol * form.decay else None
+            sound = form.rounding <= TRUSTED * rtol * form.decay and gap > SMALL_GAP
+            return Peak(value, upper, omega) if sound else None
     return None
 
 
@@ -145,8 +149,10 @@ class _ModalForm:
         """Distance from j omega to the nearest pole [rad/s]."""
         return float(np.abs(self.poles - 1j * omega).min())
 
-    def crossings(self, system: Matrices, level: float) -> FloatArray:
+    def crossings(self, system: Matrices, level: float, gap: float) -> FloatArray:
         """Frequencies at which the gain may equal `level` [rad/s], ascending; none: the gain stays below.
+
+        `gap`: smallest eigenvalue of ``I - D' D / level^2``, by whose inverse rounding grows.
 
         An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding could have moved it from the axis. A
         double one, of a peak that just reaches the level, moves by the square root of the rounding times the distance
@@ -154,7 +160,7 @@ class _ModalForm:
         """
         values = _hamiltonian_eigenvalues(*system, level)
         size = np.abs(values)
-        rounding = EPS * self.condition * float(size.max())
+        rounding = EPS * self.condition * float(size.max()) / gap
         decays = np.abs(values.real)
         near = decays <= 2.0 * np.sqrt(rounding * size) + rounding
         if not near.any():

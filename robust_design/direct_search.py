@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robust_design.descent import DescentOptions
 from robust_design.exact_value import ExactValue
+from robust_design.gain_moves import gain_moves
 from robust_design.metric import Metric
 from robust_design.problem import Problem
 from robust_design.quasi_newton import quasi_newton
@@ -28,6 +29,7 @@ SMOOTH_EVALUATIONS = 120
 SCREENING_STEPS, POLISHING_STEPS = 120, 1000
 SCREENING_TOLERANCE, POLISHING_TOLERANCE = 1e-5, 1e-7  # of the logarithm
 CYCLES, VISIBLE = 4, 1e-4
+MAX_MOVES = 8  # rounds of descents from points of more gain
 SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
 
@@ -59,6 +61,7 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
         run.smooth()
         if not run.point.better_than(before, VISIBLE):
             break
+    run.follow_gain()
     return run.result()
 
 
@@ -126,6 +129,25 @@ class _Direct:
             self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
         )
         self._take(point_at(self._problem, found.x))
+
+    def follow_gain(self) -> None:
+        """Descents from points of more gain, as long as they lower the value."""
+        before: FloatArray | None = None
+        for _ in range(MAX_MOVES):
+            kept = self.point
+            for x in gain_moves(self._problem, kept.x, before):
+                if self.late() or self.point.soft <= self._floor:
+                    return
+                trial, best = point_at(self._problem, x), self.point
+                if not np.isfinite(trial.soft):
+                    continue
+                self.point = trial
+                self.descend(POLISHING_STEPS, POLISHING_TOLERANCE)
+                if not self.point.better_than(best):
+                    self.point = best
+            if not self.point.better_than(kept, VISIBLE):
+                return
+            before = kept.x
 
     def result(self) -> StartResult:
         """The best point so far."""

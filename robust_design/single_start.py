@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robust_design.descent import Descent, DescentOptions, StopReason, minimise
+from robust_design.gain_moves import descended, gain_moves
 from robust_design.pieces import HARD_TARGET, Oracle, OracleResult
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.smooth_objective import SmoothObjective
@@ -121,6 +122,8 @@ class _Run:
         confirmed = False
         limits = replace(limits, target=max(limits.target, negligible)) if negligible else limits
         for _ in range(MAX_CYCLES):
+            if time.monotonic() > limits.deadline:
+                return TuningStatus.OUT_OF_TIME
             left = max(limits.iterations - self.steps, 1)
             found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
             self.stationarity = found.stationarity
@@ -148,16 +151,31 @@ class _Run:
         return smooth.point
 
     def _confirmed(self) -> bool:
-        """Whether neither a smooth phase nor random directions lower the value; the point moves if they do."""
+        """Whether no smooth phase, random direction or descent from more gain lowers the value; if one does, move."""
         other = self._smooth(CONFIRMING_EVALUATIONS)
         if not other.better_than(self.point, VISIBLE):
             found, tried = _random_directions(self._problem, self.point, self._rng, self._limits.deadline)
             self.evaluations += tried
+            if found is None and tried < RANDOM_DIRECTIONS:
+                return False
+            found = found or self._with_more_gain()
             if found is None:
-                return tried == RANDOM_DIRECTIONS
+                return time.monotonic() <= self._limits.deadline
             other = found
         self.point = other
         return False
+
+    def _with_more_gain(self) -> Point | None:
+        """A point visibly better that a descent from a larger gain leads to, or None."""
+        limits = self._limits
+        for x in gain_moves(self._problem, self.point.x):
+            found, used = descended(self._problem, x, CONFIRMING_EVALUATIONS, limits.deadline, limits.target)
+            self.evaluations += used
+            if found.better_than(self.point, VISIBLE):
+                return found
+            if time.monotonic() > limits.deadline:
+                break
+        return None
 
 
 def _random_directions(

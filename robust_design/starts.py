@@ -11,6 +11,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from lti.state_space_model import StateSpace
+from robust_design.gain_moves import with_gain
 from robust_design.problem import Problem
 from robust_design.stable_state_space import StableStateSpace
 from robust_design.structures import AffineStructure
@@ -55,23 +56,12 @@ def _seeds(seed: int, stream: int, count: int) -> list[int]:
 def lowered_gain(problem: Problem, x: FloatArray) -> FloatArray | None:
     """Parameters of the same controller with less gain, as little less as makes every model stable.
 
-    None where the structure cannot say the parameters of a given controller, where the controller itself is
-    unstable, or where
-    not even no gain at all is enough.
+    None where the structure cannot say the parameters of a controller of less gain, or where not even no gain at all
+    is enough.
     """
-    structure = problem.structure
-    if not isinstance(structure, AffineStructure | StableStateSpace):
-        return None
-    n = structure.order
-    K = structure.gain_matrix(x)
     for factor in LOWER:
-        root = np.sqrt(factor)
-        model = StateSpace(
-            K[:n, :n], root * K[:n, n:], root * K[n:, :n], factor * K[n:, n:], structure.inputs, structure.outputs
-        )
-        try:
-            trial = structure.parameters_of(model)
-        except ValueError:  # fixed entries that a lower gain does not have
+        trial = with_gain(problem.structure, x, factor)
+        if trial is None:
             return None
         if problem.abscissa(trial) < -problem.min_decay:
             return trial

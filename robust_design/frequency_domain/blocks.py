@@ -7,7 +7,7 @@ Its parameters are all entries of the gain matrix ``[[A, B], [C, D]]`` that are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -173,6 +173,11 @@ class ControllerResponse:
         self.parts = tuple(
             BlockResponse(M, block.order, own) for block, M, own in zip(blocks, gain_matrices(blocks, x), factors)
         )
+
+    def compute(self, active: Iterable[int]) -> None:
+        """Compute the responses of these blocks now, for threads that share this object."""
+        for b in active:
+            _ = self.parts[b].K
 
     def matrix(self, active: Sequence[int], index: IntArray) -> ComplexArray:
         """Commands of the active blocks, one after the other, by measurements: (len(index), commands, measurements)."""

@@ -156,6 +156,7 @@ class ResponseProblem:
         """Scaled gains, shape (gains, pairs), of all pairs or those at `index`; not finite where a loop is singular."""
         chosen = np.arange(len(self.samples)) if index is None else index
         response, positions = self.controllers(x, chosen)
+        response.compute(sorted({b for gain in self.gains for b in gain.active}))
         found = np.zeros((len(self.gains), len(chosen)))
 
         def fill(begin: int) -> None:

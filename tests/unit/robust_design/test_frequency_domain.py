@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -20,8 +21,9 @@ from robust_design.frequency_domain import (
     gain_matrices,
     parameters_of,
 )
-from robust_design.frequency_domain.blocks import entry_sizes
+from robust_design.frequency_domain.blocks import ControllerResponse, entry_sizes
 from robust_design.frequency_domain.metric import gram_sum
+from robust_design.frequency_domain.problem import CHUNK
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
 RNG = np.random.default_rng(4)
@@ -129,6 +131,23 @@ def test_gradients_agree_with_differences() -> None:
     np.testing.assert_allclose(value, one.noise(x), rtol=1e-12)
     differences = (one.noise(x + h * direction) - one.noise(x - h * direction)) / (2 * h)
     np.testing.assert_allclose(slope @ direction, differences, rtol=1e-6)
+
+
+def test_threads_share_responses_that_are_computed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed: list[bool] = []
+    matrix = ControllerResponse.matrix
+
+    def watched(self: ControllerResponse, active: tuple[int, ...], index: np.ndarray) -> np.ndarray:
+        computed.append(all("K" in vars(part) for part in self.parts))
+        return matrix(self, active, index)
+
+    omega, x = np.geomspace(0.05, 20.0, 3 * CHUNK // 2), controller(5)
+    one = problem(omega)
+    expected = one.values(x)
+    monkeypatch.setattr(ControllerResponse, "matrix", watched)
+    np.testing.assert_array_equal(replace(one, threads=2).values(x), expected)
+    assert len(computed) == 4  # two loops, two parts of the samples
+    assert all(computed)
 
 
 def test_planes_of_close_singular_values_are_below_the_gain() -> None:
