@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lti.batched_linalg import largest_gains, solve
 from lti.threads import one_thread
 from robust_design.certified_loop.checker import is_circle, windows_of
 from robust_design.certified_loop.model import LoopModel
@@ -193,11 +194,9 @@ def member_gains(model: LoopModel, omega: float, members: FloatArray) -> FloatAr
     delta = np.zeros((len(members), q))
     for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
         delta[:, list(group)] = (np.tan(0.5 * members[:, k]) if angle else members[:, k])[:, None]
-    found = []
-    for d in delta:
-        inner = np.linalg.solve(np.eye(q) - z[:, :q] * d, z[:, q:])
-        found.append(weight * float(np.linalg.norm((e[:, q:] + (e[:, :q] * d) @ inner) * amplitude, 2)))
-    return np.array(found)
+    loop = np.eye(q) - z[:, :q] * delta[:, None, :]
+    inner = solve(loop, np.broadcast_to(z[:, q:], (len(delta), *z[:, q:].shape)))
+    return weight * largest_gains((e[:, q:] + (e[:, :q] * delta[:, None, :]) @ inner) * amplitude)
 
 
 def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:

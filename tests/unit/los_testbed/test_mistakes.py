@@ -123,8 +123,6 @@ def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path)
         (["plant", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
         (["design", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
         (["design", "figures", "--samples=-1"], ["--samples", "-1"]),
-        (["design", "trade-off", "--output={bag}/metadata.yaml"], ["must be a folder"]),
-        (["design", "trade-off", "--output={bag}/metadata.yaml/x"], ["not a folder"]),
     ],
     ids=lambda value: " ".join(value)[:60],
 )  # fmt: skip
