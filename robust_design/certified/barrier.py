@@ -141,6 +141,7 @@ class Problem:
         self.degree = float(self.N + sum(sizes))
 
     def start(self) -> FloatArray:
+        """Variables to begin with: equal scalings, s large enough."""
         y: FloatArray = self.trace / self.trace.sum()
         largest = float(linalg.eigvalsh(self.sum_of_forms(y))[-1])
         y[0] = largest + 0.1 * abs(largest) + 1e-3
@@ -264,6 +265,7 @@ class Problem:
         return slice(parts[0].start, parts[-1].stop)
 
     def line_search(self, y: FloatArray, step: FloatArray, weight: float, decrement: float) -> FloatArray:
+        """Along a step as far as the objective falls."""
         before, length = self.value(y, weight), 1.0
         for _ in range(40):
             candidate = y + length * step
@@ -273,6 +275,7 @@ class Problem:
         return y
 
     def result(self, y: FloatArray) -> Scalings:
+        """Scalings of the variables, with the loss of each block."""
         pairs = [self.matrices(y, i) for i in range(len(self.blocks))]
         S = _inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
         losses = [

@@ -22,7 +22,7 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {"start.json",
     "mine.json", "mine.toml", "my_body.toml", "my_law.json", "my_observer.json", "my_payload.toml", "my_telescope.toml",
-    "mission.toml", "my_module.py", "panel.toml",
+    "mission.toml", "my_module.py", "my_plant_node.py", "panel.toml", "rounds.json",
 }  # fmt: skip
 """Example files of the user."""
 INSIDE_BAGS = {"k_fsm.json", "k_pma.json"}

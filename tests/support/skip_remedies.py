@@ -16,6 +16,7 @@ REMEDIES = {
     "could not import 'nbclient": "install the extra: pip install 'los-testbed[notebooks]'",
     "could not import 'rclpy": "install the extra: pip install 'los-testbed[ros]'",
     "could not import 'std_srvs": "install the extra: pip install 'los-testbed[ros]'",
+    "could not import 'tornado": "install the extra: pip install 'los-testbed[live]'",
     "could not import 'foxglove": "install the extra: pip install 'los-testbed[live]'",
     "could not import 'rosbags": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'mcap_ros2": "install the extra: pip install 'los-testbed[dev]'",

@@ -19,6 +19,7 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import WorkersOption, processes
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
+from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
     from los_design.certify import FigureBounds
@@ -49,7 +50,6 @@ The check has its own short code (`robust_design/certified/checker.py`; for the 
     los-testbed design check-proof proof.json
 """
 
-STAGES = ("fsm", "fsm+pma")
 SUMMARY = "bounds.json"
 
 
@@ -74,10 +74,10 @@ def certify(
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
     if gap is not None:
         number("--gap", gap, 1e-3, 10.0)
-    if stage not in (None, *STAGES):
-        raise ValueError(f"--stage must be one of {', '.join(STAGES)}, got {stage}")
+    if stage not in (None, *MIRROR_STAGES):
+        raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
     until = time.monotonic() + wall_limit
-    loops, known = _loops(folder, [stage] if stage else list(STAGES))
+    loops, known = _loops(folder, [stage] if stage else list(MIRROR_STAGES))
     chosen = [
         (s, name) for s, loop in loops.items() for name in figures_of(loop.parameters, s) if figure in (None, name)
     ]
