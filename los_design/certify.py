@@ -24,6 +24,7 @@ from los_design.implemented_loop import DISTURBANCE_IN, HIGHEST, ImplementedLoop
 from los_design.worst_points import WorstPoint
 from lti.ports import FloatArray
 from lti.workers import Workers
+from pointing_analysis.atomic_output import atomic_file
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
 from robust_design.certified_loop.build import modal
 from robust_design.certified_loop.proof import Interval, packed, unpacked
@@ -211,10 +212,8 @@ def prove_part(part: Part) -> PartResult:
     result = PartResult(tuple(found.strips), **summary)
     if result.finished:
         arrays = {**packed(found.strips, parameters), "summary": np.frombuffer(json.dumps(summary).encode(), np.uint8)}
-        temporary = part.file.with_suffix(".tmp")
-        with temporary.open("wb") as file:
+        with atomic_file(part.file) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
-        temporary.replace(part.file)
     return result
 
 
@@ -295,9 +294,9 @@ def certify_figure(
     if status == "proven":
         about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
         names = tuple(p.name for p in loop.system.parameters)
-        LoopProof(model, names, box, metric.band, target, tuple(strips), about).to_file(
-            folder / f"{loop.stage}-{name}.npz"
-        )
+        proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
+        with atomic_file(folder / f"{loop.stage}-{name}.npz") as temporary:
+            proof.to_file(temporary)
     return bounds
 
 

@@ -113,7 +113,9 @@ class LoopProof:
             return cls(model, tuple(header["names"]), box, band, float(header["level"]), strips, header["about"])
         except (KeyError, TypeError, ValueError, IndexError, OSError, EOFError, zipfile.BadZipFile) as error:
             known = isinstance(error, ProofError)
-            raise ProofError(str(error) if known else f"the file must be a proof of a loop, got {error!r}") from None
+            raise ProofError(
+                str(error) if known else f"the file must be a proof of a loop, got {type(error).__name__}"
+            ) from None
 
 
 def packed(strips: Sequence[Strip], parameters: int) -> dict[str, Any]:

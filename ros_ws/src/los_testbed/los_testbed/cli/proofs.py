@@ -19,6 +19,7 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import WorkersOption, processes
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
+from pointing_analysis.atomic_output import atomic_file, check_output
 from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
@@ -76,6 +77,8 @@ def certify(
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
+    count = processes(workers)
+    check_output(output, "--output", folder=True)
     until = time.monotonic() + wall_limit
     loops, known = _loops(folder, [stage] if stage else list(MIRROR_STAGES))
     chosen = [
@@ -83,10 +86,9 @@ def certify(
     ]
     if not chosen:
         raise ValueError(f"--figure must be one of APE, slow, fast, mirror, force (with fsm+pma), got {figure}")
-    _writable(output)
     found: list[FigureBounds] = []
     with ExitStack() as stack:
-        pool = stack.enter_context(Workers(processes(workers)))
+        pool = stack.enter_context(Workers(count))
         for s, name in chosen:
             with Progress(f"{s}, {name}") as bar:
                 points = known or _searched(loops[s], name, pool)
@@ -138,21 +140,14 @@ def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint
     return Search(loop).run([name], workers=workers)[name]
 
 
-def _writable(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / SUMMARY).open("a").close()
-    except OSError as error:
-        raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
-
-
 def _keep(path: Path, found: list[FigureBounds]) -> None:
     """The bounds so far, with those of other figures that the file has."""
-    before = json.loads(path.read_text("utf-8") or "{}").get("figures", [])
+    before = json.loads(path.read_text("utf-8"))["figures"] if path.exists() else []
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
     kept = [entry for entry in before if (entry["stage"], entry["figure"]) not in done]
-    path.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
+    with atomic_file(path) as temporary:
+        temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
 
 
 def _show(found: list[FigureBounds], json_: bool) -> None:
