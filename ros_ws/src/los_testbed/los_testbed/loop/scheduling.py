@@ -11,9 +11,11 @@ import signal
 PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
 """SCHED_FIFO priority of each node: the plant keeps the time, the recorder only has to keep up on average."""
 
-CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 1, "recorder": 1}
+CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 1, "recorder": None}
 """Index of a node's processor among those that its process may use; a pinned thread keeps its cache. The plant has one
-for itself: what it does between two ticks (its clock, requests, reports) must not hold up a late command."""
+for itself: what it does between two ticks (its clock, requests, reports) must not hold up a late command. The recorder
+takes what is free of any: on a slow machine estimator and controller leave too little of theirs, and what it does not
+take in within 0.1 s is lost."""
 
 _RESENDING = "dds.asyn"
 """Beginning of the name of Fast DDS's thread that sends lost messages again.
