@@ -80,8 +80,8 @@ PMA_COMMAND = Topic("pma/command", JOINT_STATE, "pma", "controller", "command", 
 SENSORS = (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, CAMERA_LOS, FSM_ANGLE)
 """Sent by the plant in this order; the strain gauge comes last and wakes the estimator."""
 
-COMMANDS = (PMA_COMMAND, FSM_COMMAND)
-"""Sent by the controller in this order; the mirror command comes last and closes the tick."""
+COMMANDS = (FSM_COMMAND, PMA_COMMAND)
+"""Sent by the controller in this order: the faster loop first; the forces come last and close the tick."""
 
 TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 """Every topic that a bag holds, in the order of its channels."""

@@ -76,7 +76,7 @@ class CommandGate:
 
     def _fault(self, stamp: int, now_ns: int, source: str) -> str:
         """Reason to reject the candidate: its values are checked before its stamp."""
-        largest = float(np.max(np.abs(self._candidate, out=self._magnitude)))
+        largest = float(np.abs(self._candidate, out=self._magnitude).max())
         if not largest <= self.limit:
             return "limit" if math.isfinite(largest) else "not_finite"
         if stamp % TICK_NS:

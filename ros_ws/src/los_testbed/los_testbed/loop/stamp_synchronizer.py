@@ -80,7 +80,8 @@ class StampSynchronizer:
         self._seen = [0] * slots
         self._rows = [np.full(size, np.nan) for _ in range(slots)]
         self._views = [[row[part.columns] for part in self.parts] for row in self._rows]
-        self._all = (1 << len(self.parts)) - 1
+        self._always = sum(1 << i for i, part in enumerate(self.parts) if part.period_ns == TICK_NS)
+        self._at_times = [(1 << i, part.period_ns) for i, part in enumerate(self.parts) if part.period_ns != TICK_NS]
 
     @property
     def waiting(self) -> bool:
@@ -128,8 +129,8 @@ class StampSynchronizer:
             return None
         if stamp > self._newest:
             self._newest = stamp
-        self._seen[slot] |= 1 << index
-        if self._seen[slot] != self._all and not self._complete(slot, stamp):
+        seen = self._seen[slot] = self._seen[slot] | 1 << index
+        if seen & self._always != self._always or not self._complete(seen, stamp):
             return None
         self._seen[slot] = 0
         if stamp == HOLD_STAMP:  # the plant holds: what came before belongs to another run
@@ -141,8 +142,6 @@ class StampSynchronizer:
         self.last = stamp
         return self._rows[slot]
 
-    def _complete(self, slot: int, stamp: int) -> bool:
-        seen = self._seen[slot]
-        return all(
-            seen >> i & 1 or (stamp != HOLD_STAMP and stamp % part.period_ns) for i, part in enumerate(self.parts)
-        )
+    def _complete(self, seen: int, stamp: int) -> bool:
+        """Whether the parts that do not come at every tick have come, too; all are due at a hold tick."""
+        return all(seen & bit or (stamp != HOLD_STAMP and stamp % period) for bit, period in self._at_times)

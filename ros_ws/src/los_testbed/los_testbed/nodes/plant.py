@@ -1,8 +1,9 @@
 """Plant node: keeps the time, publishes sensors and truth, applies the commands of the previous tick.
 
-Tick k of the real-time loop: take the commands that were computed from tick k - 1, most of them a little before the
-deadline, the rest at the deadline; pass them through the gates, step the plant, publish. In lockstep the wait for the
-clock is replaced by a wait for both commands of the tick just published, and ``/clock`` follows the ticks.
+Tick k of the real-time loop: take the commands that were computed from tick k - 1, pass them through the gates, step
+the plant, and publish at the deadline. Commands that come a little before the deadline are taken then, and if both are
+there the plant is stepped then, too; else at the deadline. In lockstep the wait for the clock is replaced by a wait for
+both commands of the tick just published, and ``/clock`` follows the ticks.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ RING = 64
 
 OWN_PLANT = "start must be rest, in every node, for another plant than the telescope, got steady"
 
-EARLY_NS = 150_000
-"""So long before the deadline of a tick the commands that have come are taken: most of them, and what is left to do at
-the deadline is done in a processor that is awake."""
+EARLY_NS = 250_000, 120_000
+"""So long before the deadline of a tick the commands that have come are taken. Once both have, the plant is stepped:
+the simulation is no part of the loop, and the sensors' samples go out at the deadline."""
 
 CLOCK_TICKS = 10
 """Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
@@ -176,8 +177,13 @@ class PlantLoop:
         total, last = context.config.ticks, 0
         for k in range(total + 1):
             now = start + k * TICK_NS
-            clock.sleep(EARLY_NS)
-            self._take_commands(now)
+            self._take_early(now)
+            over, early = k == total or self._ended, 0
+            stepped = not over and self.io.fresh(now)
+            if stepped:
+                start_time = time.monotonic_ns()
+                self._step(now)
+                early = time.monotonic_ns() - start_time
             self.lateness.add(clock.wait())
             start_time = time.monotonic_ns()
             if last:
@@ -187,11 +193,21 @@ class PlantLoop:
             if not self.io.fresh(now):
                 self._take_commands(now)
                 self.held += not self.io.fresh(now)
-            if k == total or self._ended:  # one more wake-up, for the commands of the last tick
+            if over:  # one more wake-up, for the commands of the last tick
                 break
-            self._tick(now)
-            self.execution.add(time.monotonic_ns() - start_time)
+            if not stepped:
+                self._step(now)
+            self._publish(now)
+            self.execution.add(time.monotonic_ns() - start_time + early)
             self._background(k, now)
+
+    def _take_early(self, now: int) -> None:
+        """Take the commands that came before the deadline."""
+        for lead in EARLY_NS:
+            self.clock.sleep(lead)
+            self._take_commands(now)
+            if self.io.fresh(now):
+                return
 
     def _take_commands(self, now: int) -> None:
         """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
@@ -205,7 +221,8 @@ class PlantLoop:
                 if 0 <= latency < CLOCK_STEP_NS:
                     self.latency.add(latency)
 
-    def _tick(self, now: int) -> None:
+    def _step(self, now: int) -> None:
+        """Changes, commands and plant of a tick."""
         io, command, changes = self.io, self._command, self.changes
         changes.now = now - io.start
         try:
@@ -218,7 +235,10 @@ class PlantLoop:
             raise
         except RAISED as error:
             raise RunFailedError(f"failed at tick {self.ticks}: {in_one_line(error)}") from error
-        io.publish(now, self._measurement, self._truth)
+
+    def _publish(self, now: int) -> None:
+        """Sensors and truth of a tick."""
+        self.io.publish(now, self._measurement, self._truth)
         self.ticks += 1
 
     def _background(self, k: int, now: int) -> None:
@@ -249,7 +269,8 @@ class PlantLoop:
             if k % CLOCK_TICKS == 0:
                 pacer.clock(now)
             start_time = time.monotonic_ns()
-            self._tick(now)
+            self._step(now)
+            self._publish(now)
             if not pacer.wait(now) or self._again:
                 break
             self.latency.add(time.monotonic_ns() - start_time)

@@ -16,6 +16,7 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import Topic
+from titop_plant.interface import TICK_NS
 
 WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000
@@ -66,6 +67,10 @@ class Follower:
         ]
         self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
         self._on_any = Waiter(context.node, self._subscriptions)
+        early = [i for i, part in enumerate(synchronizer.parts[:-1]) if part.period_ns == TICK_NS]
+        # in lockstep each further wake-up would cost time: nothing goes on meanwhile
+        self._early = early if len(early) > 1 and not every else []
+        self._gathered = [-1] * len(topics)
         self._execution = LatencyHistogram()
         self._period = LatencyHistogram()
         self._health = LoopHealth(context.config.mode == "realtime")
@@ -81,7 +86,7 @@ class Follower:
         paced = context.config.mode == "realtime"  # in lockstep no time is too early
         next_report, next_service, next_decision, last = time.monotonic_ns(), 0, 0, 0
         while not context.stop:
-            (self._on_any if synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
+            gathering = self._wait()
             before = time.monotonic_ns()
             if paced and synchronizer.last:
                 # the plant's clock seen from here: the sample that was least delayed tells best. After a stall
@@ -89,7 +94,7 @@ class Follower:
                 self._ahead = max(self._ahead or -(1 << 62), synchronizer.last - before)
                 synchronizer.horizon = before + self._ahead + HORIZON_NS
             if self._drain():
-                self._execution.add(time.monotonic_ns() - before)
+                self._execution.add(time.monotonic_ns() - before + gathering)
                 if last:
                     self._period.add(before - last)
                 last = before
@@ -112,6 +117,33 @@ class Follower:
         context.event("done", statistics=self.statistics())
         return 0
 
+    def _wait(self) -> int:
+        """Wait for the last sample of a tick; the time spent on the earlier ones meanwhile [ns].
+
+        Where there are several earlier ones, they are taken while the last one is still on its way (in real time).
+        """
+        synchronizer, spent, done = self._synchronizer, 0, 0
+        while done < len(self._early) and (done or not synchronizer.waiting):
+            self._on_any.wait(WAIT_NS)
+            start_time, before = time.monotonic_ns(), done
+            while done < len(self._early) and self._gather(self._early[done], start_time):
+                done += 1
+            spent += time.monotonic_ns() - start_time
+            if done == before:  # another one, or nothing has come
+                return spent
+        (self._on_any if synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
+        return spent
+
+    def _gather(self, index: int, steady: int) -> bool:
+        """Take a sample of a topic that comes at every tick, if there is one."""
+        subscription = self._subscriptions[index]
+        if (taken := subscription.take()) is None:
+            return False
+        source = subscription.sort(taken, steady)
+        self._put(index, taken[0], source)
+        self._gathered[index] = stamp_of(taken[0]) if not source and len(taken[0]) >= 12 else -1
+        return True
+
     def _drain(self) -> bool:
         """Take what has come; True if a tick was completed.
 
@@ -127,7 +159,9 @@ class Follower:
         for index in range(trigger):
             period = synchronizer.parts[index].period_ns
             due = newest - newest % period if newest > 0 else newest
-            subscription, seen = self._subscriptions[index], -1
+            subscription, gathered = self._subscriptions[index], self._gathered[index]
+            seen = gathered if gathered == due else -1
+            self._gathered[index] = -1
             while seen < due or newest <= 0:
                 taken = subscription.take()
                 if taken is None:

@@ -13,6 +13,8 @@ from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import Waiter
 from titop_plant.interface import TICK_NS
 
+WAIT_NS = 50_000_000
+
 AHEAD_NS = 60 * TICK_NS
 """The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is
 :data:`los_testbed.topics.DEPTH` long) before the recorder has it."""
@@ -24,7 +26,8 @@ class LockstepPacer:
     def __init__(self, context: NodeContext, io: PlantIo) -> None:
         self._context = context
         self._io = io
-        self._waiter = Waiter(context.node, [io.fsm_input, io.pma_input])
+        self._on_last = Waiter(context.node, [io.pma_input])  # sent last: one wake-up for both
+        self._on_any = Waiter(context.node, [io.fsm_input, io.pma_input])
         self._recorder = Waiter(context.node, [io.progress_input])
         self._recorded = 0
         self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
@@ -43,6 +46,9 @@ class LockstepPacer:
     def wait(self, now: int) -> bool:
         """Return when both commands of tick `now` are at the gates; False if the run was stopped."""
         io, following = self._io, now + TICK_NS
+        if self._context.stop:
+            return False
+        self._on_last.wait(WAIT_NS)
         while True:
             steady = time.monotonic_ns()
             for source, gate in ((io.pma_input, io.pma_gate), (io.fsm_input, io.fsm_gate)):
@@ -52,7 +58,7 @@ class LockstepPacer:
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:
                 return False
-            self._waiter.wait(50_000_000)
+            self._on_any.wait(WAIT_NS)
 
     def wait_for_recorder(self, now: int, ahead: int = 0) -> bool:
         """Return when the recorder has all but the last `ahead` [ns] up to `now`; False if the run was stopped.
@@ -72,5 +78,5 @@ class LockstepPacer:
                 break
             if self._context.stop or time.monotonic() > deadline:
                 return not self._context.stop
-            self._recorder.wait(50_000_000)
+            self._recorder.wait(WAIT_NS)
         return True
