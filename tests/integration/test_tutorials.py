@@ -9,6 +9,7 @@ import shlex
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -107,7 +108,7 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
     """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    module, run = code(sections()["3"])
+    module, run, _ = code(sections()["3"])
     (tmp_path / "my_module.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_module", raising=False)
@@ -122,6 +123,22 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
         peaks.append(np.abs(truth.values).max())
     assert peaks[1] == pytest.approx(2e-5, rel=1e-3)
     assert peaks[0] < 0.35 * peaks[1]
+
+
+def test_own_plant_as_a_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last block of the page is the file of a node; its main function is called with the plant of the page."""
+    pytest.importorskip("rclpy", reason="extra ros")
+    from los_testbed.nodes import plant
+
+    module, _, node = code(sections()["3"])
+    (tmp_path / "my_module.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_module", raising=False)
+    main = create_autospec(plant.main)
+    monkeypatch.setattr(plant, "main", main)
+    exec(node, {})
+    (call,) = main.call_args_list
+    assert call.kwargs["build"](None).frame_ticks == 20
 
 
 def printed_and_shown(page: str) -> tuple[str, str]:
