@@ -245,7 +245,7 @@ def make_series(
 def _angles(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Samples [rad] with NaN in place of what cannot be an angle, and a note of how many there were."""
     with np.errstate(invalid="ignore"):
-        odd = (np.abs(values) > LARGEST_ANGLE).any(axis=1)
+        odd: NDArray[np.bool_] = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
     if not odd.any():
         return values, ()
     note = f"{int(odd.sum())} samples are infinite or above {LARGEST_ANGLE:g} rad: counted as missing"

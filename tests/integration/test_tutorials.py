@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from los_testbed.cli import run as run_command
 from los_testbed.variants import check_ranges
 from scipy import linalg
 
+import fsm_pma_controller
+import los_estimator
 from pointing_analysis.read import Run
 from titop_plant.simulation import telescope
 
@@ -176,6 +179,9 @@ def test_the_table_of_the_telescope_is_the_telescope() -> None:
 def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Configurations only: nothing is started."""
     (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
+    (tmp_path / "designs/mine").mkdir(parents=True)
+    for name, module in (("k_fsm.json", los_estimator), ("k_pma.json", fsm_pma_controller)):
+        shutil.copy(Path(module.__file__).parent / "designs" / name, tmp_path / "designs/mine" / name)
     knots = ["time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4", "0,0,30,30,30,30", "9,1,90,90,90,90"]
     (tmp_path / "my_profile.csv").write_text("\n".join(knots) + "\n")
     monkeypatch.chdir(tmp_path)
