@@ -215,7 +215,8 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
     if time == "header" and not by_header:
         raise BagError(f"{path}: time must be log for {chosen.topic}, whose messages have no stamp, got 'header'")
     if not by_header:
-        problems.append(f"{chosen.topic}: times are those of recording, with its jitter: the samples have no stamp")
+        reason = "" if time == "log" else ": the samples have no stamp"
+        problems.append(f"{chosen.topic}: times are those of recording, with its jitter{reason}")
     stamps = header if by_header else logged
     about = {
         "line_of_sight": chosen.name, "message_type": chosen.schema, "components": list(chosen.components[:2]),

@@ -36,6 +36,8 @@ OFF_GRID = 0.02
 """Part of the period by which a stamp may miss the sampling grid."""
 LONGEST = 1e9
 """Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
+LARGEST_ANGLE = 1e9
+"""Largest sample that counts as an angle [rad]: far above any, and its square is still a number."""
 FEW = 0.01
 """Share of the samples that may miss the grid, or fall on a place that is taken."""
 
@@ -228,17 +230,26 @@ def make_series(
     values = np.asarray(xy, dtype=float)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
         raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
-    values = values[:, :2] * scale_of(unit)
-    notes: tuple[str, ...] = ()
+    values, notes = _angles(values[:, :2] * scale_of(unit))
     sent = stamps if published is None else published
     if sampling_rate(rate) is not None:
         assert rate is not None
-        stamps, kept, notes = gridded(stamps, rate)
-        stamps, values, sent = stamps[kept], values[kept], sent[kept]
+        stamps, kept, moved = gridded(stamps, rate)
+        stamps, values, sent, notes = stamps[kept], values[kept], sent[kept], (*notes, *moved)
     topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent.copy())
     topic = replace(topic, open_end=open_end)
     about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
     return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
+
+
+def _angles(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Samples [rad] with NaN in place of what cannot be an angle, and a note of how many there were."""
+    with np.errstate(invalid="ignore"):
+        odd: NDArray[np.bool_] = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
+    if not odd.any():
+        return values, ()
+    note = f"{int(odd.sum())} samples are infinite or above {LARGEST_ANGLE:g} rad: counted as missing"
+    return np.where(odd[:, None], np.nan, values), (note,)
 
 
 def series(

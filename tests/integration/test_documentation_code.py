@@ -81,6 +81,18 @@ def requirements_of_the_observer(_: Path, __: pytest.MonkeyPatch) -> Names:
     return {"HinfGain": HinfGain, "DISTURBANCES": DISTURBANCES, "expected": unit, "relative": unit}
 
 
+def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
+    pytest.importorskip("pyNastran", reason="extra nastran")
+    from titop_plant.structures.reference import payload_frame
+    from titop_plant.telescope.parameters import load_parameters
+
+    example = runpy.run_path(str(ROOT / "examples/nastran_payload_to_run.py"))
+    frame = payload_frame(load_parameters()).divided()
+    example["write_bulk_data"](frame, folder / "payload.bdf")
+    example["write_results"](frame, folder / "payload.op2")
+    return {}
+
+
 NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "open_a_bag.md": a_bag,
     "pointing_analysis.md": a_bag,
@@ -88,6 +100,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "certificates.md": an_uncertain_system,
     "control_design.md": a_design_that_is_only_called,
     "robust_design.md": the_mass_and_spring,
+    "telescope.md": files_of_nastran,
     "CONTRIBUTING.md": requirements_of_the_observer,
 }
 """What the text of a page presupposes."""
@@ -109,6 +122,13 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
     for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
         if path.name == "open_a_bag.md":
             assert shown in printed.getvalue()
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: p.name)
+def test_python_is_in_blocks_that_run(path: Path) -> None:
+    """Indented blocks are command lines and what they print."""
+    outside = re.sub(r"^```.*?^```", "", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+    assert not re.findall(r"^ {4,}(?:from [\w.]+ import|import \w|\w+ = \w+\().*", outside, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("path", [p for p in PAGES if blocks(p, "toml")], ids=lambda p: p.name)

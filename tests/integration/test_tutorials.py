@@ -6,9 +6,11 @@ import contextlib
 import io
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from los_testbed.cli import run as run_command
 from los_testbed.variants import check_ranges
 from scipy import linalg
 
+import fsm_pma_controller
+import los_estimator
 from pointing_analysis.read import Run
 from titop_plant.simulation import telescope
 
@@ -107,7 +111,7 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
     """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    module, run = code(sections()["3"])
+    module, run, _ = code(sections()["3"])
     (tmp_path / "my_module.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_module", raising=False)
@@ -122,6 +126,22 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
         peaks.append(np.abs(truth.values).max())
     assert peaks[1] == pytest.approx(2e-5, rel=1e-3)
     assert peaks[0] < 0.35 * peaks[1]
+
+
+def test_own_plant_as_a_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last block of the page is the file of a node; its main function is called with the plant of the page."""
+    pytest.importorskip("rclpy", reason="extra ros")
+    from los_testbed.nodes import plant
+
+    module, _, node = code(sections()["3"])
+    (tmp_path / "my_module.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_module", raising=False)
+    main = create_autospec(plant.main)
+    monkeypatch.setattr(plant, "main", main)
+    exec(node, {})
+    (call,) = main.call_args_list
+    assert call.kwargs["build"](None).frame_ticks == 20
 
 
 def printed_and_shown(page: str) -> tuple[str, str]:
@@ -159,6 +179,9 @@ def test_the_table_of_the_telescope_is_the_telescope() -> None:
 def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Configurations only: nothing is started."""
     (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
+    (tmp_path / "designs/mine").mkdir(parents=True)
+    for name, module in (("k_fsm.json", los_estimator), ("k_pma.json", fsm_pma_controller)):
+        shutil.copy(Path(module.__file__).parent / "designs" / name, tmp_path / "designs/mine" / name)
     knots = ["time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4", "0,0,30,30,30,30", "9,1,90,90,90,90"]
     (tmp_path / "my_profile.csv").write_text("\n".join(knots) + "\n")
     monkeypatch.chdir(tmp_path)

@@ -4,6 +4,7 @@ from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
+from titop_plant.structures.nastran import read_nastran
 from titop_plant.structures.reference import build_body, build_payload, port_visibility
 from titop_plant.structures.residual_mass import (
     ResidualMode,
@@ -32,6 +33,7 @@ __all__ = [
     "from_inertia",
     "port_visibility",
     "read_modal_data",
+    "read_nastran",
     "repair_residual_mass",
     "smallest_residual_fraction",
     "static_displacement",

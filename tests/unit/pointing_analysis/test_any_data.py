@@ -326,3 +326,23 @@ def test_a_message_that_lies_about_its_length_is_left_out(tmp_path: Path) -> Non
     for data in (whole[:-1], whole[:4] + b"\xff\xff\xff\xff" + whole[8:], b"\x00\x07" + whole[2:], b""):
         with pytest.raises(ValueError, match=r"cut short|plain CDR|two numbers"):
             ros_definitions.locate("a/msg/B", types, "", data)
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("rate", [None, RATE])
+def test_a_sample_that_is_no_angle_counts_as_missing(value: float, rate: float | None) -> None:
+    t = np.arange(6000) / RATE
+    clean = np.random.default_rng(1).standard_normal((6000, 2))
+    missing, odd = clean.copy(), clean.copy()
+    missing[5000, 1], odd[5000, 1] = np.nan, value
+    text = "prob(|APE| < 9 arcsec) >= 0.95 at 90 % confidence"
+    expected = judge_series(t, missing, unit="arcsec", rate=rate, requirements=text)
+    found = judge_series(t, odd, unit="arcsec", rate=rate, requirements=text)
+    assert found.verdicts == expected.verdicts and found.ape_max == expected.ape_max
+    assert any("1 samples are infinite or above" in problem for problem in found.problems)
+
+
+def test_times_of_recording_that_were_asked_for(folder: Path) -> None:
+    """The note does not say that stamps are missing: they are there."""
+    problems = open_los(folder / "theirs", los="/my/los", unit="arcsec", time="log", rate=RATE).problems
+    assert any(problem.endswith("with its jitter") for problem in problems)
