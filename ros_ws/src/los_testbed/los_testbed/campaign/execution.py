@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
@@ -57,6 +58,7 @@ def identity(base: RunConfig) -> dict[str, str]:
     return {
         "version": __version__,
         "numpy": np.__version__,
+        "scipy": scipy.__version__,
         "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
         **controllers,
     }
