@@ -226,6 +226,7 @@ def test_client_killed_and_resumed(undisturbed: ResultFolder, tmp_path: Path) ->
         (["--samples", "0"], "samples must be 1 or more, got 0"),
         (["--sampling", "sobol"], "must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
         (["--depth", "deep"], "depth must be one of time, model, got 'deep'"),
+        (["--duration", "0.015"], "duration must be at least the window of 0.02 s, got 0.015 s"),
         (["--resume"], "--output must be given with --resume, got none"),
         (["--loop", "open"], "loop must be one of"),
         (["--scenario", "ramp"], "scenario must be design, imbalance or worst_case in a campaign, got ramp"),

@@ -26,6 +26,7 @@ from los_testbed.campaign.member import CRASHED, DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from pointing_analysis.atomic_output import check_output
+from pointing_analysis.summary import WINDOW
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
@@ -75,7 +76,7 @@ class Campaign:
         ------
         ValueError
             An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not
-            have; what :func:`los_testbed.campaign.sampling.members` refuses.
+            have; runs shorter than a window; what :func:`los_testbed.campaign.sampling.members` refuses.
         """
         if depth not in DEPTHS:
             raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
@@ -83,6 +84,8 @@ class Campaign:
             raise ValueError("scenario must be design, imbalance or worst_case in a campaign, got ramp")
         if depth == "model" and base.frame_ticks != FRAME_TICKS:
             raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
+        if depth == "time" and base.duration < WINDOW:
+            raise ValueError(f"duration must be at least the window of {WINDOW:g} s, got {base.duration:g} s")
         if sampling == "adversarial":
             points = adversarial_members(base, samples, seed)
         else:
