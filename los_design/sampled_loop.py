@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +50,14 @@ class SampledLoop:
     frame_ticks: int
     plant_order: int
 
+    @cached_property
+    def period(self) -> FloatArray:
+        """State at the next camera frame from the state at a frame, before its measurement, shape (n, n)."""
+        return np.asarray(np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame)
+
     def multipliers(self) -> ComplexArray:
         """Eigenvalues of the matrix over a frame period."""
-        period = np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame
-        return np.asarray(linalg.eigvals(period), dtype=complex)
+        return np.asarray(linalg.eigvals(self.period), dtype=complex)
 
     def spectral_radius(self) -> float:
         """Largest growth factor per tick, the N-th root of the spectral radius over a frame period; stable below 1."""

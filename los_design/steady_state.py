@@ -103,8 +103,7 @@ def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
     for k in range(loop.frame_ticks):
         A, drive = (loop.hold, loop.noise_hold) if k else (loop.frame, loop.noise_frame)
         state = A @ state + drive @ bias
-    whole = np.linalg.matrix_power(loop.hold, loop.frame_ticks - 1) @ loop.frame
-    return np.asarray(linalg.solve(np.eye(state.size) - whole, state))
+    return np.asarray(linalg.solve(np.eye(state.size) - loop.period, state))
 
 
 __all__ = ["LoopStart", "bias_state", "steady_start"]

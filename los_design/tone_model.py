@@ -179,10 +179,9 @@ class LoopModel:
         """
         loop, size = self.loop, self.loop.hold.shape[0]
         forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
-        whole = np.linalg.matrix_power(loop.hold, loop.frame_ticks - 1) @ loop.frame
         start = np.empty((size, self.omega.size), complex)
         for k, full in enumerate(np.exp(1j * self.omega * DT * loop.frame_ticks)):
-            start[:, k] = linalg.solve(full * np.eye(size) - whole, forced[:, k])
+            start[:, k] = linalg.solve(full * np.eye(size) - loop.period, forced[:, k])
         return start
 
     def _period(self, state: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

@@ -35,6 +35,9 @@ from titop_plant.telescope.parameters import REFERENCE, Parameters, load_paramet
 
 SPEED_ROUNDS = 4
 
+DESIGN_TABLES = ("design_scenario", "weights", "sadm")
+"""Tables of a parameter file that :func:`titop_plant.disturbances.design_tones` reads."""
+
 
 @lru_cache(maxsize=4)
 def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
@@ -215,25 +218,35 @@ def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, flo
         return no_tones()
     if config.scenario == "worst_case":
         return given_tones(config.tones)
-    rng = _phases(config)
+    rng = _phases(config.seed)
     if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
         return MovingTones(motion(config, parameters), unit).start()
     if config.scenario == "imbalance":
         speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
         return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
-    isolated = telescope(config.parameters, True).system["los_controlled", DISTURBANCES]
-    return design_tones(parameters, isolated.data_at(values), rng)
+    tables = json.dumps({name: parameters[name] for name in DESIGN_TABLES}, sort_keys=True)
+    return _design_tones(config.parameters, tables, tuple(values.items()), config.seed)
 
 
-def _phases(config: PlantConfig) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(99,)))
+@lru_cache(maxsize=2)
+def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
+    """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
+    isolated = telescope(path, True).system["los_controlled", DISTURBANCES]
+    tones = design_tones(json.loads(tables), isolated.data_at(dict(values)), _phases(seed))
+    for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
+        array.flags.writeable = False
+    return tones
+
+
+def _phases(seed: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
 
 
 def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
     if not config.disturbance or config.scenario not in ("imbalance", "ramp"):
         return None
-    rng = _phases(config)
+    rng = _phases(config.seed)
     return joined([imbalance_tones(parameters, np.ones(4), rng), sadm_tones(parameters, rng)])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -226,6 +227,7 @@ def test_client_killed_and_resumed(undisturbed: ResultFolder, tmp_path: Path) ->
         (["--samples", "0"], "samples must be 1 or more, got 0"),
         (["--sampling", "sobol"], "must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
         (["--depth", "deep"], "depth must be one of time, model, got 'deep'"),
+        (["--duration", "0.015"], "duration must be at least the window of 0.02 s, got 0.015 s"),
         (["--resume"], "--output must be given with --resume, got none"),
         (["--loop", "open"], "loop must be one of"),
         (["--scenario", "ramp"], "scenario must be design, imbalance or worst_case in a campaign, got ramp"),
@@ -241,18 +243,23 @@ def test_mistakes_are_one_line_before_work_begins(
     assert stopped.value.code == 2 and message in captured and len(captured.splitlines()) == 1
 
 
-def test_unreachable_scheduler_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def no_search(*_: object) -> None:
+    raise AssertionError("members were searched for")
+
+
+@pytest.mark.parametrize("sampling", ["uniform", "adversarial"])
+def test_unreachable_scheduler_is_one_line_before_members_are_searched_for(
+    sampling: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 1.0)
+    monkeypatch.setattr("los_testbed.campaign.dataset.adversarial_members", no_search)
+    options = ["--scheduler", "tcp://127.0.0.1:9", "--sampling", sampling, "--output", str(tmp_path / "c")]
     with pytest.raises(SystemExit) as stopped:
-        main(["campaign", "--scheduler", "tcp://127.0.0.1:9", "--output", str(tmp_path / "c")])
+        main(["campaign", *options])
     captured = capsys.readouterr().err
-    assert (
-        stopped.value.code == 2
-        and "scheduler must be the address of a running Dask scheduler, got tcp://127.0.0.1:9" in captured
-    )
+    message = "scheduler must be the address of a running Dask scheduler, got tcp://127.0.0.1:9"
+    assert stopped.value.code == 2 and message in captured and len(captured.splitlines()) == 1
     assert not (tmp_path / "c").exists()
 
 
@@ -316,8 +323,15 @@ def test_worker_that_joins_later_is_compared_too(tmp_path: Path) -> None:
     assert folder.parts() == []
 
 
-def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    expected = r"dask\.distributed must be installed: pip install 'los-testbed\[campaign\]'"
+@pytest.mark.parametrize(("module", "name"), [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow")])
+def test_missing_extra_is_named_before_members_are_searched_for(
+    module: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr("los_testbed.campaign.dataset.adversarial_members", no_search)
+    expected = rf"{name} must be installed: pip install 'los-testbed\[campaign\]'"
     with pytest.raises(ValueError, match=expected), cluster("", 1):
         pass
+    with pytest.raises(SystemExit) as stopped:
+        main(["campaign", "--sampling", "adversarial", "--output", str(tmp_path / "c")])
+    assert stopped.value.code == 2 and re.search(expected, capsys.readouterr().err)

@@ -13,8 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from los_testbed.campaign.execution import cluster
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.execution import cluster, identity
 from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
 
 PROGRAM = """
 import signal
@@ -60,6 +62,21 @@ def test_another_output_is_refused_without_a_cluster(
         main([*OPTIONS, f"--output={output}", *(["--resume"] if resume else [])])
     assert stopped.value.code == 2 and str(output) in capsys.readouterr().err
     assert list(temporary.iterdir()) == [] and list(output.iterdir()) == []
+
+
+def test_another_campaign_in_the_folder_is_refused_without_a_cluster(temporary: Path, tmp_path: Path) -> None:
+    """Told in one line by a process that has ended afterwards, and the folder is as it was."""
+    output = tmp_path / "c"
+    base = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imbalance")
+    ResultFolder(output).open(Campaign.of(base, "uniform", 100, 1, "time", identity(base)), False)
+    manifest = (output / "campaign.json").read_bytes()
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}", "--resume"], capture_output=True, text=True,
+        env={**os.environ, "TMPDIR": str(temporary)}, check=False,
+    )  # fmt: skip
+    message = f"los-testbed: {output} holds another campaign: samples must be 100 as there, got 200\n"
+    assert (process.returncode, process.stdout, process.stderr) == (2, "", message)
+    assert list(temporary.iterdir()) == [] and (output / "campaign.json").read_bytes() == manifest
 
 
 def processes_of(variable: str) -> Iterator[int]:

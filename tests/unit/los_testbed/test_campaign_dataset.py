@@ -130,6 +130,20 @@ def test_parts_with_crashed_members_or_that_cannot_be_read_are_computed_again(tm
     assert folder.open(asked, True) == {0}
 
 
+def test_parts_of_another_campaign_are_computed_again_or_refused(tmp_path: Path) -> None:
+    """Copied into the folder by hand: of other members, of fewer; beyond the last one."""
+    pytest.importorskip("pyarrow")
+    asked, folder = campaign(), ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    folder.write(0, rows(campaign(seed=2), 0))
+    folder.write(1, rows(asked, 1)[:9])
+    folder.write(2, rows(asked, 2))
+    assert folder.open(asked, True) == {2}
+    folder.write(3, rows(asked, 1))
+    with pytest.raises(ValueError, match=r"must hold parts 0 to 2 of its campaign, got part-0000003\.parquet"):
+        folder.open(asked, True)
+
+
 def test_summary_ranks_the_members(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     asked, folder = campaign(), ResultFolder(tmp_path / "c")

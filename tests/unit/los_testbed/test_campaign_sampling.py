@@ -50,6 +50,8 @@ def test_list_from_a_file_in_any_order_of_columns(tmp_path: Path) -> None:
     (tmp_path / "list.csv").write_text("\n".join(lines), "utf-8")
     assert np.array_equal(members(str(tmp_path / "list.csv"), 0, 1), points)
     assert np.array_equal(members(str(tmp_path / "list.csv"), 2, 1), points[:2])
+    (tmp_path / "sheet.csv").write_text("\ufeff" + "\r\n".join([*lines, "", ""]), "utf-8")  # as spreadsheets do
+    assert np.array_equal(members(str(tmp_path / "sheet.csv"), 0, 1), points)
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,25 @@ def test_design_tones_have_unit_norm_within_the_band() -> None:
         assert (not normalised[:20].any()) or (not normalised[20:].any())
 
 
+def test_design_tones_are_kept_for_the_same_telescope_table_and_seed_alone() -> None:
+    """Those that are kept cannot be changed; another seed turns each tone as a whole."""
+    from titop_plant.simulation import _tones
+
+    parameters, config = load_parameters(), PlantConfig()
+    values = parameter_values(config, parameters)
+    first = _tones(config, parameters, values)
+    assert _tones(replace(config), load_parameters(), dict(values)) is first
+    with pytest.raises(ValueError, match="read-only"):
+        first.amplitude[0, 0] = 0.0
+    turned = _tones(replace(config, seed=config.seed + 1), parameters, values)
+    ratio = np.sum(turned.amplitude * first.amplitude.conj(), axis=0) / np.sum(np.abs(first.amplitude) ** 2, axis=0)
+    np.testing.assert_allclose(turned.amplitude, ratio * first.amplitude, atol=1e-12 * np.abs(first.amplitude).max())
+    assert np.abs(np.abs(ratio) - 1.0).max() < 1e-12 < np.abs(ratio - 1.0).min()
+    fewer = {**parameters, "design_scenario": {**parameters["design_scenario"], "tones": 2}}
+    assert _tones(config, fewer, values).frequency.size == 3 < first.frequency.size
+    assert _tones(config, parameters, {**values, "solar_array.tau": 0.5}).frequency.tolist() != first.frequency.tolist()
+
+
 def test_a_ramp_moves_the_tones_and_ends_at_the_new_speed() -> None:
     base = PlantConfig(noise=False, scenario="imbalance", wheel_speed=(150.0, 160.0, 170.0, 180.0))
     ramp = replace(base, wheel_acceleration=(40.0, 0.0, 0.0, 0.0), ramp_duration=0.5)

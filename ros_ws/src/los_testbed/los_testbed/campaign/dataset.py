@@ -26,6 +26,7 @@ from los_testbed.campaign.member import CRASHED, DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from pointing_analysis.atomic_output import check_output
+from pointing_analysis.summary import WINDOW
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
@@ -75,7 +76,7 @@ class Campaign:
         ------
         ValueError
             An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not
-            have; what :func:`los_testbed.campaign.sampling.members` refuses.
+            have; runs shorter than a window; what :func:`los_testbed.campaign.sampling.members` refuses.
         """
         if depth not in DEPTHS:
             raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
@@ -83,6 +84,8 @@ class Campaign:
             raise ValueError("scenario must be design, imbalance or worst_case in a campaign, got ramp")
         if depth == "model" and base.frame_ticks != FRAME_TICKS:
             raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
+        if depth == "time" and base.duration < WINDOW:
+            raise ValueError(f"duration must be at least the window of {WINDOW:g} s, got {base.duration:g} s")
         if sampling == "adversarial":
             points = adversarial_members(base, samples, seed)
         else:
@@ -176,7 +179,7 @@ class ResultFolder:
         Raises
         ------
         ValueError
-            What :meth:`check` and :meth:`compare` refuse.
+            What :meth:`check` and :meth:`compare` refuse; a part that the campaign does not have.
         """
         self.check(resume)
         if not resume:
@@ -185,7 +188,11 @@ class ResultFolder:
             return frozenset()
         self.compare(campaign)
         (self.path / ROWS).mkdir(exist_ok=True)
-        return frozenset(int(file.stem.split("-")[1]) for file in self.parts() if not _crashed(file))
+        parts = {self.part(number): (number, members) for number, members in campaign.chunks()}
+        for file in self.parts():
+            if file not in parts:
+                raise ValueError(f"{self.path} must hold parts 0 to {len(parts) - 1} of its campaign, got {file.name}")
+        return frozenset(number for file, (number, members) in parts.items() if _complete(file, members))
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
@@ -214,6 +221,10 @@ class ResultFolder:
         """Files of rows, in the order of the members."""
         return sorted((self.path / ROWS).glob("part-*.parquet"))
 
+    def part(self, number: int) -> Path:
+        """File of the rows of a chunk."""
+        return self.path / ROWS / f"part-{number:07d}.parquet"
+
     def write(self, number: int, rows: Sequence[Mapping[str, Any]]) -> None:
         """Rows of a chunk, whole or not at all."""
         import pyarrow
@@ -221,7 +232,7 @@ class ResultFolder:
 
         sink = pyarrow.BufferOutputStream()
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), sink)
-        _write_whole(self.path / ROWS / f"part-{number:07d}.parquet", sink.getvalue().to_pybytes())
+        _write_whole(self.part(number), sink.getvalue().to_pybytes())
 
     def table(self, columns: Sequence[str] | None = None) -> Any:
         """All rows as a ``pyarrow.Table``, in the order of the members."""
@@ -258,15 +269,19 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return content
 
 
-def _crashed(part: Path) -> bool:
-    """Whether a part is to be computed again: a member ended its worker, or the file cannot be read."""
+def _complete(part: Path, members: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a part holds rows of these members and need not be computed again, as it must where one crashed."""
     import pyarrow
     import pyarrow.parquet
 
+    if not part.exists():
+        return False
     try:
-        return CRASHED in pyarrow.parquet.read_table(part, columns=["status"]).column("status").to_pylist()
+        found = pyarrow.parquet.read_table(part, columns=["index", "seed", "status"]).to_pydict()
     except (OSError, KeyError, pyarrow.ArrowInvalid):
-        return True
+        return False
+    same = all(found[key] == [member[key] for member in members] for key in ("index", "seed"))
+    return same and CRASHED not in found["status"]
 
 
 def _write_whole(path: Path, content: bytes) -> None:

@@ -14,10 +14,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
@@ -39,6 +41,9 @@ PATIENCE = 120.0
 CRASHES = 3
 """Members in a row that end their workers, each alone, after which the workers are at fault and not the members."""
 
+EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow"}
+"""Modules of the extra ``campaign``, and how they are called."""
+
 FILES = ("k_fsm", "k_pma", "parameters")
 """Settings that are files; their content travels with the campaign, so that workers need nothing but the package."""
 
@@ -57,6 +62,7 @@ def identity(base: RunConfig) -> dict[str, str]:
     return {
         "version": __version__,
         "numpy": np.__version__,
+        "scipy": scipy.__version__,
         "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
         **controllers,
     }
@@ -82,12 +88,10 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
     ValueError
         The extra is not installed; no scheduler at the address, or one without workers.
     """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("dask.distributed must be installed: pip install 'los-testbed[campaign]'") from None
+    check_cluster(scheduler)
+    from distributed import Client
+
     if scheduler:
-        _check_address(scheduler)
         with Client(scheduler, timeout=CONNECT) as client:
             if not client.scheduler_info(n_workers=-1)["workers"]:
                 raise ValueError(f"scheduler must have workers, got none at {scheduler}")
@@ -97,6 +101,26 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
     count = workers or len(os.sched_getaffinity(0))
     with local_cluster(count) as processes, Client(processes) as client:
         yield client
+
+
+def check_cluster(scheduler: str) -> None:
+    """Refuse, before anything is computed, a cluster that cannot be.
+
+    Parameters
+    ----------
+    scheduler : str
+        As of :func:`cluster`.
+
+    Raises
+    ------
+    ValueError
+        The extra is not installed; no Dask scheduler answers at the address.
+    """
+    for module, name in EXTRA.items():
+        if find_spec(module) is None:
+            raise ValueError(f"{name} must be installed: pip install 'los-testbed[campaign]'")
+    if scheduler:
+        _check_address(scheduler)
 
 
 def _check_address(scheduler: str) -> None:

@@ -127,7 +127,7 @@ def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
 
 def _listed(path: Path, samples: int, ranges: FloatArray) -> FloatArray:
     try:
-        lines = list(csv.reader(read_ordinary_file(path).splitlines()))
+        lines = list(csv.reader(read_ordinary_file(path).removeprefix("\ufeff").rstrip().splitlines()))
     except OSError as error:
         choices = ", ".join(SAMPLINGS)
         raise ValueError(f"sampling must be one of {choices} or a CSV file, got {path}: {error.strerror}") from None

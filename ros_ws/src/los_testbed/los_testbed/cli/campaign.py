@@ -65,7 +65,7 @@ def campaign(
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_workers, cluster, identity
+    from los_testbed.campaign.execution import check_cluster, check_workers, cluster, identity
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
@@ -81,6 +81,7 @@ def campaign(
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
     warn(check_controllers(base))
+    check_cluster(scheduler)  # before a search for adversarial members, which takes minutes
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
     if resume:
         folder.compare(asked)
