@@ -44,7 +44,7 @@ def rounds(files: list[str]) -> int:
         code = ExitCode(pytest.main([*options, *files], plugins=[NoMore()]))
     word = "something was found" if code else "nothing found"
     sys.stdout.write(
-        f"{fuzz_profile.Count.begun} examples in {count} rounds of {ROUND} examples of each test, "
+        f"{fuzz_profile.Count.examples} examples in {count} rounds of {ROUND} examples of each test, "
         f"{time.process_time():.0f} s of processor time: {word}\n"
     )
     return int(code)

@@ -26,9 +26,9 @@ def over() -> bool:
 
 
 class Count:
-    """How many examples have begun in this process."""
+    """How many examples this process has started."""
 
-    begun = 0
+    examples = 0
 
 
 def _one_more(test: Test) -> Test:
@@ -38,7 +38,7 @@ def _one_more(test: Test) -> Test:
     def example(*values: Any, **named: Any) -> None:
         if over():
             pytest.skip("the time of the fuzzing is over")
-        Count.begun += 1
+        Count.examples += 1
         test(*values, **named)
 
     return example

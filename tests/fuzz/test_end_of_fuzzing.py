@@ -52,14 +52,14 @@ def started(folder: Path, minutes: float, body: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def begun(folder: Path, name: str) -> int:
-    """How many examples of a test have begun."""
+def examples_of(folder: Path, name: str) -> int:
+    """How many examples of a test have started."""
     file = folder / name
     return len(file.read_text()) if file.exists() else 0
 
 
 def await_first(folder: Path, process: subprocess.Popen[str]) -> None:
-    while not begun(folder, "one"):
+    while not examples_of(folder, "one"):
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
 
@@ -68,8 +68,8 @@ def test_no_example_begins_after_the_time(tmp_path: Path) -> None:
     process = started(tmp_path, 1e-3, WAIT)
     out, _ = process.communicate(timeout=250)
     assert process.returncode == 0, out
-    examples = begun(tmp_path, "one")
-    assert examples <= 1 and not begun(tmp_path, "two")  # none if the time was over before
+    examples = examples_of(tmp_path, "one")
+    assert examples <= 1 and not examples_of(tmp_path, "two")  # none if the time was over before
     assert f"\n{examples} examples in " in f"\n{out}" and "nothing found\n" in out, out
 
 
@@ -80,7 +80,7 @@ def test_a_signal_ends_it_after_the_example_that_runs(tmp_path: Path, name: str)
     process.send_signal(getattr(signal, name))
     out, _ = process.communicate(timeout=250)
     assert process.returncode == 130, out
-    assert begun(tmp_path, "one") == 1 and not begun(tmp_path, "two")
+    assert examples_of(tmp_path, "one") == 1 and not examples_of(tmp_path, "two")
     assert "1 examples in 1 rounds" in out and f"nothing found\nended by {name} before" in out, out
 
 
@@ -107,4 +107,4 @@ def test_what_is_found_ends_it(tmp_path: Path, body: str, words: str) -> None:
     process = started(tmp_path, 60, body)
     out, _ = process.communicate(timeout=250)
     assert process.returncode == 1 and words in out, out
-    assert not begun(tmp_path, "two")
+    assert not examples_of(tmp_path, "two")
