@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import WorkersOption, processes
+from los_testbed.run.screen import Screen
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 from pointing_analysis.atomic_output import atomic_file, check_output
@@ -175,7 +175,7 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
     for b in found:
         upper = f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"
         table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, b.status, f"{b.strips}", f"{b.seconds:.0f}")
-    Console().print(table)
+    Screen().print(table)
     for b in found:
         if b.status == "violated":
             values = ", ".join(f"{name} {value:.5g}" for name, value in b.parameters.items())
