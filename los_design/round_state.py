@@ -68,5 +68,5 @@ class RoundState:
                      for name, found in content["known"].items()}  # fmt: skip
             x, added = np.array(content["x"], dtype=float), [int(n) for n in content["added"]]
             return cls(x, int(content["number"]), points, around, known, added, list(content["exceeded"]))
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None

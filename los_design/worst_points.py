@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,12 +111,13 @@ def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPo
     Raises
     ------
     ValueError
-        The file is missing.
+        The file is missing, or of another form.
     """
-    return {
-        stage: {name: WorstPoint.from_mapping(stage, name, values) for name, values in table.items()}
-        for stage, table in _content(folder)["stages"].items()
-    }
+    with _named(folder) as content:
+        return {
+            stage: {name: WorstPoint.from_mapping(stage, name, values) for name, values in table.items()}
+            for stage, table in content["stages"].items()
+        }
 
 
 def load_adversarial(folder: Path | None = None) -> list[dict[str, float]]:
@@ -124,14 +126,20 @@ def load_adversarial(folder: Path | None = None) -> list[dict[str, float]]:
     Raises
     ------
     ValueError
-        The file is missing.
+        The file is missing, or of another form.
     """
-    return [dict(values) for values in _content(folder).get("adversarial", [])]
+    with _named(folder) as content:
+        points = content.get("adversarial", [])
+        return [{str(name): float(value) for name, value in values.items()} for values in points]
 
 
-def _content(folder: Path | None) -> dict[str, Any]:
+@contextmanager
+def _named(folder: Path | None) -> Iterator[dict[str, Any]]:
+    """Content of a file of worst points; whatever is wrong with it is told with its path."""
     path = (folder or Path(__file__).parent) / FILE
     if not path.exists():
         raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
-    found: dict[str, Any] = json.loads(read_ordinary_file(path))
-    return found
+    try:
+        yield json.loads(read_ordinary_file(path))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path} must hold worst points as made by `los-testbed design all`, got {error!r}") from None

@@ -20,6 +20,8 @@ RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
 #: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0
+LARGEST = 1e60
+"""[rad] Sums of fourth powers of larger values are not finite; they are no angles."""
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 
 
@@ -84,6 +86,13 @@ def _drop(values: Floats, dt: float, transient: float, path: object, open_end: b
     missing = sum(int(np.isnan(rest[part]).any(axis=1).sum()) for part in parts(len(rest)))
     if missing == len(rest):
         raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
+    for part in parts(len(rest)):
+        if (odd := np.argwhere(np.abs(rest[part]) > LARGEST)).size:
+            row, column = map(int, odd[0])
+            raise BagError(
+                f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
+                f"got {rest[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
+            )
     return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
 
 

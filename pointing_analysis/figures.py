@@ -212,7 +212,9 @@ def density(views: Sequence[RunView]) -> Picture:
         for i, view in enumerate(views):
             if view.spectrum is not None:
                 total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
-                axis.loglog(view.spectrum.frequency[1:], total, label=view.label, **stroke(i, len(views)))
+                shown = total > 0.0  # an axis without a positive value has no logarithmic scale
+                frequency = view.spectrum.frequency[1:][shown]
+                axis.loglog(frequency, total[shown], label=view.label, **stroke(i, len(views)))
         axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
@@ -281,7 +283,7 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
             r = SortedValues(by_parts(lambda rows: metrics.radial(rows) / scale, e))
             # Even steps in the logarithm of the share: the tail keeps all of its points.
             pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
-            pick = pick if r.size else pick[:0]
+            pick = pick[r.at(pick) > 0.0] if r.size else pick[:0]
             axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **stroke(i, len(views)))
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")

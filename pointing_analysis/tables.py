@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from pointing_analysis.table_times import Column, column_stamps, dates, time_col
 
 SUFFIXES = (".csv", ".txt", ".parquet", ".npy", ".npz")
 DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+MAX_UNPACKED, MAX_RATIO = 200_000_000, 100
+"""A compressed table may unpack to this many bytes, or to this many times its size."""
 X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"))
 
 
@@ -128,7 +131,10 @@ def _csv(path: Path) -> dict[str, Column]:
     if not lines:
         raise TableError(f"{path}: table must have rows, got none")
     separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
-    rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    try:
+        rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    except csv.Error as error:
+        raise TableError(f"{path}: table must have rows of numbers, got {error}") from None
     if separator != ",":
         rows = [[DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] if "," in "".join(row) else row for row in rows]
     try:
@@ -151,36 +157,63 @@ def _parquet(path: Path) -> dict[str, Column]:
         from pyarrow import parquet
     except ImportError:
         raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
+
+    def numbers(kind: pyarrow.DataType) -> bool:
+        return any(getattr(pyarrow.types, f"is_{name}")(kind) for name in ("timestamp", "integer", "floating"))
+
     try:
-        table = parquet.read_table(path)
+        file = parquet.ParquetFile(path)
+        schema = file.schema_arrow
+        names = [name for name, kind in zip(schema.names, schema.types) if numbers(kind)]
+        _check_unpacked(path, 8 * len(names) * file.metadata.num_rows)
+        table = file.read(columns=names)
     except (pyarrow.ArrowException, OSError) as error:
         raise TableError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
+    if len(set(table.column_names)) < len(table.column_names):
+        raise TableError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
     found: dict[str, Column] = {}
     for name in table.column_names:
         column = table.column(name)
-        if pyarrow.types.is_timestamp(column.type):
-            found[name] = column.cast(pyarrow.timestamp("ns")).to_numpy()
-        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
-            found[name] = column.to_numpy()
+        time = pyarrow.types.is_timestamp(column.type)
+        found[name] = (column.cast(pyarrow.timestamp("ns")) if time else column).to_numpy()
     return found
+
+
+def _check_unpacked(path: Path, size: int) -> None:
+    """Some kilobytes can stand for any number of rows: the declared size is checked before memory is taken."""
+    if size > max(MAX_UNPACKED, MAX_RATIO * path.stat().st_size):
+        raise TableError(
+            f"{path}: table must unpack to at most {MAX_UNPACKED / 1e6:g} MB or {MAX_RATIO} times its size, "
+            f"got {size / 1e6:.0f} MB"
+        )
 
 
 def _numpy(path: Path) -> dict[str, Column]:
     try:
-        content = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise TableError(f"{path}: file must hold plain NumPy arrays, got {error}") from None
-    if isinstance(content, np.ndarray):
-        if content.dtype.names:
-            return {name: content[name] for name in content.dtype.names if content.dtype[name].kind in "fiuM"}
-        if content.ndim != 2 or content.shape[1] not in (2, 3) or content.dtype.kind not in "fiu":
-            raise TableError(
-                f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {content.shape}"
-            )
-        return {f"column_{i + 1}": content[:, i] for i in range(content.shape[1])}
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                _check_unpacked(path, sum(entry.file_size for entry in archive.infolist()))
+            with np.load(path, allow_pickle=False) as content:
+                return _named_arrays(path, {name: content[name] for name in content.files})
+        # mapped, not read: the shape that a file declares may be any
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except TableError:
+        raise
+    except Exception as error:  # of a damaged file numpy raises a dozen kinds, that of its tokenizer included
+        raise TableError(
+            f"{path}: file must hold plain NumPy arrays, got {str(error) or type(error).__name__}"
+        ) from None
+    if array.dtype.names:
+        return {name: array[name] for name in array.dtype.names if array.dtype[name].kind in "fiuM"}
+    if array.ndim != 2 or array.shape[1] not in (2, 3) or array.dtype.kind not in "fiu":
+        raise TableError(f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {array.shape}")
+    return {f"column_{i + 1}": np.array(array[:, i]) for i in range(array.shape[1])}
+
+
+def _named_arrays(path: Path, content: Mapping[str, Column]) -> dict[str, Column]:
+    """Columns of the arrays of a ``.npz`` file."""
     found: dict[str, Column] = {}
-    for name in content.files:
-        array = content[name]
+    for name, array in content.items():
         if array.dtype.kind not in "fiuM":
             continue
         if array.ndim == 1:

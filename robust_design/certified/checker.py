@@ -252,7 +252,9 @@ def check_proof(proof: dict[str, Any] | Path) -> CheckedProof:
     try:
         content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else proof
         return _checked(content)
-    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError) as error:
+    except (
+        KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError
+    ) as error:  # fmt: skip
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof, got {error!r}") from None
 

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections import Counter
+from collections import Counter, OrderedDict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import mcap.reader
+import mcap.stream_reader
 import numpy as np
 import pytest
 from fuzz.mutations import Content, Key, messages, others_find, records
@@ -18,6 +22,7 @@ from los_testbed.bags.repair import RepairResult, repair_bag
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from mcap.reader import make_reader
+from mcap.records import Chunk, McapRecord
 from support.simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.bag_metadata import METADATA_NAME
@@ -26,6 +31,7 @@ from pointing_analysis.read import Run
 
 BAG = Path(__file__).parents[2] / "bags" / "reference"
 FLIPS, AT_HEADS, PART = 500, 100, 25
+KEPT_CHUNKS = 16
 HEAD_BYTES = 60
 """Bytes at the begin of a record that its head and the fields behind it take."""
 
@@ -34,6 +40,25 @@ HEAD_BYTES = 60
 def good() -> tuple[bytes, dict[Key, Content]]:
     data = (BAG / "reference_0.mcap").read_bytes()
     return data, messages(data)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def chunks_read_once() -> Iterator[None]:
+    """The mcap package reads a chunk of the same bytes once: a flip changes one of them, its readers take all."""
+    read, kept = mcap.stream_reader.breakup_chunk, OrderedDict[tuple[Any, ...], list[McapRecord]]()
+
+    def breakup_chunk(chunk: Chunk, validate_crc: bool = False) -> list[McapRecord]:
+        key = (chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc, chunk.data, validate_crc)
+        if key not in kept:
+            kept[key] = read(chunk, validate_crc)
+            if len(kept) > KEPT_CHUNKS:
+                kept.popitem(last=False)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mcap.reader, "breakup_chunk", breakup_chunk)
+        patch.setattr(mcap.stream_reader, "breakup_chunk", breakup_chunk)
+        yield
 
 
 def flips(data: bytes, part: int) -> list[int]:

@@ -166,3 +166,27 @@ def test_an_inherited_method_has_the_class_of_the_object_and_numpy_is_not_the_pl
     assert in_one_line(error).endswith(f"(Mine.step, {Path(__file__)}:{line})") or in_one_line(error).endswith(
         f"(Mine.step, {Path(__file__).relative_to(Path.cwd())}:{line})"
     )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("port", "name"), [("measurement[8]", "accel_M1[2]"), ("truth[1]", "[1]")])
+def test_a_value_that_no_telescope_has_is_named_and_the_bag_ends_before_it(
+    call: Call, module: Callable[..., str], tmp_path: Path, port: str, name: str
+) -> None:
+    body = "\nclass Plant(SimpleTelescope):\n    def step(self, command, measurement, truth):\n"
+    body += "        tick = self._tick\n        super().step(command, measurement, truth)\n"
+    body += "        if tick >= 1500:\n            {port} = 1e308\n"
+    made = module(body, port=port)
+    code, out, err = call(*command("--plant", f"{made}:Plant"))
+    assert code == 1 and out == "" and err.count("\n") == 1, err
+    assert f"at tick 1500 the {port.partition('[')[0]} {name} is 1e+308" in err
+    run = Run.open(tmp_path / "bag")
+    assert len(run["truth/los"]) == 1500
+    assert any("tick 1500" in problem for problem in summarise(run).problems)
+
+
+def test_an_exception_that_is_none_of_pythons_exceptions_is_one_line(call: Call, module: Callable[..., str]) -> None:
+    text = "\nclass Stop(BaseException):\n    pass\n" + PLANT.replace('FAULTS["{fault}"]()', 'raise Stop("[/red]")')
+    name = module(text, tick=1234)
+    code, out, err = call(*command("--plant", f"{name}:Plant"))
+    assert code == 1 and out == "" and err.count("\n") == 1 and "Stop" in err and "[/red]" in err, err

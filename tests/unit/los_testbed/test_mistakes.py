@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import los_testbed
 import pytest
 import yaml
 
@@ -83,6 +84,37 @@ def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path)
         code, out, _ = call(command, bag)
         assert code == 0 and "[/red]a" in out
         assert "b[bold]x[/nothing]" in out.replace("\n", "")
+
+
+def test_every_command_prints_names_with_brackets_as_they_are(call: Call, bag: Path, tmp_path: Path) -> None:
+    """Topics of a bag, sources of a budget, folders of outputs."""
+    from mcap.writer import Writer
+
+    (tmp_path / "[").mkdir()
+
+    with (tmp_path / "[/topic].mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("a/msg/[/b]", "ros2msg", b"float64 x\nfloat64 y\n")
+        channel = writer.register_channel("/[/red]:x:\x1b[31m", "cdr", schema)
+        for i in range(30):
+            writer.add_message(channel, i * 10**7, b"\0\1\0\0" + bytes(16), i * 10**7, i)
+        writer.finish()
+    code, out, err = call("bag", "topics", "[/topic].mcap")
+    assert code == 0 and "/[/red]:x:" in out and "topic].mcap" in out and "\x1b" not in out, err
+    budget = (Path(__file__).parents[3] / "pointing_analysis" / "budget_testbed.toml").read_text()
+    (tmp_path / "b.toml").write_text(budget.replace("[sources.loop]", '[sources."[/red]"]'))
+    code, out, err = call("budget", "b.toml", "--output=[/b].html")
+    assert code == 0 and "[/red]" in out and "[/b].html" in out, err
+    code, out, err = call("bag", "repair", bag, "--output=[/red]new")
+    assert code == 0 and "[/red]new" in out.replace("\n", ""), err
+
+
+def test_no_command_has_a_console_of_its_own() -> None:
+    """That of rich takes square brackets for markup: after minutes of work a name would end the command."""
+    folder = Path(los_testbed.__file__).parent
+    own = [path for path in folder.rglob("*.py") if "Console(" in path.read_text() and path.name != "screen.py"]
+    assert not own
 
 
 @pytest.mark.parametrize(

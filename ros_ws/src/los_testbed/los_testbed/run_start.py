@@ -76,7 +76,7 @@ class RunStart:
 
         try:
             content = json.loads(data)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise ValueError(f"{START_FILE} must be JSON, the text is not") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'{START_FILE} must have "format": "{FORMAT}"')

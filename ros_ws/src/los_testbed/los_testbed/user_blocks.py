@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 UNTOUCHED = -1.2345678901234567e-300
 """Value that no block writes: what still has it after a step was not written."""
 
+LARGEST = 1e30
+"""No rad, N, Nm, m/s2 or rad/s2 of a telescope is larger; beyond it the next products are no longer finite."""
 TRIAL_TICKS = 3
 LAWS: Mapping[str, tuple[Sequence[Port], Sequence[Port]]] = MappingProxyType(
     {"k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
@@ -44,6 +46,17 @@ class ContractError(ValueError):
 
 class BlockFailedError(RuntimeError):
     """A block of the user failed during a run; the message says which, at which tick and how."""
+
+
+def beyond(values: FloatArray) -> NDArray[np.bool_]:
+    """Where values are NaN, infinite or larger than `LARGEST`.
+
+    Examples
+    --------
+    >>> beyond(np.array([1.0, np.nan, -np.inf, 1e308]))
+    array([False,  True,  True,  True])
+    """
+    return np.asarray(~(np.abs(values) <= LARGEST))
 
 
 def element(ports: Iterable[Port], where: NDArray[np.bool_]) -> str:
@@ -121,7 +134,7 @@ class UserBlock:
             self.block.step(*vectors)
         except RAISED as error:
             raise BlockFailedError(f"{self.name} failed at tick {self.tick}: {in_one_line(error)}") from error
-        odd = ~np.isfinite(out)
+        odd = beyond(out)
         if odd.any():
             where, value = element(self.outputs, odd), out[odd][0]
             raise BlockFailedError(f"{self.name} failed at tick {self.tick}: {where} is {value:g}")
@@ -171,7 +184,7 @@ class UserBlock:
             if (untouched := out == UNTOUCHED).any():
                 where = element(self.outputs, untouched)
                 raise ContractError(f"{self.name}: step must write all of out, got nothing in {where}")
-            if (odd := ~np.isfinite(out)).any():
+            if (odd := beyond(out)).any():
                 where = f"{element(self.outputs, odd)} at tick {tick}"
                 raise ContractError(f"{self.name}: step must write finite values, got {out[odd][0]:g} in {where}")
             yield out

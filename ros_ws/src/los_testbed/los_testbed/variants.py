@@ -197,7 +197,7 @@ def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = 
         if content["parameters_hash"] != used:
             return {}
         return _settings(content["stages"][loop][worst_of]["parameters"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
 
 

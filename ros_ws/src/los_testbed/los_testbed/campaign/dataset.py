@@ -262,7 +262,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         content = json.loads((path / MANIFEST).read_text("utf-8"))
     except OSError as error:
         raise ValueError(f"{path} must be the folder of a campaign: {MANIFEST}: {error.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ValueError(f"{path / MANIFEST} is not JSON") from None
     if not isinstance(content, dict):
         raise ValueError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
 from los_testbed.cli.output import chunk_limit, print_json, seconds
+from los_testbed.run.screen import Screen
 
 ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
@@ -60,6 +60,6 @@ def analyse(
     given = None if requirements is None else load(requirements)
     runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=chunk_limit(max_chunk)) for bag in bags]
     summaries = summarise_runs(runs, target, transient, requirements=given)
-    print_summary(Console(stderr=json_), summaries)
+    print_summary(Screen(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

@@ -123,12 +123,16 @@ def main(arguments: list[str] | None = None) -> int:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
             return _fail(error.format_message(), 2)
         return _fail(_unexpected(error), 1)
+    except BaseException as error:  # of another package: no class of this one is that
+        if isinstance(error, (SystemExit, GeneratorExit)):
+            raise
+        return _fail(_unexpected(error), 1)
     if result == INTERRUPTED:  # typer makes this of a KeyboardInterrupt
         return _fail("interrupted", INTERRUPTED)
     return _leave(result if isinstance(result, int) else 0)
 
 
-def _unexpected(error: Exception) -> str:
+def _unexpected(error: BaseException) -> str:
     """One line about an error that no check has foreseen; the whole of it where LOS_TESTBED_TRACEBACK asks for it."""
     if os.environ.get("LOS_TESTBED_TRACEBACK"):
         traceback.print_exception(error)

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk
 from los_testbed.cli.output import chunk_limit, print_json
-from los_testbed.run.screen import say
+from los_testbed.run.screen import Screen, say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
 
@@ -47,7 +46,7 @@ def repair(
         raise ValueError(f"--output must be given for {source}, which has no name")
     target = output or whole.with_name(f"{whole.stem if source.is_file() else whole.name}-repaired")
     found = repair_bag(source, target, limit)
-    console = Console(stderr=json_)
+    console = Screen(stderr=json_)
     say(console, f"{found.messages} messages of {len(found.copied)} topics copied")
     for sentence in found.sentences():
         say(console, sentence)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import print_json
+from los_testbed.run.screen import Screen
 
 TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
 
@@ -38,7 +38,7 @@ def topics(
         table.add_row(
             c.name, c.schema.rpartition("/")[2], ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}"
         )
-    Console(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
+    Screen(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
     if json_:
         rows = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
         print_json({"bag": str(bag), "candidates": rows})

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import print_json
+from los_testbed.run.screen import Screen
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 
@@ -42,8 +42,8 @@ def budget(
         check_output(output, "the page")
     found = budget_file.load_budget(file or shipped, testbed_sources)
     verdicts = evaluate(found)
-    console = Console(stderr=json_)
-    console.print(f"{found.title} [{found.unit}]", markup=False, highlight=False, soft_wrap=True)
+    console = Screen(stderr=json_)
+    console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
         table = Table(title=f"{v.requirement}", title_justify="left")
         table.add_column("source", overflow="fold")

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, with_files
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.screen import Screen
 from lti.progress import Progress
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def campaign(
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
     if resume:
         folder.compare(asked)
-    console = Console(stderr=json_)
+    console = Screen(stderr=json_)
     with cluster(scheduler, workers) as client:
         check_workers(asked, client)
         done = folder.open(asked, resume)

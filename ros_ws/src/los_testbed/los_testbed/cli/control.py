@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-import yaml
 
 from los_testbed.config import NAMESPACE, RunConfig
+from pointing_analysis.structured_text import load_yaml
 
 if TYPE_CHECKING:
     from los_testbed.nodes.remote_control import RemoteControl
@@ -61,7 +61,7 @@ def fault(
 ) -> None:
     """Change a setting of plant or controller at one tick."""
     with _remote(domain, namespace, timeout) as remote:
-        remote.change(name, yaml.safe_load(value), at)
+        remote.change(name, load_yaml(value, "VALUE"), at)
 
 
 @control_app.command()

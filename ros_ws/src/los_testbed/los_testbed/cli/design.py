@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import ALL_EXAMPLES, WorkersOption, design_all, processes, verify_folder
+from los_testbed.run.screen import Screen, met
 from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
@@ -158,8 +159,8 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
         found = worst.get(name)
         row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
         largest = max(value, found["value"]) if found else value
-        table.add_row(name, f"{value:.4f}", *row, "met" if largest <= 1.0 else "[red]not met[/red]")
-    console = Console()
+        table.add_row(name, f"{value:.4f}", *row, met(largest <= 1.0))
+    console = Screen()
     console.print(table)
     console.print(f"written to {path}", soft_wrap=True)
 
@@ -201,7 +202,7 @@ def table(json_: Json = False) -> None:
             else ", ".join(f"{value:.4f}" for value in gammas)
         )
         shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
-    Console().print(shown)
+    Screen().print(shown)
 
 
 @design_app.command()
@@ -229,7 +230,7 @@ def verify(
         print_json({**result, "failures": failed})
     else:
         for name, content in result.items():
-            Console().print(f"[bold]{name}[/bold]", json.dumps(content, indent=1))
+            Screen().print(Text(name, style="bold"), json.dumps(content, indent=1))
     for text in failed:
         sys.stderr.write(f"verification failed: {text}\n")
     if failed:

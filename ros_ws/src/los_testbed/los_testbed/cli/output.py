@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from los_testbed.run.screen import printable
+
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write one line of JSON to the standard output."""
@@ -16,7 +18,7 @@ def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
 
 def warn(lines: Iterable[str]) -> None:
     """Write warnings to the error output, one line each."""
-    sys.stderr.writelines(f"warning: {line}\n" for line in lines)
+    sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from los_testbed.cli.options import Json, Telescope
 from los_testbed.cli.output import print_json
+from los_testbed.run.screen import Screen
 from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def plant(
     if json_:
         print_json(found.to_mapping())
     else:
-        show(Console(), found)
+        show(Screen(), found)
 
 
 @plant_app.command(help=FIGURES_EXAMPLES)
@@ -86,7 +87,7 @@ def figures(
 
     with one_thread():
         paths = draw_figures(output, str(parameters) if parameters else context.obj or None)
-    console = Console()
+    console = Screen()
     for path in paths:
         console.print(str(path), soft_wrap=True, highlight=False)
 
@@ -103,12 +104,12 @@ def cases(
         given = {key: value for key, value in settings.items() if key != "description"}
         check_ranges(RunConfig.from_mapping(given))
         table.add_row(Text(name), Text(str(settings.get("description", given))))
-    Console().print(table)
+    Screen().print(table)
 
 
 def show(console: Console, found: PlantSummary) -> None:
     """Print a model's properties as tables."""
-    stable = "all poles in the left half plane" if found.hurwitz else "[red]not stable[/red]"
+    stable = "all poles in the left half plane" if found.hurwitz else "not stable"
     inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
     console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)
     console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)

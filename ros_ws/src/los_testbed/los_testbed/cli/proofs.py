@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import WorkersOption, processes
+from los_testbed.run.screen import Screen
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 from pointing_analysis.atomic_output import atomic_file, check_output
+from pointing_analysis.structured_text import load_json, read_text
 from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ The check has its own short code (`robust_design/certified/checker.py`; for the 
 """
 
 SUMMARY = "bounds.json"
+FIGURES = ("APE", "slow", "fast", "mirror", "force")
 
 
 def certify(
@@ -77,15 +79,16 @@ def certify(
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
+    if figure not in (None, *FIGURES) or (stage == "fsm" and figure == "force"):
+        raise ValueError(f"--figure must be one of {', '.join(FIGURES)} (force with fsm+pma), got {figure}")
     count = processes(workers)
     check_output(output, "--output", folder=True)
+    before = _bounds(output / SUMMARY)
     until = time.monotonic() + wall_limit
     loops, known = _loops(folder, [stage] if stage else list(MIRROR_STAGES))
     chosen = [
         (s, name) for s, loop in loops.items() for name in figures_of(loop.parameters, s) if figure in (None, name)
     ]
-    if not chosen:
-        raise ValueError(f"--figure must be one of APE, slow, fast, mirror, force (with fsm+pma), got {figure}")
     found: list[FigureBounds] = []
     with ExitStack() as stack:
         pool = stack.enter_context(Workers(count))
@@ -97,7 +100,7 @@ def certify(
                         loops[s], name, None if gap else level, gap or 0.0, points, output, pool, until, bar.report
                     )
                 )
-            _keep(output / SUMMARY, found)
+            _keep(output / SUMMARY, before, found)
             sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
@@ -140,9 +143,21 @@ def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint
     return Search(loop).run([name], workers=workers)[name]
 
 
-def _keep(path: Path, found: list[FigureBounds]) -> None:
-    """The bounds so far, with those of other figures that the file has."""
-    before = json.loads(path.read_text("utf-8"))["figures"] if path.exists() else []
+def _bounds(path: Path) -> list[dict[str, Any]]:
+    """The bounds that an earlier command has written."""
+    if not path.exists():
+        return []
+    content = load_json(read_text(path), path)
+    entries = content.get("figures") if isinstance(content, dict) else None
+    if not (
+        isinstance(entries, list) and all(isinstance(e, dict) and {"stage", "figure"} <= e.keys() for e in entries)
+    ):
+        raise ValueError(f"{path} must hold bounds as made by `los-testbed design certify`, got another content")
+    return entries
+
+
+def _keep(path: Path, before: list[dict[str, Any]], found: list[FigureBounds]) -> None:
+    """The bounds so far, with those of other figures that the file had."""
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
     kept = [entry for entry in before if (entry["stage"], entry["figure"]) not in done]
@@ -160,7 +175,7 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
     for b in found:
         upper = f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"
         table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, b.status, f"{b.strips}", f"{b.seconds:.0f}")
-    Console().print(table)
+    Screen().print(table)
     for b in found:
         if b.status == "violated":
             values = ", ".join(f"{name} {value:.5g}" for name, value in b.parameters.items())

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.screen import Screen, met
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 
@@ -147,12 +147,11 @@ def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: 
             table.add_column(column, justify="right" if column == "gamma" else "left")
         for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
             for name, gamma in zip(names, implemented[stage]):
-                met = isinstance(gamma, float) and gamma <= 1.0
-                table.add_row(stage, name, f"{gamma}", "met" if met else "[red]not met[/red]")
-        Console().print(table)
+                table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
+        Screen().print(table)
         for key in ("margins", "noise", "worst_point"):
             if key in implemented:
-                Console().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False, markup=False)
+                Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")
     if not_met:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
 from los_testbed.cli.output import chunk_limit, number, print_json, seconds, warn
-from los_testbed.run.screen import say
+from los_testbed.run.screen import Screen, say
 from lti.progress import Progress
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def replay(
     number("--domain", domain, -1, 232)
     if output is not None:
         check_new_bag(output)
-    run, console = Run.open(bag, max_chunk=chunk_limit(max_chunk)), Console(stderr=json_)
+    run, console = Run.open(bag, max_chunk=chunk_limit(max_chunk)), Screen(stderr=json_)
     if to_ros:
         content = _to_ros(console, run, output, domain, timeout)
     else:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
 from los_testbed.cli.output import chunk_limit, print_json, seconds
-from los_testbed.run.screen import say
+from los_testbed.run.screen import Screen, say
 from pointing_analysis.atomic_output import check_output
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def report(
     found = summarise_all(runs, transient=transient, requirements=given)
     expected = predictions(runs, transient, start, stop)
     write_report(runs, target, transient=transient, requirements=given, predictions=expected)
-    console = Console(stderr=json_)
+    console = Screen(stderr=json_)
     show(console, labels(runs), found)
     say(console, f"report  {target}")
     if json_:

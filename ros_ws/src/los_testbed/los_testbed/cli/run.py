@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.options import Case, Cases, Designs, Json, Telescope
@@ -20,7 +19,7 @@ from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.results import Results, RunError
-from los_testbed.run.screen import say
+from los_testbed.run.screen import Screen, say
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from lti.progress import Progress
@@ -155,7 +154,7 @@ def _run_and_tell(config: RunConfig, live: int | None, live_host: str, report: b
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
     from los_testbed.run.summary import print_summary, summarise_runs
 
-    console = Console(stderr=json_)
+    console = Screen(stderr=json_)
     bag, results = execute(config, live=live, live_host=live_host)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")

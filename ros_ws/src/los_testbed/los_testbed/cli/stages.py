@@ -23,7 +23,7 @@ from los_testbed.cli.options import (
     with_files,
 )
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.screen import say
+from los_testbed.run.screen import Screen, say
 from lti.progress import Progress
 from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import CAMERA_RATE
@@ -103,7 +103,7 @@ def stages(
     chosen = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
     plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs or "")
-    content = _write(Console(stderr=json_), _perform(plan), plan)
+    content = _write(Screen(stderr=json_), _perform(plan), plan)
     if json_:
         print_json(content)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from los_testbed.factories import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
-from los_testbed.user_blocks import UNTOUCHED, ContractError
+from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond
 from titop_plant.interface import COLUMNS as PORTS
 from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
 
@@ -32,7 +32,7 @@ class RunFailedError(RuntimeError):
 
 
 def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> tuple[int, str] | None:
-    """Row and port of the first value that is not finite, camera frames aside; None if all are.
+    """Row and port of the first value that is not finite (`beyond`), camera frames aside; None if all are.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> t
     """
     found = []
     for name, values in signals.items():
-        odd = ~np.isfinite(values[:rows])
+        odd = beyond(values[:rows])
         if name == "measurement":
             odd[:, PORTS[CAMERA]] = False
         ticks = np.flatnonzero(odd.any(axis=1))
@@ -92,7 +92,7 @@ def check_plant(plant: Plant) -> None:
         untouched = vector == UNTOUCHED
         if untouched.any():
             raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
-        odd = ~np.isfinite(vector) & ~may_be_nan
+        odd = beyond(vector) & ~may_be_nan
         if odd.any():
             value = vector[np.flatnonzero(odd)[0]]
             raise ContractError(f"plant.step must write finite values, got {value:g} in {name} {port_of(vector, odd)}")

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 BLOCK = 1000
 """Ticks that are simulated before they are written: one chunk of the bag."""
 
+SIGNALS = ("measurement", "truth", "los_estimate", "command")
+"""Vectors of a `Block`."""
+
 SIMULATED_START_NS = 1_000_000_000
 """Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
 
@@ -94,7 +97,7 @@ def simulate(
     Raises
     ------
     LoopDivergedError
-        A signal is no longer finite.
+        A signal is no longer finite; the ticks before it are in the sink.
     RunFailedError
         Plant, observer or controller raised an exception; what was computed until then is in the sink.
     """
@@ -107,25 +110,27 @@ def simulate(
         block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
         done, who = 0, "plant"
         try:
-            for y, truth, los, u in zip(
-                block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
-            ):
-                who = "plant"
-                plant_step(command, y, truth)
-                who = "observer"
-                estimate(y, los)
-                who = "controller"
-                control(los, y[PLATFORM], u)
-                command[:] = u
-                done += 1
+            # what overflows is found below, with tick and port
+            with np.errstate(over="ignore", invalid="ignore"):
+                for y, truth, los, u in zip(
+                    block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+                ):
+                    who = "plant"
+                    plant_step(command, y, truth)
+                    who = "observer"
+                    estimate(y, los)
+                    who = "controller"
+                    control(los, y[PLATFORM], u)
+                    command[:] = u
+                    done += 1
         except BlockFailedError as error:  # says itself who failed at which tick
             sink(block, done)
             raise RunFailedError(str(error)) from error
         except RAISED as error:
             sink(block, done)
             raise RunFailedError(f"{who} failed at tick {first + done}: {in_one_line(error)}") from error
-        sink(block, rows)
-        odd = first_not_finite({"measurement": block.measurement, "truth": block.truth, "command": block.command}, rows)
+        odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
+        sink(block, rows if odd is None else odd[0])
         if odd is not None:
             raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
 

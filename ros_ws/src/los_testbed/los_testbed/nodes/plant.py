@@ -30,7 +30,7 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plugins import RAISED, in_one_line, made_by
-from los_testbed.user_blocks import BlockFailedError, watched
+from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
@@ -136,7 +136,7 @@ class PlantLoop:
             self.io.forget()
         self.services.state = OVER
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
-        if not np.isfinite(self._truth).all():
+        if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         return 0
 

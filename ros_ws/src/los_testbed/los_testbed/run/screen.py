@@ -1,6 +1,8 @@
-"""Lines on the screen that say names and paths of others as they are."""
+"""What is printed: names and paths of others as they are, whatever they look like."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
@@ -15,6 +17,33 @@ def printable(text: str) -> str:
     red\x1b[31m
     """
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+class Screen(Console):
+    r"""A console for which square brackets are no markup and ``:x:`` is no emoji, in lines, tables and titles.
+
+    Parameters
+    ----------
+    stderr : bool
+        Print to the error output.
+
+    Examples
+    --------
+    >>> Screen().print("bags/[/red]:x:" + chr(7))
+    bags/[/red]:x:\x07
+    """
+
+    def __init__(self, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, markup=False, emoji=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
+        """A text as it is shown."""
+        return super().render_str(printable(text), **options)
+
+
+def met(requirement: bool) -> Text:
+    """Cell of a table."""
+    return Text("met") if requirement else Text("not met", style="red")
 
 
 def say(console: Console, text: str, label: str = "") -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.run.screen import say
+from los_testbed.run.screen import met, say
 from pointing_analysis.atomic_output import check_output
 from pointing_analysis.mcap_records import MAX_CHUNK
 from pointing_analysis.read import Run
@@ -170,11 +170,11 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     _row(table, "RPE rms of a window, 99.7 %", summary.rpe_windows_p997, "mas", rpe)
     _row(table, "RPE at every instant, 99.7 %", summary.rpe_p997, "mas", None)
     lost = metrics["samples_lost"]
-    table.add_row("samples lost", str(lost), "0", "met" if not lost else "[red]not met[/red]")
+    table.add_row("samples lost", str(lost), "0", met(not lost))
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:
         share = 100.0 * missed / max(periods, 1)  # a missed tick is a held command or a lost period: at most all
-        ok = "met" if share <= 0.5 else "[red]not met[/red]"
+        ok = met(share <= 0.5)
         table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", "0.5 %", ok)
         latency = metrics["latency_us"]
         texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
@@ -184,13 +184,13 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
 
 def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | None, judged: bool = True) -> None:
     """One metric against its limit; only the quantile the requirement names carries its verdict."""
-    limit, status = "", ""
+    limit, status, style = "", "", ""
     if verdict is not None:
         bound = verdict.requirement.limit / verdict.requirement.scale
         limit = f"{bound:g} {unit}"
         status = verdict.statement if judged else "below" if value < bound else "above"
         if verdict.status == "not compliant" if judged else status == "above":
-            status = f"[red]{status}[/red]"
+            style = "red"
         elif judged and (verdict.status == "compliant" or (verdict.status != "not judged" and verdict.keeps)):
-            status = f"[green]{status}[/green]"
-    table.add_row(name, f"{digits(value)} {unit}", limit, status)
+            style = "green"
+    table.add_row(name, f"{digits(value)} {unit}", limit, Text(status, style=style))
