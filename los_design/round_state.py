@@ -40,6 +40,8 @@ class RoundState:
         Of the round whose searches are not all made.
     searched : int
         Searches after it that found nothing worse.
+    commits : list of str
+        Of the source that it was made with: one, or all of those with which the design went on.
     """
 
     x: FloatArray
@@ -51,6 +53,7 @@ class RoundState:
     exceeded: list[str] = field(default_factory=list)
     descent: Descent | None = None
     searched: int = 0
+    commits: list[str] = field(default_factory=list)
 
     def save(self, kept: Kept | None) -> None:
         """Write the state with what it was made for.
@@ -71,6 +74,7 @@ class RoundState:
             "known": {name: [[p.stage, p.requirement, p.to_mapping()] for p in found]
                       for name, found in self.known.items()},
             "descent": None if self.descent is None else _plain(self.descent), "searched": self.searched,
+            "commits": self.commits,
         }  # fmt: skip
         write_text(path, json.dumps(content))
 
@@ -91,7 +95,7 @@ class RoundState:
             x, added = np.array(content["x"], dtype=float), [int(n) for n in content["added"]]
             descent = _descent(content["descent"]) if content.get("descent") else None
             return cls(x, int(content["number"]), points, around, known, added, list(content["exceeded"]), descent,
-                       int(content.get("searched", 0)))  # fmt: skip
+                       int(content.get("searched", 0)), list(content.get("commits", ["unknown"])))  # fmt: skip
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -115,6 +119,8 @@ class Outcome:
         Their values, 1 being the share or limit.
     active : list of dict
         Parameter points of the samples.
+    commits : list of str
+        Of the source: more than one if the design went on with another.
     """
 
     x: FloatArray
@@ -123,6 +129,7 @@ class Outcome:
     worst: dict[str, WorstPoint]
     values: dict[str, float]
     active: list[dict[str, float]]
+    commits: list[str] = field(default_factory=list)
 
     def worst_cases(self) -> list[dict[str, Any]]:
         """Worst value of each requirement, with frequency and parameters."""

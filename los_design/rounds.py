@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from los_design.implemented_loop import ImplementedLoop
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
+from los_design.provenance import commit
 from los_design.round_state import Kept, Outcome, RoundState
 from los_design.sampled_loop import sampled_loop
 from los_design.worst_case_search import Search, SearchOptions, apart
@@ -165,7 +166,7 @@ def design_in_rounds(
         if last or not (new or unfinished) or not effort.searches:
             status = descent.status if not effort.searches else _status(bool(new) or unfinished, late)
             active = [task.samples.open_loop.values(p) for p in state.points]
-            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
+            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active, state.commits)
         state.known |= {name: points[:3] for name, points in found.items()}
         state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
         if new:
@@ -188,6 +189,7 @@ def _begin(
         _begin_with_known(task, state)
     else:
         report(f"goes on after {state.number} rounds" + ", before the searches of the last" * bool(state.descent))
+    state.commits += [now for now in [commit()] if now not in state.commits]
     first = len(state.points) - sum(state.added)
     task.samples.add(np.array(state.points[:first]))
     for end, count in zip(np.cumsum(state.added), state.added):

@@ -175,7 +175,7 @@ def _implemented(
         outcome = design_in_rounds(task, start, effort, report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
-        "commit": commit(),
+        "commit": ", ".join(outcome.commits),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
         "status": outcome.status,

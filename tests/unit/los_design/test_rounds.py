@@ -49,9 +49,7 @@ class FewSamples:
 class Bench:
     """A descent that reaches 0.9, and searches that give prepared answers; both keep a record."""
 
-    def __init__(
-        self, monkeypatch, answers, status: str = "stalled", lost: list[float] | None = None, value=0.9
-    ) -> None:
+    def __init__(self, monkeypatch, answers, status: str = "stalled", lost=(), value=0.9) -> None:
         self.tuned: list[int] = []
         self.searched: list[tuple[int, tuple[str, ...], int]] = []
         self.answers, self.status, self.lost, self.value = iter(answers), status, list(lost), value
@@ -197,6 +195,16 @@ def test_an_interrupted_design_goes_on_after_its_last_descent(bench, tmp_path) -
     assert other.tuned == [1]
     kept.write_text("{")
     assert bench([[], []]).design(kept=(kept, key)).status == "converged"
+
+
+def test_the_result_names_every_source_that_it_was_made_with(bench, tmp_path, monkeypatch) -> None:
+    """The commit is that of the beginning, not of the end; a design that goes on with another names both."""
+    kept, commits = (tmp_path / "rounds.json", {}), iter(["one", "two", "two"])
+    monkeypatch.setattr(rounds, "commit", lambda: next(commits))
+    for _ in range(2):
+        with pytest.raises(StopIteration):
+            bench([[peak("soft tones", 0.6, 10.0)]]).design(kept=kept)
+    assert bench([[], []]).design(kept=kept).commits == ["one", "two"]
 
 
 def test_a_search_that_found_nothing_is_not_repeated(bench, tmp_path) -> None:
