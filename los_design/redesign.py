@@ -2,7 +2,7 @@
 
 The folder holds ``k_fsm.json``, ``k_pma.json``, ``worst_points.json`` and ``verification.json``. A step whose file is
 there and was made for the same parameters, seed and effort is not repeated, and a design of the controllers goes on
-after its last descent or search (``rounds.json``).
+in its descent or after its last search (``rounds.json``).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from los_design.worst_points import WorstPoint
 from lti.ordinary_file import read_ordinary_file
 from pointing_analysis.atomic_output import write_text
-from robust_design.frequency_domain import Descent
+from robust_design.frequency_domain import Descent, DescentState
 
 FloatArray = NDArray[np.float64]
 Kept = tuple[Path, Mapping[str, Any]]
@@ -23,7 +23,7 @@ Kept = tuple[Path, Mapping[str, Any]]
 
 @dataclass
 class RoundState:
-    """State after a descent, a search or a round; kept in a file, so that an interrupted design goes on.
+    """State in a descent, after it, or after a search; kept in a file, so that an interrupted design goes on.
 
     Parameters
     ----------
@@ -40,6 +40,10 @@ class RoundState:
         Of the round whose searches are not all made.
     searched : int
         Searches after it that found nothing worse.
+    watched : list of dict
+        Parameter points at which the descent of a round keeps the loop stable.
+    inside : DescentState, optional
+        Of a descent that is not at its end.
     commits : list of str
         Of the source that it was made with: one, or all of those with which the design went on.
     """
@@ -53,19 +57,18 @@ class RoundState:
     exceeded: list[str] = field(default_factory=list)
     descent: Descent | None = None
     searched: int = 0
+    watched: list[dict[str, float]] = field(default_factory=list)
+    inside: DescentState | None = None
     commits: list[str] = field(default_factory=list)
 
     def save(self, kept: Kept | None) -> None:
         """Write the state with what it was made for.
 
-        A descent that the wall limit cut short goes on from where it came to: a design that goes on has time again.
+        A descent that the wall limit cut short is not written: it goes on from its last look at all pairs.
         """
-        if kept is None:
+        if kept is None or (self.descent and self.descent.status == "out_of_time"):
             return
         path, key = kept
-        if self.descent and self.descent.status == "out_of_time":
-            replace(self, number=self.number - 1, descent=None).save(kept)
-            return
         content = {
             "key": dict(key), "x": self.x.tolist(), "number": self.number,
             "points": [p.tolist() for p in self.points],
@@ -74,7 +77,7 @@ class RoundState:
             "known": {name: [[p.stage, p.requirement, p.to_mapping()] for p in found]
                       for name, found in self.known.items()},
             "descent": None if self.descent is None else _plain(self.descent), "searched": self.searched,
-            "commits": self.commits,
+            "watched": self.watched, "inside": self.inside and self.inside.to_mapping(), "commits": self.commits,
         }  # fmt: skip
         write_text(path, json.dumps(content))
 
@@ -94,8 +97,10 @@ class RoundState:
                      for name, found in content["known"].items()}  # fmt: skip
             x, added = np.array(content["x"], dtype=float), [int(n) for n in content["added"]]
             descent = _descent(content["descent"]) if content.get("descent") else None
+            inside = DescentState.from_mapping(content["inside"]) if content.get("inside") else None
             return cls(x, int(content["number"]), points, around, known, added, list(content["exceeded"]), descent,
-                       int(content.get("searched", 0)), list(content.get("commits", ["unknown"])))  # fmt: skip
+                       int(content.get("searched", 0)), list(content.get("watched", [])), inside,
+                       list(content.get("commits", ["unknown"])))  # fmt: skip
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -26,7 +26,7 @@ from los_design.worst_case_search import Search, SearchOptions, apart
 from los_design.worst_points import WorstPoint
 from lti import SampledSystem
 from lti.workers import Workers
-from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
+from robust_design.frequency_domain import Descent, DescentOptions, DescentState, ResponseProblem, descend
 from titop_plant.interface import FRAME_TICKS
 
 FloatArray = NDArray[np.float64]
@@ -137,7 +137,7 @@ def design_in_rounds(
     report : callable
         Receives one line for each step.
     kept : (Path, mapping), optional
-        File of the state after each descent and each search, and what it must have been made for.
+        File of the state in and after each descent and each search, and what it must have been made for.
     """
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
@@ -153,8 +153,8 @@ def design_in_rounds(
             iterations=iterations, target=effort.target, wall_limit=left, confirm=not effort.searches
         )
         if state.descent is None:
-            state.descent = _stabilising(task, problem, state, options, step)
-            state.x, state.number = state.descent.x, state.number + 1
+            state.descent = _stabilising(task, problem, state, options, step, kept)
+            state.x, state.number, state.inside, state.watched = state.descent.x, state.number + 1, None, []
             state.save(kept)
         descent = state.descent
         late = descent.status == "out_of_time"
@@ -188,12 +188,14 @@ def _begin(
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
         _begin_with_known(task, state)
     else:
-        report(f"goes on after {state.number} rounds" + ", before the searches of the last" * bool(state.descent))
+        report(f"goes on after {state.number} rounds" + ", before the searches of the last" * bool(state.descent)
+               + ", in the descent of the next" * bool(state.inside))  # fmt: skip
     state.commits += [now for now in [commit()] if now not in state.commits]
     first = len(state.points) - sum(state.added)
     task.samples.add(np.array(state.points[:first]))
     for end, count in zip(np.cumsum(state.added), state.added):
         _sample(task, state.around[end - count : end])
+    state.save(kept)
     return state
 
 
@@ -243,24 +245,34 @@ def _searched(
 
 
 def _stabilising(
-    task: Task, problem: ResponseProblem, state: RoundState, options: DescentOptions, step: Callable[[int, float], None]
+    task: Task,
+    problem: ResponseProblem,
+    state: RoundState,
+    options: DescentOptions,
+    step: Callable[[int, float], None],
+    kept: Kept | None,
 ) -> Descent:
     """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
-    watched: list[dict[str, float]] = [{}]
+    state.watched = state.watched or [{}]
 
     def stable(x: FloatArray) -> bool:
-        return all(task.stable(x, values) for values in watched)
+        return all(task.stable(x, values) for values in state.watched)
+
+    def keep(inside: DescentState | None) -> None:
+        state.inside = inside
+        state.save(kept)
 
     while True:
-        descent = descend(problem, state.x, stable, options, step)
-        others = [v for v in map(loop.values, state.points) if v not in watched]
+        descent = descend(problem, state.x, stable, options, step, keep, state.inside)
+        others = [v for v in map(loop.values, state.points) if v not in state.watched]
         with ThreadPoolExecutor(task.workers.count) as pool:
-            kept = list(pool.map(partial(task.stable, descent.x), others))
-        lost = [v for v, stable_there in zip(others, kept) if not stable_there and task.stable(state.x, v)]
+            there = list(pool.map(partial(task.stable, descent.x), others))
+        lost = [v for v, stable_there in zip(others, there) if not stable_there and task.stable(state.x, v)]
         if not lost:
             return descent
-        watched += lost[:3]
+        state.watched += lost[:3]
+        keep(None)
 
 
 def first_points(task: Task, count: int) -> list[FloatArray]:

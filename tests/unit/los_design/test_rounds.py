@@ -14,7 +14,7 @@ from los_design.pair_problem import BOTH
 from los_design.rounds import MAX_NEW, Effort, Task, design_in_rounds
 from los_design.worst_case_search import SearchOptions
 from los_design.worst_points import WorstPoint
-from robust_design.frequency_domain import Descent
+from robust_design.frequency_domain import Descent, DescentState
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
 SHARES = {"soft tones": 0.5, "hard tones": 1.0}
@@ -63,7 +63,7 @@ class Bench:
         noises = (SimpleNamespace(name="noise"),)
         return SimpleNamespace(samples=samples.points, gains=gains, noises=noises)
 
-    def descend(self, problem, x, stable, options, report):
+    def descend(self, problem, x, stable, options, report, keep, goes_on):
         assert stable(x)
         self.tuned.append(len(problem.samples))
         report(0, 0.9)
@@ -232,13 +232,41 @@ def test_an_interrupted_descent_begins_after_the_last_whole_round(bench, tmp_pat
     np.testing.assert_array_equal(found.x, [2.0, 2.0])
 
 
+def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> None:
+    """Interrupted after the second look, with a point that is watched: both are there again."""
+    kept = tmp_path / "rounds.json", {}
+    made, looks = bench([[], []], lost=[0.5]), []
+    whole = made.descend
+
+    def descend(problem, x, stable, options, report, keep, goes_on):
+        looks.append(goes_on)
+        if made.tuned:  # the descent after that which lost the point
+            at = np.array([0.1, 1.0 / 3.0])
+            keep(DescentState(at, at, 0.25, False, np.array([3, 1]), [1.5, 0.97], 6, 1))
+            raise StopIteration
+        return whole(problem, x, stable, options, report, keep, goes_on)
+
+    monkeypatch.setattr(rounds, "descend", descend)
+    made.lost = [made.samples.open_loop.point({})[0]]
+    with pytest.raises(StopIteration):
+        made.design(kept=kept)
+    assert looks == [None, None]
+    again = bench([[], []])
+    monkeypatch.setattr(rounds, "descend", lambda *rest: looks.append(rest[-1]) or again.descend(*rest))
+    assert again.design(kept=kept).status == "converged"
+    assert again.lines[0] == "goes on after 0 rounds, in the descent of the next"
+    inside = looks[-1]
+    np.testing.assert_array_equal(inside.best, [0.1, 1.0 / 3.0])
+    assert (inside.pairs.tolist(), inside.history, inside.iteration) == ([3, 1], [1.5, 0.97], 6)
+
+
 def test_a_descent_that_the_wall_limit_cut_short_goes_on(bench, tmp_path) -> None:
     kept = tmp_path / "rounds.json", {}
     assert bench([[]], status="out_of_time").design(kept=kept).status == "converged"
     again = bench([[], []])
     found = again.design(kept=kept)
     assert again.lines[0] == "goes on after 0 rounds" and again.tuned == [1]
-    np.testing.assert_array_equal(found.x, [2.0, 2.0])
+    np.testing.assert_array_equal(found.x, [1.0, 1.0])
 
 
 @pytest.mark.parametrize(("status", "found"), [("iterations", "rounds"), ("stalled", "converged")])
