@@ -2,7 +2,7 @@
 
 The folder holds ``k_fsm.json``, ``k_pma.json``, ``worst_points.json`` and ``verification.json``. A step whose file is
 there and was made for the same parameters, seed and effort is not repeated, and a design of the controllers goes on
-after its last whole round (``rounds.json``).
+in its descent or after its last search (``rounds.json``).
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ from titop_plant.telescope.parameters import Parameters, parameters_hash
 Report = Callable[[str], None]
 EFFORTS = ("full", "short")
 ROUNDS_FILE = "rounds.json"
-"""State of a design between its rounds."""
+"""State of a design between its rounds; it stays where the wall limit ended the design, which can then go on."""
+OUT_OF_TIME = "out_of_time"
 SAMPLES = {"full": 200, "short": 20}
 """Random parameter points of the verification, beside the nominal one and all corners (short: every eighth corner)."""
 SEARCHES = {
@@ -103,7 +104,8 @@ def design_all(
     resume : bool
         Keep the steps that are there already.
     wall_limit : float
-        Of the design of the controllers [s].
+        Of the rounds [s]; the last thorough search and the verification come after it. A design that it ended goes on
+        in another call.
     nominal : bool
         Tune at the nominal parameters alone; the verification is that of the whole box.
     workers : int
@@ -205,7 +207,8 @@ def _pair(
     files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
     if resume and all(path.exists() for path in files):
         k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)
-        if all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma)):
+        same = all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma))
+        if same and not (k_fsm.provenance["status"] == OUT_OF_TIME and rounds.exists()):
             report("k_fsm.json, k_pma.json: kept")
             return k_fsm, k_pma
     if not resume:
@@ -214,7 +217,8 @@ def _pair(
     k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
     k_fsm.to_file(files[0])
     k_pma.to_file(files[1])
-    rounds.unlink(missing_ok=True)
+    if k_fsm.provenance["status"] != OUT_OF_TIME:
+        rounds.unlink(missing_ok=True)
     report(f"k_fsm.json, k_pma.json: {k_fsm.provenance['status']}")
     return k_fsm, k_pma
 

@@ -13,21 +13,20 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from los_design.implemented_loop import ImplementedLoop
 from los_design.pair_problem import BOTH, Samples, limits, named, pair_problem
-from los_design.round_state import RoundState
+from los_design.provenance import commit
+from los_design.round_state import Kept, Outcome, RoundState
 from los_design.sampled_loop import sampled_loop
 from los_design.worst_case_search import Search, SearchOptions, apart
 from los_design.worst_points import WorstPoint
 from lti import SampledSystem
 from lti.workers import Workers
-from robust_design.frequency_domain import Descent, DescentOptions, ResponseProblem, descend
+from robust_design.frequency_domain import Descent, DescentOptions, DescentState, ResponseProblem, descend
 from titop_plant.interface import FRAME_TICKS
 
 FloatArray = NDArray[np.float64]
@@ -119,52 +118,12 @@ class Task:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a design in rounds.
-
-    Parameters
-    ----------
-    x : ndarray
-        Entries of both gain matrices.
-    status : {"converged", "rounds", "out_of_time"}
-        ``rounds``: worse points were still found in the last round; without a search the status of the descent.
-    tuned : dict of str to float
-        Largest value of each requirement at the samples, noise among them.
-    worst : dict of str to WorstPoint
-        Worst point of every requirement by the last search.
-    values : dict of str to float
-        Their values, 1 being the share or limit.
-    active : list of dict
-        Parameter points of the samples.
-    """
-
-    x: FloatArray
-    status: str
-    tuned: dict[str, float]
-    worst: dict[str, WorstPoint]
-    values: dict[str, float]
-    active: list[dict[str, float]]
-
-    def worst_cases(self) -> list[dict[str, Any]]:
-        """Worst value of each requirement, with frequency and parameters."""
-        return [
-            {
-                "requirement": name,
-                "value": float(f"{self.values[name]:.6g}"),
-                "omega": p.omega,
-                "parameters": dict(p.parameters),
-            }
-            for name, p in self.worst.items()
-        ]
-
-
 def design_in_rounds(
     task: Task,
     start: Callable[[], FloatArray],
     effort: Effort,
     report: Report = lambda text: None,
-    kept: tuple[Path, Mapping[str, Any]] | None = None,
+    kept: Kept | None = None,
 ) -> Outcome:
     """Tune, search, add, until the thorough search finds nothing worse or the rounds are over.
 
@@ -178,7 +137,7 @@ def design_in_rounds(
     report : callable
         Receives one line for each step.
     kept : (Path, mapping), optional
-        File of the state between rounds, and what it must have been made for.
+        File of the state in and after each descent and each search, and what it must have been made for.
     """
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
@@ -193,22 +152,27 @@ def design_in_rounds(
         options = DescentOptions(
             iterations=iterations, target=effort.target, wall_limit=left, confirm=not effort.searches
         )
-        descent = _stabilising(task, problem, state, options, step)
-        state.x, state.number = descent.x, state.number + 1
+        if state.descent is None:
+            state.descent = _stabilising(task, problem, state, options, step, kept)
+            state.x, state.number, state.inside, state.watched = state.descent.x, state.number + 1, None, []
+            state.save(kept)
+        descent = state.descent
         late = descent.status == "out_of_time"
+        unfinished = descent.value > 1.0 and (late or descent.status == "iterations")
         last = state.number >= effort.rounds or late
-        found, new = _searched(task, state, problem, descent, effort, last)
+        found, new = _searched(task, state, problem, descent, effort, last, kept, unfinished)
         worst, values = _worst(task, found)
         report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
-        if last or not new:
-            status = descent.status if not effort.searches else _status(bool(new), late)
+        if last or not (new or unfinished) or not effort.searches:
+            status = descent.status if not effort.searches else _status(bool(new) or unfinished, late)
             active = [task.samples.open_loop.values(p) for p in state.points]
-            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active)
-        state.known = {name: points[:3] for name, points in found.items()}
+            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active, state.commits)
+        state.known |= {name: points[:3] for name, points in found.items()}
         state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
-        _add(task, state, new)
-        if kept:
-            state.save(*kept)
+        if new:
+            _add(task, state, new)
+        state.descent, state.searched = None, 0
+        state.save(kept)
 
 
 def _begin(
@@ -216,19 +180,22 @@ def _begin(
     start: Callable[[], FloatArray],
     effort: Effort,
     report: Report,
-    kept: tuple[Path, Mapping[str, Any]] | None,
+    kept: Kept | None,
 ) -> RoundState:
     """The state that is kept, or a new one; its parameter points are sampled."""
-    state = RoundState.load(*kept) if kept else None
+    state = RoundState.load(kept)
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
         _begin_with_known(task, state)
     else:
-        report(f"goes on after {state.number} rounds")
+        report(f"goes on after {state.number} rounds" + ", before the searches of the last" * bool(state.descent)
+               + ", in the descent of the next" * bool(state.inside))  # fmt: skip
+    state.commits += [now for now in [commit()] if now not in state.commits]
     first = len(state.points) - sum(state.added)
     task.samples.add(np.array(state.points[:first]))
     for end, count in zip(np.cumsum(state.added), state.added):
         _sample(task, state.around[end - count : end])
+    state.save(kept)
     return state
 
 
@@ -253,12 +220,17 @@ def _searched(
     descent: Descent,
     effort: Effort,
     last: bool,
+    kept: Kept | None,
+    unfinished: bool,
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
-    """Worst points by name, and those that are worse than what is known."""
+    """Worst points by name, and those that are worse than what is known.
+
+    A descent that is not at its end and above 1 goes on in the next round: the last of several searches waits.
+    """
     found: dict[str, list[WorstPoint]] = {}
     for k, options in enumerate(effort.searches):
         final = k == len(effort.searches) - 1
-        if last and not final:
+        if (last and not final) or k < state.searched or (final and k and unfinished and not last):
             continue
         near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
         if state.exceeded and not final:
@@ -266,28 +238,41 @@ def _searched(
         found = _search(task, state.x, options, state.known, state.number, near)
         if new := _new(task, found, descent):
             return found, new
+        if not final:
+            state.searched = k + 1
+            state.save(kept)
     return found, []
 
 
 def _stabilising(
-    task: Task, problem: ResponseProblem, state: RoundState, options: DescentOptions, step: Callable[[int, float], None]
+    task: Task,
+    problem: ResponseProblem,
+    state: RoundState,
+    options: DescentOptions,
+    step: Callable[[int, float], None],
+    kept: Kept | None,
 ) -> Descent:
     """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
-    watched: list[dict[str, float]] = [{}]
+    state.watched = state.watched or [{}]
 
     def stable(x: FloatArray) -> bool:
-        return all(task.stable(x, values) for values in watched)
+        return all(task.stable(x, values) for values in state.watched)
+
+    def keep(inside: DescentState | None) -> None:
+        state.inside = inside
+        state.save(kept)
 
     while True:
-        descent = descend(problem, state.x, stable, options, step)
-        others = [v for v in map(loop.values, state.points) if v not in watched]
+        descent = descend(problem, state.x, stable, options, step, keep, state.inside)
+        others = [v for v in map(loop.values, state.points) if v not in state.watched]
         with ThreadPoolExecutor(task.workers.count) as pool:
-            kept = list(pool.map(partial(task.stable, descent.x), others))
-        lost = [v for v, stable_there in zip(others, kept) if not stable_there and task.stable(state.x, v)]
+            there = list(pool.map(partial(task.stable, descent.x), others))
+        lost = [v for v, stable_there in zip(others, there) if not stable_there and task.stable(state.x, v)]
         if not lost:
             return descent
-        watched += lost[:3]
+        state.watched += lost[:3]
+        keep(None)
 
 
 def first_points(task: Task, count: int) -> list[FloatArray]:

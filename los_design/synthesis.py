@@ -22,7 +22,8 @@ from los_design.open_loop import OpenLoop
 from los_design.options import DesignOptions
 from los_design.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
 from los_design.provenance import commit
-from los_design.rounds import STAGE_NAMES, Effort, Outcome, Task, design_in_rounds
+from los_design.round_state import Outcome
+from los_design.rounds import STAGE_NAMES, Effort, Task, design_in_rounds
 from los_design.start_choice import choose_start, is_reference
 from los_design.starts import random_start, screened
 from los_design.store import DESIGN_PACKAGES, continuous, design_ports
@@ -174,7 +175,7 @@ def _implemented(
         outcome = design_in_rounds(task, start, effort, report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
-        "commit": commit(),
+        "commit": ", ".join(outcome.commits),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
         "status": outcome.status,

@@ -7,7 +7,7 @@ function at every step, and the result belongs to a search for worse parameters.
 """
 
 from robust_design.frequency_domain.blocks import ControllerBlock, ControllerResponse, gain_matrices, parameters_of
-from robust_design.frequency_domain.descent import Descent, DescentOptions, descend
+from robust_design.frequency_domain.descent import Descent, DescentOptions, DescentState, descend
 from robust_design.frequency_domain.gains import ResponseGain, ResponseNoise
 from robust_design.frequency_domain.problem import ResponseProblem
 from robust_design.frequency_domain.samples import PlantSamples
@@ -17,6 +17,7 @@ __all__ = [
     "ControllerResponse",
     "Descent",
     "DescentOptions",
+    "DescentState",
     "PlantSamples",
     "ResponseGain",
     "ResponseNoise",

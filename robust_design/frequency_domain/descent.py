@@ -11,7 +11,7 @@ Hard gains that are met stay met: in a step they count as much above the largest
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,6 +94,45 @@ class Descent:
     iterations: int
 
 
+@dataclass(frozen=True)
+class DescentState:
+    """Where a descent is before a look at all pairs; with it, it goes on with the same bits.
+
+    Parameters
+    ----------
+    x, best : ndarray
+        Point that is looked at, and the best one before.
+    weight : float
+        Of the quadratic term.
+    plain : bool
+        Whether the metric is that of the entries' sizes.
+    pairs : ndarray of int
+        Pairs that the steps look at.
+    history : list of float
+        Largest values at the looks that lowered it.
+    iteration, failures : int
+    """
+
+    x: FloatArray
+    best: FloatArray
+    weight: float
+    plain: bool
+    pairs: IntArray
+    history: list[float]
+    iteration: int
+    failures: int
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For JSON, which keeps every bit of a finite number."""
+        return {**vars(self), **{name: getattr(self, name).tolist() for name in ("x", "best", "pairs")}}
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> DescentState:
+        """As :meth:`to_mapping` makes it."""
+        arrays = {name: np.array(values[name], dtype=float) for name in ("x", "best")}
+        return cls(**{**values, **arrays, "pairs": np.array(values["pairs"], dtype=np.intp)})
+
+
 @dataclass
 class _State:
     """Point, its linearisation, the weight of the quadratic term, and whether its metric is of the entries' sizes."""
@@ -111,6 +150,8 @@ def descend(
     stable: Callable[[FloatArray], bool],
     options: DescentOptions | None = None,
     report: Callable[[int, float], None] = lambda iteration, value: None,
+    keep: Callable[[DescentState], None] = lambda state: None,
+    goes_on: DescentState | None = None,
 ) -> Descent:
     """Lower the largest value from a stabilising start.
 
@@ -124,6 +165,10 @@ def descend(
     options : DescentOptions, optional
     report : callable
         Receives the iteration and the largest value at each look at all pairs.
+    keep : callable
+        Receives the state before each look but the first.
+    goes_on : DescentState, optional
+        State of an interrupted descent with the same arguments: it goes on there.
 
     Raises
     ------
@@ -136,7 +181,15 @@ def descend(
     state, best, begin = _State(np.array(x, dtype=float)), np.array(x, dtype=float), time.monotonic()
     history: list[float] = []
     iteration, failures, status = 0, 0, "iterations"
+    if goes_on is not None:
+        state = _State(goes_on.x.copy(), goes_on.weight, goes_on.plain, goes_on.pairs)
+        best, history = goes_on.best.copy(), list(goes_on.history)
+        iteration, failures = goes_on.iteration, goes_on.failures
     while True:
+        if iteration and (goes_on is None or iteration > goes_on.iteration):
+            keep(
+                DescentState(state.x, best, state.weight, state.plain, state.pairs, list(history), iteration, failures)
+            )
         raw, noise = problem.values(state.x), problem.noise(state.x)
         value = _merit(problem, raw, noise)
         if not np.isfinite(value):

@@ -107,6 +107,24 @@ def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, paramet
     assert "begins" in stand_ins
 
 
+def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, parameters, tmp_path, monkeypatch) -> None:
+    late = tuple(replace(k, provenance={**k.provenance, "status": "out_of_time"}) for k in load_designs("implemented"))
+    pair, limits = redesign.design_pair, []
+
+    def ended(assembled, parameters, options, report, kept):
+        limits.append(options.wall_limit)
+        pair(assembled, parameters, options, report, kept)
+        return late
+
+    monkeypatch.setattr(redesign, "design_pair", ended)
+    design_all(parameters, tmp_path, effort="short", wall_limit=60.0)
+    assert limits == [60.0] and (tmp_path / "rounds.json").exists()
+    monkeypatch.setattr(redesign, "design_pair", pair)
+    stand_ins.clear()
+    design_all(parameters, tmp_path, effort="short")
+    assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
+
+
 def test_the_output_is_checked_before_the_work(stand_ins, parameters, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):

@@ -14,7 +14,7 @@ from los_design.pair_problem import BOTH
 from los_design.rounds import MAX_NEW, Effort, Task, design_in_rounds
 from los_design.worst_case_search import SearchOptions
 from los_design.worst_points import WorstPoint
-from robust_design.frequency_domain import Descent
+from robust_design.frequency_domain import Descent, DescentState
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
 SHARES = {"soft tones": 0.5, "hard tones": 1.0}
@@ -49,10 +49,10 @@ class FewSamples:
 class Bench:
     """A descent that reaches 0.9, and searches that give prepared answers; both keep a record."""
 
-    def __init__(self, monkeypatch, answers, status: str = "stalled", lost: list[float] | None = None) -> None:
+    def __init__(self, monkeypatch, answers, status: str = "stalled", lost=(), value=0.9) -> None:
         self.tuned: list[int] = []
         self.searched: list[tuple[int, tuple[str, ...], int]] = []
-        self.answers, self.status, self.lost = iter(answers), status, list(lost or [])
+        self.answers, self.status, self.lost, self.value = iter(answers), status, list(lost), value
         self.samples = FewSamples()
         monkeypatch.setattr(rounds, "pair_problem", self.problem)
         monkeypatch.setattr(rounds, "descend", self.descend)
@@ -63,12 +63,12 @@ class Bench:
         noises = (SimpleNamespace(name="noise"),)
         return SimpleNamespace(samples=samples.points, gains=gains, noises=noises)
 
-    def descend(self, problem, x, stable, options, report):
+    def descend(self, problem, x, stable, options, report, keep, goes_on):
         assert stable(x)
         self.tuned.append(len(problem.samples))
         report(0, 0.9)
         values, noise = np.array([0.9, 0.5]), np.array([0.8])
-        return Descent(x + 1.0, 0.9, values, noise, np.zeros(2, dtype=int), self.status, options.iterations)
+        return Descent(x + 1.0, self.value, values, noise, np.zeros(2, dtype=int), self.status, options.iterations)
 
     def search(self, task, x, stage, options):
         def run(names, known, workers):
@@ -177,16 +177,16 @@ def test_random_points_and_corners_come_first(bench) -> None:
     assert set(points[1:4].ravel()) <= {0.0, 1.0} and not set(points[4:].ravel()) & {0.0, 1.0}
 
 
-def test_an_interrupted_design_goes_on_after_its_last_round(bench, tmp_path) -> None:
-    """The third round is interrupted; a second call begins with it, at the point and samples of two whole rounds."""
+def test_an_interrupted_design_goes_on_after_its_last_descent(bench, tmp_path) -> None:
+    """The search of the third round is interrupted; a second call begins with it, at the point of the third descent."""
     kept, key = tmp_path / "rounds.json", {"seed": 0}
     made = bench([[peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]])
     with pytest.raises(StopIteration):
         made.design(kept=(kept, key))
-    assert json.loads(kept.read_text())["number"] == 2
+    assert json.loads(kept.read_text())["number"] == 3
     again = bench([[], []])
     found = again.design(kept=(kept, key))
-    assert again.lines[0] == "goes on after 2 rounds" and again.tuned == [3]
+    assert again.lines[0] == "goes on after 3 rounds, before the searches of the last" and again.tuned == []
     assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]] and again.samples.around == [10.0, 20.0]
     assert again.searched[0][2] == 1  # climbed from, as it would have been
     np.testing.assert_array_equal(found.x, [3.0, 3.0])
@@ -195,6 +195,89 @@ def test_an_interrupted_design_goes_on_after_its_last_round(bench, tmp_path) -> 
     assert other.tuned == [1]
     kept.write_text("{")
     assert bench([[], []]).design(kept=(kept, key)).status == "converged"
+
+
+def test_the_result_names_every_source_that_it_was_made_with(bench, tmp_path, monkeypatch) -> None:
+    """The commit is that of the beginning, not of the end; a design that goes on with another names both."""
+    kept, commits = (tmp_path / "rounds.json", {}), iter(["one", "two", "two"])
+    monkeypatch.setattr(rounds, "commit", lambda: next(commits))
+    for _ in range(2):
+        with pytest.raises(StopIteration):
+            bench([[peak("soft tones", 0.6, 10.0)]]).design(kept=kept)
+    assert bench([[], []]).design(kept=kept).commits == ["one", "two"]
+
+
+def test_a_search_that_found_nothing_is_not_repeated(bench, tmp_path) -> None:
+    """Interrupted in the thorough search of the first round: neither its descent nor its quick search is made again."""
+    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    whole = bench([[], [peak("hard tones", 1.5, 33.0)], [], []]).design()
+    with pytest.raises(StopIteration):
+        bench([[]]).design(kept=(kept, key))
+    again = bench([[peak("hard tones", 1.5, 33.0)], [], []])
+    found = again.design(kept=(kept, key))
+    assert [seed for seed, _, _ in again.searched] == [2, 1, 2] and again.tuned == [2]
+    np.testing.assert_array_equal(found.x, whole.x)
+    assert (found.tuned, found.active, found.worst_cases()) == (whole.tuned, whole.active, whole.worst_cases())
+
+
+def test_an_interrupted_descent_begins_after_the_last_whole_round(bench, tmp_path, monkeypatch) -> None:
+    kept = tmp_path / "rounds.json", {"seed": 0}
+    made, descend = bench([[peak("soft tones", 0.6, 10.0)]]), rounds.descend
+    monkeypatch.setattr(rounds, "descend", lambda *rest: next(iter(())) if made.tuned else descend(*rest))
+    with pytest.raises(StopIteration):
+        made.design(kept=kept)
+    again = bench([[], []])
+    found = again.design(kept=kept)
+    assert again.lines[0] == "goes on after 1 rounds" and again.tuned == [2]
+    np.testing.assert_array_equal(found.x, [2.0, 2.0])
+
+
+def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> None:
+    """Interrupted after the second look, with a point that is watched: both are there again."""
+    kept = tmp_path / "rounds.json", {}
+    made, looks = bench([[], []], lost=[0.5]), []
+    whole = made.descend
+
+    def descend(problem, x, stable, options, report, keep, goes_on):
+        looks.append(goes_on)
+        if made.tuned:  # the descent after that which lost the point
+            at = np.array([0.1, 1.0 / 3.0])
+            keep(DescentState(at, at, 0.25, False, np.array([3, 1]), [1.5, 0.97], 6, 1))
+            raise StopIteration
+        return whole(problem, x, stable, options, report, keep, goes_on)
+
+    monkeypatch.setattr(rounds, "descend", descend)
+    made.lost = [made.samples.open_loop.point({})[0]]
+    with pytest.raises(StopIteration):
+        made.design(kept=kept)
+    assert looks == [None, None]
+    again = bench([[], []])
+    monkeypatch.setattr(rounds, "descend", lambda *rest: looks.append(rest[-1]) or again.descend(*rest))
+    assert again.design(kept=kept).status == "converged"
+    assert again.lines[0] == "goes on after 0 rounds, in the descent of the next"
+    inside = looks[-1]
+    np.testing.assert_array_equal(inside.best, [0.1, 1.0 / 3.0])
+    assert (inside.pairs.tolist(), inside.history, inside.iteration) == ([3, 1], [1.5, 0.97], 6)
+
+
+def test_a_descent_that_the_wall_limit_cut_short_goes_on(bench, tmp_path) -> None:
+    kept = tmp_path / "rounds.json", {}
+    assert bench([[]], status="out_of_time").design(kept=kept).status == "converged"
+    again = bench([[], []])
+    found = again.design(kept=kept)
+    assert again.lines[0] == "goes on after 0 rounds" and again.tuned == [1]
+    np.testing.assert_array_equal(found.x, [1.0, 1.0])
+
+
+@pytest.mark.parametrize(("status", "found"), [("iterations", "rounds"), ("stalled", "converged")])
+def test_a_descent_above_1_that_is_not_at_its_end_goes_on(bench, status: str, found: str) -> None:
+    """Nothing worse than 1.2 is found: no reason to end while the descent still goes down."""
+    known = [peak("soft tones", 0.55, 10.0)]
+    made = bench([known] * 5, status=status, value=1.2)
+    assert made.design(3).status == found
+    assert made.tuned == ([1, 1, 1] if status == "iterations" else [1])
+    # the thorough search waits for the end of the descent
+    assert [seed for seed, _, _ in made.searched] == ([1, 1, 2] if status == "iterations" else [1, 2])
 
 
 def test_a_design_out_of_time_says_so(bench) -> None:

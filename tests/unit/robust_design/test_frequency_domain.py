@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import replace
 
 import control
@@ -13,6 +14,7 @@ from scipy import linalg
 from robust_design.frequency_domain import (
     ControllerBlock,
     DescentOptions,
+    DescentState,
     PlantSamples,
     ResponseGain,
     ResponseNoise,
@@ -253,6 +255,19 @@ def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     further = descend(one, found.x, stable, DescentOptions(60, 1e-6))
     assert further.value > 0.995 * found.value, "a descent that goes on from there"
     assert descend(one, controller(1, 0.05), stable, DescentOptions(6, 1e-3, confirm=True)).status == "iterations"
+
+
+def test_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
+    """From looks at all pairs at the beginning and at the end of a `converged` descent, through JSON."""
+    one, states = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1]), []
+    options = DescentOptions(2000, 1e-3, confirm=True)
+    whole = descend(one, controller(1, 0.05), stable, options, keep=states.append)
+    assert len(states) > 8
+    for state in [states[1], states[-2]]:
+        kept = DescentState.from_mapping(json.loads(json.dumps(state.to_mapping())))
+        again = descend(one, controller(1, 0.05), stable, options, goes_on=kept)
+        assert again.x.tobytes() == whole.x.tobytes()
+        assert (again.value, again.status, again.iterations) == (whole.value, whole.status, whole.iterations)
 
 
 def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:

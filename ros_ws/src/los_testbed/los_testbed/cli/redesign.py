@@ -21,8 +21,9 @@ from lti.progress import Progress
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
-Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. An
-interrupted design of the same telescope goes on after its last round. The exit code is 1 if a requirement is not met.
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
+same telescope that was interrupted goes on in its descent or after its last search; so does one that the time limit ended.
+The exit code is 1 if a requirement is not met.
 
 **Examples**
 
@@ -73,6 +74,7 @@ def design_all(
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
+    time_limit: Annotated[float, typer.Option(help="Wall limit of the rounds [s]; run again to go on.")] = 3600.0,
     workers: WorkersOption = 0,
     json_: Json = False,
 ) -> None:
@@ -81,12 +83,13 @@ def design_all(
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
     number("--seed", seed, 0, 2**31 - 1)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
     check_output(output, parameters)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     summary = redesign.design_all(
         load_parameters(parameters or REFERENCE), output, seed=seed, effort=effort, resume=resume,
-        report=_say, nominal=nominal, workers=processes(workers),
+        report=_say, nominal=nominal, wall_limit=time_limit, workers=processes(workers),
     )  # fmt: skip
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
 
