@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import yaml
+from support import axe, headless_browser
 
 ROOT = Path(__file__).parents[2]
 
@@ -99,20 +100,42 @@ def test_broken_links_and_outside_addresses_are_found(links: ModuleType, tmp_pat
     ]
 
 
-@pytest.mark.slow
-def test_the_site_is_built_without_warnings(links: ModuleType, tmp_path: Path) -> None:
-    """Strict mode: a warning is an error. Every public object is in the inventory; equations are MathML."""
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The site, built in strict mode, in which a warning is an error, and what the builder says."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("mkdocstrings")
-    site = tmp_path / "site"
+    site = tmp_path_factory.mktemp("documentation") / "site"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr
-    assert "WARNING" not in done.stderr
+    return site, done.stderr
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_warnings(links: ModuleType, built: tuple[Path, str]) -> None:
+    """Every public object is in the inventory; equations are MathML."""
+    site, said = built
+    assert "WARNING" not in said
     assert links.problems(site) == []
     inventory = zlib.decompress((site / "objects.inv").read_bytes().split(b"zlib.\n", 1)[1]).decode()
     assert not public_objects() - {line.split()[0] for line in inventory.splitlines()}
     for name in ("structures", "linear_systems", "certificates", "pointing_analysis"):
         assert "<math" in (site / f"{name}.html").read_text("utf-8")
     assert (site / "search" / "search_index.js").stat().st_size > 100_000
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
+def test_no_finding_of_axe(built: tuple[Path, str]) -> None:
+    """Pages with signatures, code of all kinds, tables, figures and mathematics, in both schemes and widths."""
+    names = ("overview", "certificates", "results", "structures", "api/lti.interconnection", "api/los_testbed.config")
+    with headless_browser.Page() as browser:
+        found = {
+            (name, width, scheme): axe.findings(browser, built[0] / f"{name}.html", width, scheme)
+            for name in names
+            for width in (390, 1280)
+            for scheme in ("light", "dark")
+        }
+    assert not {key: value for key, value in found.items() if value}
