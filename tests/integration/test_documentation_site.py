@@ -130,7 +130,8 @@ def test_the_site_is_built_without_warnings(links: ModuleType, built: tuple[Path
 @pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 def test_no_finding_of_axe(built: tuple[Path, str]) -> None:
     """Pages with signatures, code of all kinds, tables, figures and mathematics, in both schemes and widths."""
-    names = ("overview", "certificates", "results", "structures", "api/lti.interconnection", "api/los_testbed.config")
+    api = ("lti.interconnection", "los_design.synthesis", "los_design.worst_case_search")
+    names = ("overview", "certificates", "results", "structures", *(f"api/{name}" for name in api))
     with headless_browser.Page() as browser:
         found = {
             (name, width, scheme): axe.findings(browser, built[0] / f"{name}.html", width, scheme)
