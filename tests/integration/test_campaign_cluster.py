@@ -184,9 +184,15 @@ def test_rows_that_a_lost_worker_had_are_computed_again_and_not_waited_for_witho
         assert fetched(client, future) == undisturbed.table().slice(0, 10).to_pylist()
 
 
+@pytest.fixture
+def no_second_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schedulers started after this give a task up with its first worker: each worker that ends is started anew."""
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
+
+
 @pytest.mark.slow
 def test_workers_without_memory_end_the_campaign_and_resume_completes_it(
-    processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    no_second_try: None, processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A nanny ends a worker above its limit and starts another one; depth model takes some 300 MB."""
     monkeypatch.setattr("los_testbed.campaign.execution.CRASHES", 2)
