@@ -150,6 +150,8 @@ def test_no_command_has_a_console_of_its_own() -> None:
         (["design", "verify", "--samples=-1"], ["--samples", "-1"]),
         (["campaign", "--samples=-1"], ["samples", "-1"]),
         (["campaign", "--samples=99999999999"], ["--samples", "99999999999"]),
+        (["campaign", "--seed=-1"], ["--seed", "-1"]),
+        (["campaign", "--seed=" + "9" * 400], ["--seed", "9999"]),
         (["stages", "--samples=-1"], ["--samples", "-1"]),
         (["campaign", "--keep=-1"], ["--keep", "-1"]),
         (["design", "all", "--output=new", "--seed=-1"], ["--seed", "-1"]),
