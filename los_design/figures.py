@@ -25,6 +25,7 @@ from lti import SampledSystem, UncertainSystem
 from lti.batched_linalg import largest_gains, singular_values
 from lti.frequency_grid import frequency_grid
 from lti.frequency_response import frequency_response
+from pointing_analysis.atomic_output import atomic_file
 from titop_plant.disturbances import weight_amplitudes
 from titop_plant.interface import FORCES, FRAME_TICKS, LOOP_DELAY, MIRROR
 from titop_plant.simulation import control_loop_plant, telescope
@@ -224,7 +225,11 @@ def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
     paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
-    with mpl.rc_context({"svg.hashsalt": "los-testbed"}):
-        figure.savefig(paths[0], dpi=115, metadata={"Software": None})
-        figure.savefig(paths[1], metadata={"Date": None, "Creator": None})
+    with (
+        mpl.rc_context({"svg.hashsalt": "los-testbed"}),
+        atomic_file(paths[0]) as png,
+        atomic_file(paths[1]) as svg,
+    ):
+        figure.savefig(png, format="png", dpi=115, metadata={"Software": None})
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     return paths

@@ -18,6 +18,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from pointing_analysis.atomic_output import atomic_file
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.disturbance_responses import (
     ALL,
@@ -80,12 +81,12 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     for name in names or ():
         if name not in FIGURES:
             raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join(FIGURES)}")
+    both = disturbance_responses(parameters)
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
-    both = disturbance_responses(parameters)
     return [path for name in names or FIGURES for path in _saved(folder, name, *FIGURES[name], both)]
 
 
@@ -101,8 +102,9 @@ def _saved(
     with mpl.rc_context(settings):
         figure = Figure(figsize=(7.4, height), layout="constrained")
         draw(figure, both)
-        figure.savefig(paths[0], dpi=130, metadata={"Software": None})
-        figure.savefig(paths[1], dpi=130, metadata={"Date": None, "Creator": None})
+        with atomic_file(paths[0]) as png, atomic_file(paths[1]) as svg:
+            figure.savefig(png, format="png", dpi=130, metadata={"Software": None})
+            figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     return paths
 
 

@@ -31,6 +31,7 @@ from los_design.worst_points import (
 from lti import SampledSystem
 from lti.threads import one_thread
 from lti.workers import Workers
+from pointing_analysis.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.simulation import control_loop_plant
 from titop_plant.telescope.assembly import Telescope, build_telescope
@@ -138,7 +139,7 @@ def design_all(
         check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=processes)
     not_met = broken_requirements(check)
     content = {"implemented": check.to_mapping(), "not_met": not_met}
-    (folder / "verification.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
     return DesignSummary(folder, check, not_met)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti.ordinary_file import read_ordinary_file
+from pointing_analysis.atomic_output import write_text
 from titop_plant.disturbances import CHANNELS
 
 ComplexArray = NDArray[np.complex128]
@@ -102,7 +103,7 @@ def store_worst_points(
     for point in found:
         stages.setdefault(point.stage, {})[point.requirement] = point.to_mapping()
     content = {**basis, "stages": stages, "adversarial": [dict(values) for values in adversarial]}
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def load_worst_points(folder: Path | None = None) -> dict[str, dict[str, WorstPoint]]:

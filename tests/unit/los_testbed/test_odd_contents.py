@@ -143,3 +143,24 @@ def test_a_start_nested_deep_in_a_bag_is_told(tmp_path: Path) -> None:
     for data in (b"[" * 100_000, json.dumps([1]).encode(), b"\xff"):
         with pytest.raises(ValueError, match=r"start.json must"):
             RunStart.from_bytes(data)
+
+
+def test_a_parameter_file_that_is_none_is_told_before_a_folder_is_made(call: Call, tmp_path: Path) -> None:
+    code, out, err = call("plant", "figures", "--parameters=none.toml")
+    assert code == 2 and out == "" and one_line(err.replace("cannot read the parameter file ", ""), "none.toml"), err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_picture_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.figure import Figure
+
+    from los_design.figures import save_figure
+
+    def interrupted(self: Figure, path: Path, **_: object) -> None:
+        path.write_text("half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        save_figure(Figure(), tmp_path / "stages")
+    assert not list(tmp_path.iterdir())

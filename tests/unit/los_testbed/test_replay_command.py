@@ -111,7 +111,7 @@ def test_an_observer_that_diverges_is_said(call, recorded, tmp_path) -> None:
     code, _, err = call(recorded, "--k-fsm", other_observer(tmp_path / "wild.json", pole=1.5))
     assert code == 1
     assert "the observer diverges on the sensors" in err and err.count("\n") == 1
-    assert re.search(r"at tick \d+ the los_estimate \[\d\] is (nan|inf|-inf)", err)
+    assert re.search(r"at tick \d+ the los_estimate \[\d\] is -?\d\.\d+e\+3\d\b", err)
 
 
 def test_a_controller_that_diverges_is_said_with_tick_and_port(call, recorded, tmp_path) -> None:

@@ -73,6 +73,7 @@ def campaign(
     from los_testbed.factories import check_controllers
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
+    number("--seed", seed, 0, 2**31 - 1)
     number("--workers", workers, 0, 10_000)
     number("--keep", keep, 0, 1000)
     if resume and output is None:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from los_testbed.cli.output import number, seconds
 from los_testbed.config import NAMESPACE, RunConfig
+from los_testbed.loop.changes import owner_of
 from pointing_analysis.structured_text import load_yaml
 
 if TYPE_CHECKING:
@@ -26,8 +28,10 @@ Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="Wait for an ans
 
 
 @contextmanager
-def _remote(domain: int, namespace: str, timeout: float) -> Iterator[RemoteControl]:
+def _remote(domain: int, namespace: str, timeout: float, at: float | None = None) -> Iterator[RemoteControl]:
     RunConfig(namespace=namespace, domain=domain)
+    number("--timeout", timeout, 0.0, 86400.0, "s")
+    seconds("--at", at, 1e6)
     from los_testbed.run.runner import check_ros
 
     check_ros()
@@ -46,7 +50,8 @@ def stage(
     timeout: Timeout = 10.0,
 ) -> None:
     """Close the loops of another stage at one tick."""
-    with _remote(domain, namespace, timeout) as remote:
+    RunConfig(loop=loop)
+    with _remote(domain, namespace, timeout, at) as remote:
         remote.change("stage", loop, at)
 
 
@@ -60,8 +65,12 @@ def fault(
     timeout: Timeout = 10.0,
 ) -> None:
     """Change a setting of plant or controller at one tick."""
-    with _remote(domain, namespace, timeout) as remote:
-        remote.change(name, load_yaml(value, "VALUE"), at)
+    owner_of(name)
+    content = load_yaml(value, "VALUE")
+    if not isinstance(content, (bool, int, float, str)):
+        raise ValueError(f"VALUE must be true, false, a number or a name, got {value!r}")
+    with _remote(domain, namespace, timeout, at) as remote:
+        remote.change(name, content, at)
 
 
 @control_app.command()
@@ -72,7 +81,7 @@ def start(domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeou
 
 
 def _end(name: str, at: float | None, domain: int, namespace: str, timeout: float) -> None:
-    with _remote(domain, namespace, timeout) as remote:
+    with _remote(domain, namespace, timeout, at) as remote:
         if at is None:
             remote.trigger(name)
         else:

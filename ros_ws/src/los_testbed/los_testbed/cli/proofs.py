@@ -197,11 +197,12 @@ def check_proof(
     from robust_design.certified.checker import ProofError
     from robust_design.certified.checker import check_proof as check
 
+    count = processes(workers)
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
     try:
         if file.suffix == ".npz":
-            _check_loop(file, processes(workers), json_)
+            _check_loop(file, count, json_)
             return
         with one_thread():
             checked = check(file)

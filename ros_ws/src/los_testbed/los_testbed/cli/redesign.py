@@ -18,6 +18,7 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, met
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
+from pointing_analysis.atomic_output import atomic_file
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
@@ -62,7 +63,8 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         if parameters is None or any(own[body]["modal_data"] for body in ("body", "payload")):
             return  # the reference, or modal data that belong beside the file
         if not (kept.exists() and kept.samefile(parameters)):
-            shutil.copyfile(parameters, kept)
+            with atomic_file(kept) as temporary:
+                shutil.copyfile(parameters, temporary)
     except OSError as error:
         raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
 

@@ -67,6 +67,26 @@ def parse_change(text: str) -> tuple[str, Any, float | None]:
     return ALIASES.get(name, name), content["value"], None if at is None else float(at)
 
 
+def owner_of(name: str) -> str:
+    """The node that applies a setting that may change during a run.
+
+    Raises
+    ------
+    ValueError
+        No such setting.
+
+    Examples
+    --------
+    >>> owner_of("stage"), owner_of("noise")
+    ('controller', 'plant')
+    """
+    for node, names in NAMES.items():
+        if ALIASES.get(name, name) in names:
+            return node
+    known = ", ".join(sorted({*ALIASES, *(n for names in NAMES.values() for n in names)}))
+    raise ValueError(f"name must be a setting that can change during a run ({known}), got {name!r}")
+
+
 @dataclass
 class Changes:
     """Changes of the settings of one node.

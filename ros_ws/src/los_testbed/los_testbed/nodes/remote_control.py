@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from los_testbed.loop.changes import ALIASES, NAMES
+from los_testbed.loop.changes import ALIASES, owner_of
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import FAULT
 from los_testbed.run.runner import RANGE_VARIABLE
@@ -60,15 +60,11 @@ class RemoteControl:
         NoAnswerError
             The node does not answer.
         """
-        name = ALIASES.get(name, name)
-        owners = [node for node, names in NAMES.items() if name in names]
-        if not owners:
-            known = ", ".join(sorted({*ALIASES, *(n for names in NAMES.values() for n in names)}))
-            raise ValueError(f"name must be a setting that can change during a run ({known}), got {name!r}")
+        node, name = owner_of(name), ALIASES.get(name, name)
         change = {"name": name, "value": value, **({} if at is None else {"at": at})}
         parameter = Parameter(FAULT, value=json.dumps(change))
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
-        (result,) = self._call(SetParameters, f"{owners[0]}/set_parameters", request).results
+        (result,) = self._call(SetParameters, f"{node}/set_parameters", request).results
         if not result.successful:
             raise ValueError(result.reason)
 
