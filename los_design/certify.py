@@ -34,11 +34,13 @@ from titop_plant.telescope.parameters import Parameters
 
 ComplexArray = NDArray[np.complex128]
 ANGLE = "solar_array.tau"
+LOWEST = 1e-2
+"""Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
 NYQUIST = math.pi / DT
 PART = 0.12
 """Length of a part of a band, of log frequency."""
-SLOWEST_PART = 0.3
-"""Upper end of the first part of a band that begins below it [rad/s]."""
+SLOWEST_PARTS = (0.01, 0.3)
+"""Upper ends of the first parts of a band that begins at zero [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -149,22 +151,24 @@ def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
 
 
 def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """Figures of a stage that are proven; their bands reach up to half of the sampling rate."""
+    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
     chosen = {}
     for name, metric in loop_metrics(parameters, stage).items():
         if metric.columns != DISTURBANCE_IN:
             continue
         low, high = metric.band
-        chosen[name] = replace(metric, band=(low, NYQUIST if high >= HIGHEST else high))
+        band = (0.0 if low <= LOWEST else low, NYQUIST if high >= HIGHEST else high)
+        chosen[name] = replace(metric, band=band)
     return chosen
 
 
 def parts_of(band: Interval) -> list[Interval]:
     """A band cut into parts."""
     low, high = band
-    first = min(max(low, SLOWEST_PART), high)
+    first = min(max(low, SLOWEST_PARTS[-1]), high)
     count = math.ceil(math.log(high / first) / PART)
     cuts = {low, first, high, *(first * (high / first) ** (k / count) for k in range(1, count))}
+    cuts |= {at for at in SLOWEST_PARTS if low < at < high}
     return list(itertools.pairwise(sorted(cuts)))
 
 
@@ -276,7 +280,7 @@ def certify_figure(
     kept = folder / "parts" / f"{loop.stage}-{name}-{key.hexdigest()[:12]}"
     kept.mkdir(parents=True, exist_ok=True)
     bands = parts_of(metric.band)
-    parts = [Part(model, box, band, target, until, kept / f"{k:03d}.npz") for k, band in enumerate(bands)]
+    parts = [Part(model, box, band, target, until, kept / f"{band[0]:.9g}-{band[1]:.9g}.npz") for band in bands]
     found: list[PartResult] = []
     for result in workers.each(prove_part, parts):
         found.append(result)

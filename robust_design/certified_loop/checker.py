@@ -27,6 +27,7 @@ from scipy import linalg
 
 from robust_design.certified.checker import ProofError, uncovered
 from robust_design.certified_loop.model import LoopModel
+from robust_design.certified_loop.nominal import nominal_windows
 from robust_design.certified_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from robust_design.certified_loop.proof import Interval, LoopProof, Strip
 
@@ -51,6 +52,8 @@ class CheckedLoop:
     strips: int
     windows: int
     about: dict[str, Any]
+    stable: bool
+    """Every member: the band ends at half of the sampling rate, and the nominal loop was proven stable."""
 
 
 def ends_of(angle: bool, low: float, high: float) -> tuple[float, float, float, float]:
@@ -268,5 +271,6 @@ def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int |
         if isinstance(outcome, str):
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
+    stable = band[0] == 0.0 and band[1] >= math.pi / model.dt and nominal_windows(model) > 0
     about = dict(proof.about)
-    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about)
+    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable)
