@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from lti.workers import Workers
 from pointing_analysis.atomic_output import atomic_file
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
 from robust_design.certified_loop.build import modal
+from robust_design.certified_loop.nominal import nominal_windows
 from robust_design.certified_loop.proof import Interval, packed, unpacked
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
@@ -54,14 +56,19 @@ class FigureBounds:
         Largest value found.
     upper : float
         Proven; infinite where parts are not covered.
-    parameters : mapping of str to float
-        Of the largest value.
-    omega : float
+    point : mapping of str to float
+        Parameters of the largest value.
+    frequency : float
         Its frequency [rad/s].
     status : str
-        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered).
+        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered),
+        ``unstable`` (the nominal loop was not proven stable; nothing else was tried).
     uncovered : list of (low, high)
         Frequencies [rad/s] of the parts that are not covered.
+    stable : bool
+        Whether the proof shows that every member is stable; its band must be the whole one.
+    proof : str or None
+        Name of its file.
     strips, windows : int
     seconds : float
         Processor time of the proof.
@@ -71,10 +78,12 @@ class FigureBounds:
     figure: str
     lower: float
     upper: float
-    parameters: dict[str, float]
-    omega: float
+    point: dict[str, float]
+    frequency: float
     status: str
     uncovered: list[Interval]
+    stable: bool = False
+    proof: str | None = None
     strips: int = 0
     windows: int = 0
     seconds: float = 0.0
@@ -264,23 +273,14 @@ def certify_figure(
         raise ValueError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
-    key = hashlib.sha256(repr((box, target, model.window, model.rows, model.scale, model.commands)).encode())
-    for array in (
-        model.poles,
-        model.C,
-        model.B,
-        model.D,
-        model.K_poles,
-        model.K_C,
-        model.K_B,
-        model.K_D,
-        model.weights,
-    ):
-        key.update(np.ascontiguousarray(array).tobytes())
-    kept = folder / "parts" / f"{loop.stage}-{name}-{key.hexdigest()[:12]}"
+    if not nominal_stable(loop):
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
+    kept = folder / "parts" / f"{loop.stage}-{name}-{_digest(model, box, target)}"
     kept.mkdir(parents=True, exist_ok=True)
-    bands = parts_of(metric.band)
-    parts = [Part(model, box, band, target, until, kept / f"{band[0]:.9g}-{band[1]:.9g}.npz") for band in bands]
+    parts = [
+        Part(model, box, band, target, until, kept / f"{band[0]:.9g}-{band[1]:.9g}.npz")
+        for band in parts_of(metric.band)
+    ]
     found: list[PartResult] = []
     for result in workers.each(prove_part, parts):
         found.append(result)
@@ -290,18 +290,36 @@ def certify_figure(
     uncovered = [(float(low), float(high)) for result in found for low, high in result.uncovered]
     status = "violated" if lower >= target else "open" if uncovered else "proven"
     strips = [strip for result in found for strip in result.strips]
-    upper = target if status == "proven" else math.inf
     bounds = FigureBounds(
-        loop.stage, name, lower, upper, values, omega, status, uncovered, len(strips),
-        sum(r.windows for r in found), sum(r.seconds for r in found),
+        loop.stage, name, lower, math.inf, values, omega, status, uncovered, strips=len(strips),
+        windows=sum(r.windows for r in found), seconds=sum(r.seconds for r in found),
     )  # fmt: skip
-    if status == "proven":
-        about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
-        names = tuple(p.name for p in loop.system.parameters)
-        proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
-        with atomic_file(folder / f"{loop.stage}-{name}.npz") as temporary:
-            proof.to_file(temporary)
-    return bounds
+    if status != "proven":
+        return bounds
+    about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
+    names = tuple(p.name for p in loop.system.parameters)
+    proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
+    file = f"{loop.stage}-{name}.npz"
+    with atomic_file(folder / file) as temporary:
+        proof.to_file(temporary)
+    return replace(bounds, upper=target, proof=file, stable=metric.band == (0.0, NYQUIST))
+
+
+@lru_cache(maxsize=4)
+def nominal_stable(loop: ImplementedLoop) -> bool:
+    """Whether the nominal loop was proven stable."""
+    metric = next(iter(figures_of(loop.parameters, loop.stage).values()))
+    return nominal_windows(telescope_model(loop, metric)) > 0
+
+
+def _digest(model: LoopModel, box: Sequence[Interval], level: float) -> str:
+    """Of all that a proof is about but its band."""
+    key = hashlib.sha256(repr((box, level, model.window, model.rows, model.scale, model.commands)).encode())
+    for array in (
+        model.poles, model.C, model.B, model.D, model.K_poles, model.K_C, model.K_B, model.K_D, model.weights
+    ):  # fmt: skip
+        key.update(np.ascontiguousarray(array).tobytes())
+    return key.hexdigest()[:12]
 
 
 def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:

@@ -174,9 +174,7 @@ class _State:
                     self.prove(half, reached, end, depth + 1)
             at = end
 
-    def _strip(
-        self, box: Box, low: float, high: float, aim: float, static: bool = False
-    ) -> tuple[float, int, bool]:
+    def _strip(self, box: Box, low: float, high: float, aim: float, static: bool = False) -> tuple[float, int, bool]:
         """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, parameter
         to bisect there, whether there are scalings at `low`.
         """

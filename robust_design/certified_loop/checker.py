@@ -27,7 +27,7 @@ from scipy import linalg
 
 from robust_design.certified.checker import ProofError, uncovered
 from robust_design.certified_loop.model import LoopModel
-from robust_design.certified_loop.nominal import nominal_windows
+from robust_design.certified_loop.nominal import members_stable
 from robust_design.certified_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from robust_design.certified_loop.proof import Interval, LoopProof, Strip
 
@@ -271,6 +271,5 @@ def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int |
         if isinstance(outcome, str):
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
-    stable = band[0] == 0.0 and band[1] >= math.pi / model.dt and nominal_windows(model) > 0
-    about = dict(proof.about)
+    about, stable = dict(proof.about), members_stable(model, band)
     return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable)
