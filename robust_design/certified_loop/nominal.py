@@ -19,6 +19,7 @@ from robust_design.certified_loop.model import LoopModel
 from robust_design.certified_loop.polynomials import INFLATE, ORDER, TINY, UNIT, Polynomial, constant, weighted_share
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 LOOSE = 3e-5
 """Largest remainder of a window."""
 DEEPEST = 50
@@ -43,6 +44,8 @@ def nominal_windows(model: LoopModel) -> int:
         return 0
     if not np.all(np.abs(model.K_poles) < 1.0 - 8.0 * UNIT):
         return 0
+    if not (is_real(model.poles, model.B, model.C) and is_real(model.K_poles, model.K_B, model.K_C)):
+        return 0
     waiting, done, turned, doubt = [(0.0, math.pi / model.dt, 0)], 0, 0.0, 0.0
     while waiting:
         low, high, depth = waiting.pop()
@@ -56,6 +59,19 @@ def nominal_windows(model: LoopModel) -> int:
             continue
         done, turned, doubt = done + 1, turned + change, doubt + error
     return done if abs(turned) + INFLATE * doubt < 3.0 else 0
+
+
+def is_real(poles: ComplexArray, B: ComplexArray, C: ComplexArray) -> bool:
+    """Whether the modes are real or pairs, one after the other, so that negative frequencies are conjugate."""
+    k = 0
+    while k < len(poles):
+        other = k + 1 if poles[k].imag else k
+        if other == len(poles) or poles[other] != poles[k].conjugate():
+            return False
+        if not (np.array_equal(B[other], B[k].conj()) and np.array_equal(C[:, other], C[:, k].conj())):
+            return False
+        k = other + 1
+    return True
 
 
 def argument_change(model: LoopModel, low: float, high: float) -> tuple[float, float]:

@@ -214,6 +214,24 @@ def test_unstable_controllers_and_open_plants_are_not_called_stable() -> None:
     assert not nominal_windows(loop_model(oscillator(), DT))
 
 
+def test_half_a_circle_is_enough_for_real_systems_alone() -> None:
+    """A mode without its conjugate: negative frequencies have not been looked at."""
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    assert nominal_windows(model)
+    assert not nominal_windows(dataclasses.replace(model, B=model.B * np.array([[1.0], [1.0 + 1e-9]])))
+    assert not nominal_windows(dataclasses.replace(model, K_C=model.K_C * 1j))
+
+
+@pytest.mark.parametrize(("factor", "proven"), [(1.002, True), (0.998, False)])
+def test_near_frequency_zero_the_bound_is_as_sharp(factor: float, proven: bool) -> None:
+    """Scalings D alone: the static gain of the softest spring, 1 / k."""
+    high = 0.02
+    truth = 1.0 / abs(0.8 - high**2 + 2j * ZETA * high)
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, high), factor * truth)
+    assert (not bounds.uncovered and bounds.lower < factor * truth) == proven
+
+
 def test_all_members_of_a_sampled_loop_are_stable_by_a_bound_of_the_whole_band() -> None:
     plant, law = held_loop()
     model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
