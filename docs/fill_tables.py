@@ -151,9 +151,9 @@ def proven(figures: Sequence[Mapping[str, Any]]) -> str:
     Examples
     --------
     >>> print(proven([{"stage": "fsm", "figure": "APE", "lower": 0.95, "upper": 1.0, "stable": True}]))
-    | stage | stable | APE |
+    |stage|stable|APE|
     |---|---|---|
-    | fsm | all | 0.950–1 |
+    |fsm|all|0.950–1|
     """
     shown = [name for name in FIGURES if any(f["figure"] == name for f in figures)]
     rows = []
@@ -162,9 +162,7 @@ def proven(figures: Sequence[Mapping[str, Any]]) -> str:
         stable = "all" if any(f["stable"] for f in own.values()) else "?"
         rows.append([stage, stable, *(between(own[name]) if name in own else "" for name in shown)])
     head = ["stage", "stable", *(FIGURES[name] for name in shown)]
-    rule = "|---" * len(head) + "|"
-    lines = ["| " + " | ".join(row) + " |" for row in (head, *rows)]
-    return "\n".join([lines[0], rule, *lines[1:]])
+    return "\n".join(f"|{'|'.join(row)}|" for row in (head, ["---"] * len(head), *rows))
 
 
 def screen(text: str) -> str:
