@@ -13,6 +13,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -35,6 +36,7 @@ from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENT
 from titop_plant.telescope.parameters import Parameters
 
 ComplexArray = NDArray[np.complex128]
+Box = tuple[Interval, ...]
 ANGLE = "solar_array.tau"
 LOWEST = 1e-2
 """Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
@@ -149,7 +151,7 @@ def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, Com
     return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
 
 
-def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
+def box_of(loop: ImplementedLoop) -> Box:
     """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
     return tuple(
         (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
@@ -186,11 +188,13 @@ class Part:
     """A part of a band to be proven."""
 
     model: LoopModel
-    box: tuple[Interval, ...]
+    box: Box
     band: Interval
     level: float
     until: float
     file: Path
+    others: tuple[Path, ...] = ()
+    """The same part for other levels, the best one first: what holds of it need not be found again."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +220,14 @@ def prove_part(part: Part) -> PartResult:
         return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
-    found = prove_level(part.model, part.box, part.band, part.level, until=part.until)
+    known: tuple[Strip, ...] = ()
+    for other in part.others:
+        with np.load(other, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        if not json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
+            known = unpacked(arrays, parameters)
+            break
+    found = prove_level(part.model, part.box, part.band, part.level, until=part.until, known=known)
     summary: dict[str, Any] = {
         "uncovered": sorted({band for _, band in found.uncovered}), "lower": found.lower,
         "point": [] if found.point is None else found.point.tolist(), "omega": found.omega,
@@ -275,12 +286,7 @@ def certify_figure(
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
     if not nominal_stable(loop):
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
-    kept = folder / "parts" / f"{loop.stage}-{name}-{_digest(model, box, target)}"
-    kept.mkdir(parents=True, exist_ok=True)
-    parts = [
-        Part(model, box, band, target, until, kept / f"{band[0]:.9g}-{band[1]:.9g}.npz")
-        for band in parts_of(metric.band)
-    ]
+    parts = _parts(model, box, metric.band, target, until, folder / "parts", f"{loop.stage}-{name}")
     found: list[PartResult] = []
     for result in workers.each(prove_part, parts):
         found.append(result)
@@ -305,6 +311,26 @@ def certify_figure(
     return replace(bounds, upper=target, proof=file, stable=metric.band == (0.0, NYQUIST))
 
 
+def _parts(
+    model: LoopModel, box: Box, band: Interval, level: float, until: float, folder: Path, name: str
+) -> list[Part]:
+    """Parts of a band; their files are in a folder ``NAME-DIGEST-LEVEL``."""
+    start = f"{name}-{_digest(model, box)}-"
+    kept = folder / f"{start}{level!r}"
+    kept.mkdir(parents=True, exist_ok=True)
+    others: list[tuple[float, Path]] = []
+    for other in folder.glob(f"{start}*"):
+        with suppress(ValueError):
+            if other != kept:
+                others.append((abs(math.log(float(other.name[len(start) :]) / level)), other))
+    found = []
+    for part in parts_of(band):
+        file = f"{part[0]:.9g}-{part[1]:.9g}.npz"
+        same = tuple(other / file for _, other in sorted(others) if (other / file).exists())
+        found.append(Part(model, box, part, level, until, kept / file, same))
+    return found
+
+
 @lru_cache(maxsize=4)
 def nominal_stable(loop: ImplementedLoop) -> bool:
     """Whether the nominal loop was proven stable."""
@@ -312,9 +338,9 @@ def nominal_stable(loop: ImplementedLoop) -> bool:
     return nominal_windows(telescope_model(loop, metric)) > 0
 
 
-def _digest(model: LoopModel, box: Sequence[Interval], level: float) -> str:
-    """Of all that a proof is about but its band."""
-    key = hashlib.sha256(repr((box, level, model.window, model.rows, model.scale, model.commands)).encode())
+def _digest(model: LoopModel, box: Box) -> str:
+    """Of all that a proof is about but its band and level."""
+    key = hashlib.sha256(repr((box, model.window, model.rows, model.scale, model.commands)).encode())
     for array in (
         model.poles, model.C, model.B, model.D, model.K_poles, model.K_C, model.K_B, model.K_D, model.weights
     ):  # fmt: skip

@@ -8,6 +8,7 @@ bisected for a short part of the band.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Sequence
@@ -87,7 +88,14 @@ class LoopBounds:
 
 
 def prove_level(
-    model: LoopModel, box: Sequence[Interval], band: Interval, level: float, *, until: float = math.inf, seed: int = 0
+    model: LoopModel,
+    box: Sequence[Interval],
+    band: Interval,
+    level: float,
+    *,
+    until: float = math.inf,
+    seed: int = 0,
+    known: Sequence[Strip] = (),
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
@@ -103,12 +111,18 @@ def prove_level(
         ``time.monotonic()`` after which it stops; what is left is in `uncovered`.
     seed : int
         Of the members that are looked at.
+    known : sequence of Strip
+        Of a proof for another level that covers this box and band: what also holds for this level is kept.
     """
     start = time.process_time()
     slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
     state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow)
     with one_thread():
-        state.prove(tuple(box), *band, 0)
+        if known:
+            for strip in known:
+                state.prove_again(strip)
+        else:
+            state.prove(tuple(box), *band, 0)
     state.found.seconds = time.process_time() - start
     return state.found
 
@@ -149,6 +163,25 @@ class _State:
             self._look(box, reached, high)
         for half in _halves(box, axis):
             self._prove_slow(half, reached, high, depth + 1)
+
+    def prove_again(self, strip: Strip) -> None:
+        """Prove the box and band of a strip of another proof; the parts of it that hold are kept."""
+        held = []
+        for number in range(len(strip.nodes) - 1):
+            if time.monotonic() > self.until:
+                self.found.uncovered.append((strip.box, (float(strip.nodes[number]), float(strip.nodes[-1]))))
+                break
+            windows = windows_of(self.model, strip, number, self.level, BISECTIONS)
+            self.found.windows += windows
+            held.append(windows > 0)
+        number = 0
+        for holds, run in itertools.groupby(held):
+            end = number + len(list(run))
+            if holds:
+                self.found.strips.append(_between(strip, number, end))
+            else:
+                self.prove(strip.box, float(strip.nodes[number]), float(strip.nodes[end]), 0)
+            number = end
 
     def prove(self, box: Box, low: float, high: float, depth: int) -> None:
         """Prove a box from `low` to `high`; what can't be proven goes to `uncovered`."""
@@ -255,6 +288,13 @@ def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:
         tuple(np.stack([node.G[k] for node in nodes]) for k in range(count)),
         np.array([node.factor for node in nodes]),
     )
+
+
+def _between(strip: Strip, first: int, last: int) -> Strip:
+    """A strip from one of its nodes to another."""
+    part = slice(first, last + 1)
+    D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
+    return Strip(strip.box, strip.nodes[part], D, G, strip.factor[part])
 
 
 def _widths(losses: FloatArray, box: Box) -> FloatArray:

@@ -150,6 +150,21 @@ def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None
     assert truth < proof.level
 
 
+@pytest.mark.parametrize("factor", [1.004, 0.999, 2.0])
+def test_a_proof_of_another_level_is_used_where_it_holds(proof: LoopProof, factor: float) -> None:
+    level, box = factor * peak(0.8), box_of(oscillator())
+    bounds = prove_level(proof.model, box, proof.band, level, known=proof.strips)
+    again = dataclasses.replace(proof, level=level, strips=tuple(bounds.strips))
+    if factor < 1.0:
+        assert bounds.uncovered or bounds.lower >= level
+        with pytest.raises(ProofError):
+            check_loop_proof(again)
+        return
+    assert not bounds.uncovered and check_loop_proof(again).level == level
+    kept = sum(len(strip.nodes) for strip in bounds.strips)
+    assert kept >= bounds.nodes and (factor < proof.level / peak(0.8) or bounds.nodes == 0)
+
+
 def test_no_proof_below_the_truth() -> None:
     """A level just below the worst case: a member that exceeds it, or open parts, never a proof."""
     bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.85, 0.93), 0.999 * peak(0.8))

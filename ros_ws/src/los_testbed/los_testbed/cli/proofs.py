@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
 Writes a proof STAGE-FIGURE.npz for each figure that is proven, and bounds.json. Parts that are proven are kept: the
-same command goes on after an interruption. The exit code is 1 if a figure is violated or not proven to its end.
+same command goes on after an interruption, and another level begins with what holds of them. The exit code is 1 if a
+figure is violated or not proven to its end.
 
 **Examples**
 
