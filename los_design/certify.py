@@ -27,8 +27,10 @@ from los_design.worst_points import WorstPoint
 from lti.ports import FloatArray
 from lti.workers import Workers
 from pointing_analysis.atomic_output import atomic_file
+from robust_design.certified.checker import ProofError
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
 from robust_design.certified_loop.build import modal
+from robust_design.certified_loop.checker import covered, windows_of
 from robust_design.certified_loop.nominal import nominal_windows
 from robust_design.certified_loop.proof import Interval, packed, unpacked
 from titop_plant.disturbances import CHANNELS
@@ -45,6 +47,10 @@ PART = 0.12
 """Length of a part of a band, of log frequency."""
 SLOWEST_PARTS = (0.01, 0.3)
 """Upper ends of the first parts of a band that begins at zero [rad/s]."""
+
+
+PROBES, MOST_OTHERS = 6, 3
+"""Windows of another proof that are tried, and most other proofs."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +200,7 @@ class Part:
     until: float
     file: Path
     others: tuple[Path, ...] = ()
-    """The same part for other levels, the best one first: what holds of it need not be found again."""
+    """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
 
 
 @dataclass(frozen=True)
@@ -220,13 +226,7 @@ def prove_part(part: Part) -> PartResult:
         return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
-    known: tuple[Strip, ...] = ()
-    for other in part.others:
-        with np.load(other, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        if not json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
-            known = unpacked(arrays, parameters)
-            break
+    known = next((strips for strips in map(_strips, part.others) if _useful(part, strips)), ())
     found = prove_level(part.model, part.box, part.band, part.level, until=part.until, known=known)
     summary: dict[str, Any] = {
         "uncovered": sorted({band for _, band in found.uncovered}), "lower": found.lower,
@@ -239,6 +239,28 @@ def prove_part(part: Part) -> PartResult:
         with atomic_file(part.file) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
     return result
+
+
+def _strips(file: Path) -> tuple[Strip, ...]:
+    """Strips of a part that was proven, none if it was not covered."""
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    if json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
+        return ()
+    return unpacked(arrays, arrays["boxes"].shape[1])
+
+
+def _useful(part: Part, strips: tuple[Strip, ...]) -> bool:
+    """Whether strips of another proof cover a part, and most of some windows hold for it."""
+    try:
+        names = ("",) * len(part.box)
+        covered(LoopProof(part.model, names, part.box, part.band, part.level, strips))
+    except ProofError:
+        return False
+    tried = [(strip, number) for strip in strips for number in range(len(strip.nodes) - 1)]
+    tried = tried[:: math.ceil(len(tried) / PROBES)]
+    held = sum(windows_of(part.model, strip, number, part.level, 2) > 0 for strip, number in tried)
+    return held >= 0.6 * len(tried)
 
 
 def certify_figure(
@@ -286,7 +308,7 @@ def certify_figure(
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
     if not nominal_stable(loop):
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
-    parts = _parts(model, box, metric.band, target, until, folder / "parts", f"{loop.stage}-{name}")
+    parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)
     found: list[PartResult] = []
     for result in workers.each(prove_part, parts):
         found.append(result)
@@ -312,22 +334,22 @@ def certify_figure(
 
 
 def _parts(
-    model: LoopModel, box: Box, band: Interval, level: float, until: float, folder: Path, name: str
+    model: LoopModel, box: Box, level: float, until: float, folder: Path, stage: str, metric: LoopMetric
 ) -> list[Part]:
-    """Parts of a band; their files are in a folder ``NAME-DIGEST-LEVEL``."""
-    start = f"{name}-{_digest(model, box)}-"
+    """Parts of a band; their files are in a folder ``STAGE-FIGURE-DIGEST-LEVEL``."""
+    start = f"{stage}-{metric.name}-{_digest(model, box)}-"
     kept = folder / f"{start}{level!r}"
     kept.mkdir(parents=True, exist_ok=True)
-    others: list[tuple[float, Path]] = []
-    for other in folder.glob(f"{start}*"):
+    others: list[tuple[bool, float, Path]] = []
+    for other in sorted(folder.glob(f"{stage}-*-*-*")):
         with suppress(ValueError):
-            if other != kept:
-                others.append((abs(math.log(float(other.name[len(start) :]) / level)), other))
+            distance = abs(math.log(float(other.name.rsplit("-", 1)[1]) / level))
+            others.append((not other.name.startswith(start), distance, other))
     found = []
-    for part in parts_of(band):
-        file = f"{part[0]:.9g}-{part[1]:.9g}.npz"
-        same = tuple(other / file for _, other in sorted(others) if (other / file).exists())
-        found.append(Part(model, box, part, level, until, kept / file, same))
+    for band in parts_of(metric.band):
+        file = f"{band[0]:.9g}-{band[1]:.9g}.npz"
+        same = tuple(other / file for *_, other in sorted(others) if other != kept and (other / file).exists())
+        found.append(Part(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
     return found
 
 
