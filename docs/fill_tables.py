@@ -4,11 +4,14 @@
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
     python docs/fill_tables.py prediction < FOLDER/stages.md
     python docs/fill_tables.py worst_case < FOLDER/stages.md
+    python docs/fill_tables.py bounds < FOLDER/bounds.json       # FOLDER of los-testbed design certify
+    python docs/fill_tables.py proven < FOLDER/bounds.json
     COLUMNS=100 los-testbed run --mode inprocess --output FOLDER | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
 the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
-docs/results.md, as ``gammas`` is. README.md has ``worst_case``, one row a stage, and ``run``, the output of a command.
+docs/results.md, as ``gammas`` is. README.md has ``worst_case`` and ``proven``, one row a stage, and ``run``, the output
+of a command; docs/certificates.md has ``bounds``.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ from typing import Any
 
 DOCS = Path(__file__).parent
 PAGES = dict.fromkeys(("gammas", "stages", "prediction"), DOCS / "results.md")
-PAGES |= dict.fromkeys(("worst_case", "run"), DOCS.parent / "README.md")
+PAGES |= dict.fromkeys(("worst_case", "proven", "run"), DOCS.parent / "README.md")
+PAGES["bounds"] = DOCS / "certificates.md"
+FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}
+"""Figures of ``design certify``."""
 TONES = ("APE", "RPE, slow", "RPE, fast")
 """Rows of a stage in the table of worst cases."""
 COLUMNS = ("APE", "RPE", "mirror", "force", "noise -> APE", "noise -> RPE")
@@ -105,6 +111,60 @@ def worst_case(text: str) -> str:
     )
 
 
+def between(figure: Mapping[str, Any]) -> str:
+    """Lower and upper bound; a dash where no upper one is proven.
+
+    Examples
+    --------
+    >>> between({"lower": 0.9506, "upper": 1.0}), between({"lower": 0.2, "upper": None})
+    ('0.951–1', '0.200–?')
+    """
+    upper = figure["upper"]
+    return f"{figure['lower']:.3f}–{'?' if upper is None else f'{upper:.4g}'}"
+
+
+def bounds(figures: Sequence[Mapping[str, Any]]) -> str:
+    """One row a figure: bounds, frequency of the lower one, size and cost of the proof.
+
+    Examples
+    --------
+    >>> print(bounds([{"stage": "fsm", "figure": "slow", "lower": 0.19, "upper": 1.0, "frequency": 2.84,
+    ...                "strips": 49, "windows": 574, "seconds": 110.9}]))
+    | stage, figure | lower | at, rad/s | upper, proven | strips | windows | proof, CPU s |
+    | --- | ---: | ---: | ---: | ---: | ---: | ---: |
+    | fsm, RPE, slow tone | 0.190 | 2.840 | 1 | 49 | 574 | 111 |
+    """
+    head = ("stage, figure", "lower", "at, rad/s", "upper, proven", "strips", "windows", "proof, CPU s")
+    rows = []
+    for f in sorted(figures, key=lambda f: (f["stage"], list(FIGURES).index(f["figure"]))):
+        lower, upper = f"{f['lower']:.3g}" if f["lower"] < 0.1 else f"{f['lower']:.3f}", f["upper"]
+        work = (f"{f['strips']}", f"{f['windows']}", f"{f['seconds']:.0f}")
+        at = f"{f['frequency']:#.4g}".rstrip(".")
+        name = f"{f['stage']}, {FIGURES[f['figure']]}"
+        rows.append((name, lower, at, "" if upper is None else f"{upper:.4g}", *work))
+    return markdown(head, rows)
+
+
+def proven(figures: Sequence[Mapping[str, Any]]) -> str:
+    """One row a stage: whether all members are stable, lower and upper bound of each figure.
+
+    Examples
+    --------
+    >>> print(proven([{"stage": "fsm", "figure": "APE", "lower": 0.95, "upper": 1.0, "stable": True}]))
+    |stage|stable|APE|
+    |---|---|---|
+    |fsm|all|0.950–1|
+    """
+    shown = [name for name in FIGURES if any(f["figure"] == name for f in figures)]
+    rows = []
+    for stage in sorted({f["stage"] for f in figures}):
+        own = {f["figure"]: f for f in figures if f["stage"] == stage}
+        stable = "all" if any(f["stable"] for f in own.values()) else "?"
+        rows.append([stage, stable, *(between(own[name]) if name in own else "" for name in shown)])
+    head = ["stage", "stable", *(FIGURES[name] for name in shown)]
+    return "\n".join(f"|{'|'.join(row)}|" for row in (head, ["---"] * len(head), *rows))
+
+
 def screen(text: str) -> str:
     """Output of a command as a block of code; the paths of its bag and report are those of the example.
 
@@ -134,6 +194,8 @@ def table_of(name: str, text: str) -> str:
     """
     if name == "gammas":
         return gammas(json.loads(text))
+    if name in ("bounds", "proven"):
+        return {"bounds": bounds, "proven": proven}[name](json.loads(text)["figures"])
     if name == "run" and "verdict" in text:
         return screen(text)
     if name == "worst_case" and parts(text, "**Scenario `worst_case`"):

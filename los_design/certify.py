@@ -13,7 +13,9 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,20 +27,30 @@ from los_design.worst_points import WorstPoint
 from lti.ports import FloatArray
 from lti.workers import Workers
 from pointing_analysis.atomic_output import atomic_file
+from robust_design.certified.checker import ProofError
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
 from robust_design.certified_loop.build import modal
+from robust_design.certified_loop.checker import covered, windows_of
+from robust_design.certified_loop.nominal import nominal_windows
 from robust_design.certified_loop.proof import Interval, packed, unpacked
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
 from titop_plant.telescope.parameters import Parameters
 
 ComplexArray = NDArray[np.complex128]
+Box = tuple[Interval, ...]
 ANGLE = "solar_array.tau"
+LOWEST = 1e-2
+"""Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
 NYQUIST = math.pi / DT
 PART = 0.12
 """Length of a part of a band, of log frequency."""
-SLOWEST_PART = 0.3
-"""Upper end of the first part of a band that begins below it [rad/s]."""
+SLOWEST_PARTS = (0.01, 0.3)
+"""Upper ends of the first parts of a band that begins at zero [rad/s]."""
+
+
+PROBES, MOST_OTHERS = 6, 3
+"""Windows of another proof that are tried, and most other proofs."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +64,19 @@ class FigureBounds:
         Largest value found.
     upper : float
         Proven; infinite where parts are not covered.
-    parameters : mapping of str to float
-        Of the largest value.
-    omega : float
+    point : mapping of str to float
+        Parameters of the largest value.
+    frequency : float
         Its frequency [rad/s].
     status : str
-        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered).
+        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered),
+        ``unstable`` (the nominal loop was not proven stable; nothing else was tried).
     uncovered : list of (low, high)
         Frequencies [rad/s] of the parts that are not covered.
+    stable : bool
+        Whether the proof shows that every member is stable; its band must be the whole one.
+    proof : str or None
+        Name of its file.
     strips, windows : int
     seconds : float
         Processor time of the proof.
@@ -69,10 +86,12 @@ class FigureBounds:
     figure: str
     lower: float
     upper: float
-    parameters: dict[str, float]
-    omega: float
+    point: dict[str, float]
+    frequency: float
     status: str
     uncovered: list[Interval]
+    stable: bool = False
+    proof: str | None = None
     strips: int = 0
     windows: int = 0
     seconds: float = 0.0
@@ -138,7 +157,7 @@ def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, Com
     return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
 
 
-def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
+def box_of(loop: ImplementedLoop) -> Box:
     """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
     return tuple(
         (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
@@ -149,22 +168,24 @@ def box_of(loop: ImplementedLoop) -> tuple[Interval, ...]:
 
 
 def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """Figures of a stage that are proven; their bands reach up to half of the sampling rate."""
+    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
     chosen = {}
     for name, metric in loop_metrics(parameters, stage).items():
         if metric.columns != DISTURBANCE_IN:
             continue
         low, high = metric.band
-        chosen[name] = replace(metric, band=(low, NYQUIST if high >= HIGHEST else high))
+        band = (0.0 if low <= LOWEST else low, NYQUIST if high >= HIGHEST else high)
+        chosen[name] = replace(metric, band=band)
     return chosen
 
 
 def parts_of(band: Interval) -> list[Interval]:
     """A band cut into parts."""
     low, high = band
-    first = min(max(low, SLOWEST_PART), high)
+    first = min(max(low, SLOWEST_PARTS[-1]), high)
     count = math.ceil(math.log(high / first) / PART)
     cuts = {low, first, high, *(first * (high / first) ** (k / count) for k in range(1, count))}
+    cuts |= {at for at in SLOWEST_PARTS if low < at < high}
     return list(itertools.pairwise(sorted(cuts)))
 
 
@@ -173,11 +194,13 @@ class Part:
     """A part of a band to be proven."""
 
     model: LoopModel
-    box: tuple[Interval, ...]
+    box: Box
     band: Interval
     level: float
     until: float
     file: Path
+    others: tuple[Path, ...] = ()
+    """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +226,8 @@ def prove_part(part: Part) -> PartResult:
         return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
-    found = prove_level(part.model, part.box, part.band, part.level, until=part.until)
+    known = next((strips for strips in map(_strips, part.others) if _useful(part, strips)), ())
+    found = prove_level(part.model, part.box, part.band, part.level, until=part.until, known=known)
     summary: dict[str, Any] = {
         "uncovered": sorted({band for _, band in found.uncovered}), "lower": found.lower,
         "point": [] if found.point is None else found.point.tolist(), "omega": found.omega,
@@ -215,6 +239,28 @@ def prove_part(part: Part) -> PartResult:
         with atomic_file(part.file) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
     return result
+
+
+def _strips(file: Path) -> tuple[Strip, ...]:
+    """Strips of a part that was proven, none if it was not covered."""
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    if json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
+        return ()
+    return unpacked(arrays, arrays["boxes"].shape[1])
+
+
+def _useful(part: Part, strips: tuple[Strip, ...]) -> bool:
+    """Whether strips of another proof cover a part, and most of some windows hold for it."""
+    try:
+        names = ("",) * len(part.box)
+        covered(LoopProof(part.model, names, part.box, part.band, part.level, strips))
+    except ProofError:
+        return False
+    tried = [(strip, number) for strip in strips for number in range(len(strip.nodes) - 1)]
+    tried = tried[:: math.ceil(len(tried) / PROBES)]
+    held = sum(windows_of(part.model, strip, number, part.level, 2) > 0 for strip, number in tried)
+    return held >= 0.6 * len(tried)
 
 
 def certify_figure(
@@ -260,23 +306,9 @@ def certify_figure(
         raise ValueError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
-    key = hashlib.sha256(repr((box, target, model.window, model.rows, model.scale, model.commands)).encode())
-    for array in (
-        model.poles,
-        model.C,
-        model.B,
-        model.D,
-        model.K_poles,
-        model.K_C,
-        model.K_B,
-        model.K_D,
-        model.weights,
-    ):
-        key.update(np.ascontiguousarray(array).tobytes())
-    kept = folder / "parts" / f"{loop.stage}-{name}-{key.hexdigest()[:12]}"
-    kept.mkdir(parents=True, exist_ok=True)
-    bands = parts_of(metric.band)
-    parts = [Part(model, box, band, target, until, kept / f"{k:03d}.npz") for k, band in enumerate(bands)]
+    if not nominal_stable(loop):
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
+    parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)
     found: list[PartResult] = []
     for result in workers.each(prove_part, parts):
         found.append(result)
@@ -286,18 +318,56 @@ def certify_figure(
     uncovered = [(float(low), float(high)) for result in found for low, high in result.uncovered]
     status = "violated" if lower >= target else "open" if uncovered else "proven"
     strips = [strip for result in found for strip in result.strips]
-    upper = target if status == "proven" else math.inf
     bounds = FigureBounds(
-        loop.stage, name, lower, upper, values, omega, status, uncovered, len(strips),
-        sum(r.windows for r in found), sum(r.seconds for r in found),
+        loop.stage, name, lower, math.inf, values, omega, status, uncovered, strips=len(strips),
+        windows=sum(r.windows for r in found), seconds=sum(r.seconds for r in found),
     )  # fmt: skip
-    if status == "proven":
-        about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
-        names = tuple(p.name for p in loop.system.parameters)
-        proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
-        with atomic_file(folder / f"{loop.stage}-{name}.npz") as temporary:
-            proof.to_file(temporary)
-    return bounds
+    if status != "proven":
+        return bounds
+    about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
+    names = tuple(p.name for p in loop.system.parameters)
+    proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
+    file = f"{loop.stage}-{name}.npz"
+    with atomic_file(folder / file) as temporary:
+        proof.to_file(temporary)
+    return replace(bounds, upper=target, proof=file, stable=metric.band == (0.0, NYQUIST))
+
+
+def _parts(
+    model: LoopModel, box: Box, level: float, until: float, folder: Path, stage: str, metric: LoopMetric
+) -> list[Part]:
+    """Parts of a band; their files are in a folder ``STAGE-FIGURE-DIGEST-LEVEL``."""
+    start = f"{stage}-{metric.name}-{_digest(model, box)}-"
+    kept = folder / f"{start}{level!r}"
+    kept.mkdir(parents=True, exist_ok=True)
+    others: list[tuple[bool, float, Path]] = []
+    for other in sorted(folder.glob(f"{stage}-*-*-*")):
+        with suppress(ValueError):
+            distance = abs(math.log(float(other.name.rsplit("-", 1)[1]) / level))
+            others.append((not other.name.startswith(start), distance, other))
+    found = []
+    for band in parts_of(metric.band):
+        file = f"{band[0]:.9g}-{band[1]:.9g}.npz"
+        same = tuple(other / file for *_, other in sorted(others) if other != kept and (other / file).exists())
+        found.append(Part(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
+    return found
+
+
+@lru_cache(maxsize=4)
+def nominal_stable(loop: ImplementedLoop) -> bool:
+    """Whether the nominal loop was proven stable."""
+    metric = next(iter(figures_of(loop.parameters, loop.stage).values()))
+    return nominal_windows(telescope_model(loop, metric)) > 0
+
+
+def _digest(model: LoopModel, box: Box) -> str:
+    """Of all that a proof is about but its band and level."""
+    key = hashlib.sha256(repr((box, model.window, model.rows, model.scale, model.commands)).encode())
+    for array in (
+        model.poles, model.C, model.B, model.D, model.K_poles, model.K_C, model.K_B, model.K_D, model.weights
+    ):  # fmt: skip
+        key.update(np.ascontiguousarray(array).tobytes())
+    return key.hexdigest()[:12]
 
 
 def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:

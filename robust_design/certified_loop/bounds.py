@@ -8,10 +8,11 @@ bisected for a short part of the band.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,18 @@ BISECTIONS = 3
 """Most bisections of a step in the check of a prover."""
 PART = 0.01
 """Part of the band, relative to its frequency, for which a box is bisected."""
+SLOW = 0.1
+"""Part of the plant's slowest pole below which scalings are D alone and the whole band is bisected at once."""
 LOWEST = 1e-3
-"""Least frequency [rad/s] of scalings; below it the same ones are used."""
+"""Least frequency of scalings, as a part of the one before; below it the same ones are used."""
+TURN = 1.6
+"""Widest interval of an angle [rad] there; without G an angle is never any angle."""
+SLOW_STEPS = 1.0, 2.0
+"""Relative steps of frequency there: at the start, at most."""
+AIMS = (1.0, 0.1, 0.01)
+"""Parts of the level for which scalings are centred, one after the other. Where the gain is far below the level, the
+centre for the level itself is so far out that the inequality is lost in rounding; one for less proves the level too.
+"""
 DEEPEST = 14
 """Most bisections of the box."""
 SAMPLES = 64
@@ -77,7 +88,14 @@ class LoopBounds:
 
 
 def prove_level(
-    model: LoopModel, box: Sequence[Interval], band: Interval, level: float, *, until: float = math.inf, seed: int = 0
+    model: LoopModel,
+    box: Sequence[Interval],
+    band: Interval,
+    level: float,
+    *,
+    until: float = math.inf,
+    seed: int = 0,
+    known: Sequence[Strip] = (),
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
@@ -93,11 +111,18 @@ def prove_level(
         ``time.monotonic()`` after which it stops; what is left is in `uncovered`.
     seed : int
         Of the members that are looked at.
+    known : sequence of Strip
+        Of a proof for another level that covers this box and band: what also holds for this level is kept.
     """
     start = time.process_time()
-    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds())
+    slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
+    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow)
     with one_thread():
-        state.prove(tuple(box), *band, 0)
+        if known:
+            for strip in known:
+                state.prove_again(strip)
+        else:
+            state.prove(tuple(box), *band, 0)
     state.found.seconds = time.process_time() - start
     return state.found
 
@@ -109,18 +134,71 @@ class _State:
     until: float
     rng: np.random.Generator
     found: LoopBounds
+    slow: float
+
+    @property
+    def lowest(self) -> float:
+        """Least frequency of scalings [rad/s]."""
+        return LOWEST * self.slow
+
+    def _over(self, box: Box, low: float, high: float) -> bool:
+        """Whether it ends here: time is up, or a member exceeds the level."""
+        over = time.monotonic() > self.until or self.found.lower >= self.level
+        if over:
+            self.found.uncovered.append((box, (low, high)))
+        return over
+
+    def _prove_slow(self, box: Box, low: float, high: float, depth: int) -> None:
+        """Prove a box from `low` to `high`, both slow."""
+        if self._over(box, low, high):
+            return
+        wide = [k for k, (a, b) in enumerate(box) if self.model.angle[k] and b - a > TURN]
+        reached, axis = (low, wide[0]) if wide else self._strip(box, low, high, self.level, static=True)[:2]
+        if reached >= high:
+            return
+        if depth == DEEPEST:
+            self.found.uncovered.append((box, (reached, high)))
+            return
+        if not wide:
+            self._look(box, reached, high)
+        for half in _halves(box, axis):
+            self._prove_slow(half, reached, high, depth + 1)
+
+    def prove_again(self, strip: Strip) -> None:
+        """Prove the box and band of a strip of another proof; the parts of it that hold are kept."""
+        held = []
+        for number in range(len(strip.nodes) - 1):
+            if time.monotonic() > self.until:
+                self.found.uncovered.append((strip.box, (float(strip.nodes[number]), float(strip.nodes[-1]))))
+                break
+            windows = windows_of(self.model, strip, number, self.level, BISECTIONS)
+            self.found.windows += windows
+            held.append(windows > 0)
+        number = 0
+        for holds, run in itertools.groupby(held):
+            end = number + len(list(run))
+            if holds:
+                self.found.strips.append(_between(strip, number, end))
+            else:
+                self.prove(strip.box, float(strip.nodes[number]), float(strip.nodes[end]), 0)
+            number = end
 
     def prove(self, box: Box, low: float, high: float, depth: int) -> None:
         """Prove a box from `low` to `high`; what can't be proven goes to `uncovered`."""
         at = low
+        if at < self.slow:
+            at = min(high, self.slow)
+            self._prove_slow(box, low, at, depth)
         while at < high:
-            if time.monotonic() > self.until or self.found.lower >= self.level:
-                self.found.uncovered.append((box, (at, high)))
+            if self._over(box, at, high):
                 return
-            reached, axis = self._strip(box, at, high)
+            for aim in AIMS:
+                reached, axis, found = self._strip(box, at, high, aim * self.level)
+                if reached > at or not found:
+                    break
             if reached >= high:
                 return
-            end = min(high, max(reached, LOWEST) * (1.0 + PART))
+            end = min(high, reached * (1.0 + PART))
             if depth == DEEPEST:
                 self.found.uncovered.append((box, (reached, end)))
             else:
@@ -129,20 +207,21 @@ class _State:
                     self.prove(half, reached, end, depth + 1)
             at = end
 
-    def _strip(self, box: Box, low: float, high: float) -> tuple[float, int]:
-        """A strip from `low` as far as steps go: frequency reached, and the parameter to bisect there."""
-        first = CellTest(self.model, box, max(low, LOWEST), self.level)
+    def _strip(self, box: Box, low: float, high: float, aim: float, static: bool = False) -> tuple[float, int, bool]:
+        """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, parameter
+        to bisect there, whether there are scalings at `low`.
+        """
+        first = CellTest(self.model, box, max(low, self.lowest), aim, static)
         node, y = self._centre(first, None)
         axis = int(np.argmax(_widths(first.losses(y), box)))
         if node is None:
-            return low, axis
-        if low < LOWEST:
-            node = NodeScalings(low, node.D, node.G, node.factor)
-        nodes, step = [node], FIRST_STEP
+            return low, axis, False
+        nodes = [replace(node, omega=low)]
+        step, longest = SLOW_STEPS if static else (FIRST_STEP, LONGEST)
         while nodes[-1].omega < high and time.monotonic() <= self.until:
-            omega = max(nodes[-1].omega, LOWEST) * (1.0 + step)
+            omega = max(nodes[-1].omega, self.lowest) * (1.0 + step)
             omega = high if omega > high / (1.0 + 0.5 * step) else omega
-            test = CellTest(self.model, box, omega, self.level)
+            test = CellTest(self.model, box, omega, aim, static)
             following, y = self._centre(test, nodes[-1])
             windows = 0
             if following is not None:
@@ -155,10 +234,10 @@ class _State:
                 continue
             self.found.windows += windows
             nodes.append(following)
-            step = min(step * (1.7 if windows == 1 else 1.2 if windows < 4 else 0.8), LONGEST)
+            step = min(step * (1.7 if windows == 1 else 1.2 if windows < 4 else 0.8), longest)
         if len(nodes) > 1:
             self.found.strips.append(strip_of(box, nodes))
-        return nodes[-1].omega, axis
+        return nodes[-1].omega, axis, True
 
     def _centre(self, test: CellTest, before: NodeScalings | None) -> tuple[NodeScalings | None, FloatArray]:
         """Centred scalings at a frequency, None if there are none; the variables reached."""
@@ -175,7 +254,7 @@ class _State:
 
     def _look(self, box: Box, low: float, high: float) -> None:
         """Gains of some members where scalings were not found."""
-        omega = float(self.rng.uniform(max(low, LOWEST), high))
+        omega = float(self.rng.uniform(max(low, self.lowest), high))
         ends = np.array(box)
         points = self.rng.uniform(size=(SAMPLES, len(box)))
         points[: SAMPLES // 2] = np.round(points[: SAMPLES // 2])
@@ -209,6 +288,13 @@ def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:
         tuple(np.stack([node.G[k] for node in nodes]) for k in range(count)),
         np.array([node.factor for node in nodes]),
     )
+
+
+def _between(strip: Strip, first: int, last: int) -> Strip:
+    """A strip from one of its nodes to another."""
+    part = slice(first, last + 1)
+    D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
+    return Strip(strip.box, strip.nodes[part], D, G, strip.factor[part])
 
 
 def _widths(losses: FloatArray, box: Box) -> FloatArray:

@@ -27,6 +27,7 @@ from scipy import linalg
 
 from robust_design.certified.checker import ProofError, uncovered
 from robust_design.certified_loop.model import LoopModel
+from robust_design.certified_loop.nominal import members_stable
 from robust_design.certified_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from robust_design.certified_loop.proof import Interval, LoopProof, Strip
 
@@ -51,6 +52,8 @@ class CheckedLoop:
     strips: int
     windows: int
     about: dict[str, Any]
+    stable: bool
+    """Every member: the band ends at half of the sampling rate, and the nominal loop was proven stable."""
 
 
 def ends_of(angle: bool, low: float, high: float) -> tuple[float, float, float, float]:
@@ -268,5 +271,5 @@ def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int |
         if isinstance(outcome, str):
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
-    about = dict(proof.about)
-    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about)
+    about, stable = dict(proof.about), members_stable(model, band)
+    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable)

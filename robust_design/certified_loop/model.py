@@ -110,16 +110,13 @@ class LoopModel:
         omega = Polynomial(np.array([[middle], [half]], dtype=complex))
         z = exponential(np.array([middle * self.dt]), np.array([half * self.dt]))
         phi = reciprocal(constant(1j) * omega - constant(self.poles))
-        growth, gain = self.growth
-        error = 8.0 * UNIT * (1.0 + float(np.abs(self.poles).max()) * self.dt)
         hold = self._hold(middle, half)
         into = self.B[:, q + d :]
         driven = constant(self.B[:, : q + d]) @ constant(V)
         own = (constant(self.C) * phi) @ driven + constant(self.D[:, : q + d]) @ constant(V)
         if not len(self.K_C):
             return own.rows(slice(0, q)), own.rows(list(range(q, len(self.C)))).rows(list(self.rows))
-        held = reciprocal(z - constant(growth, error))
-        seen = (constant(self.C[q:]) * held) @ constant(gain[:, None] * into, error) + constant(self.D[q:, q + d :])
+        seen = self._sampled(z, slice(q, None))
         felt = ((constant(self.C[:q]) * phi) @ constant(into) + constant(self.D[:q, q + d :])) * hold
         K = self._controller(z, middle, half)
         loop = inverse(constant(np.eye(len(self.K_C))) - K @ seen.rows(slice(0, y)))
@@ -127,6 +124,19 @@ class LoopModel:
         channels = own.rows(slice(0, q)) + felt @ u
         outputs = own.rows(slice(q + y, None)) + seen.rows(slice(y, None)) @ u
         return channels, (u if self.commands else outputs).rows(list(self.rows))
+
+    def return_difference(self, middle: float, half: float) -> Polynomial:
+        """``I - K G`` of the nominal loop over a window ``middle + half t`` [rad/s], (u, u).
+
+        Raises
+        ------
+        ArithmeticError
+            The window may contain a pole of the plant or the controller.
+        """
+        q, y = self.sizes[:2]
+        z = exponential(np.array([middle * self.dt]), np.array([half * self.dt]))
+        seen = self._sampled(z, slice(q, q + y))
+        return constant(np.eye(len(self.K_C))) - self._controller(z, middle, half) @ seen
 
     def at(self, omega: float) -> tuple[ComplexArray, ComplexArray]:
         """``z`` and the bounded output by (w, d) at one frequency, (q, q + d) and (rows, q + d), without bounds."""
@@ -149,6 +159,15 @@ class LoopModel:
         """Weight of the bounded output (over the limit) and amplitudes of the disturbances, without bounds."""
         output, inputs = self.performance(omega, 0.0)
         return float(np.sqrt(output.c[0, 0].real)), np.asarray(inputs.c[0].real ** -0.5)
+
+    def _sampled(self, z: Polynomial, rows: slice) -> Polynomial:
+        """Rows of the plant's sampled response to held commands."""
+        first = self.sizes[0] + self.sizes[3]
+        growth, gain = self.growth
+        error = 8.0 * UNIT * (1.0 + float(np.abs(self.poles).max()) * self.dt)
+        held = reciprocal(z - constant(growth, error))
+        driven = constant(gain[:, None] * self.B[:, first:], error)
+        return (constant(self.C[rows]) * held) @ driven + constant(self.D[rows, first:])
 
     def _controller(self, z: Polynomial, middle: float, half: float) -> Polynomial:
         """Commands by measurements, with the delay of a tick and the hold of frames."""

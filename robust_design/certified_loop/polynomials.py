@@ -139,6 +139,15 @@ def reciprocal(p: Polynomial) -> Polynomial:
     return total * constant(first, 8.0 * UNIT)
 
 
+def weighted_share(bound: FloatArray) -> tuple[float, FloatArray]:
+    """Bound of the spectral radius of all matrices below `bound`, and sizes with ``bound @ size <= share size``."""
+    size: FloatArray = np.ones(len(bound))
+    for _ in range(8):
+        size = bound @ size + 1e-3 * size
+        size = size / size.max()
+    return INFLATE * float((bound @ size / size).max()), size
+
+
 def inverse(p: Polynomial) -> Polynomial:
     """Inverse of a square matrix.
 
@@ -154,11 +163,7 @@ def inverse(p: Polynomial) -> Polynomial:
         raise ArithmeticError("the matrix may be singular")
     away = constant(first) @ p - constant(np.eye(n))
     bound = away.bound() + TINY
-    size: FloatArray = np.ones(n)  # of the rows, in their units: (bound @ size) <= share size
-    for _ in range(8):
-        size = bound @ size + 1e-3 * size
-        size = size / size.max()
-    share = INFLATE * float((bound @ size / size).max())
+    share, size = weighted_share(bound)
     if not share < 0.9:
         raise ArithmeticError("the matrix may be singular")
     total, power = constant(np.eye(n)), constant(np.eye(n))

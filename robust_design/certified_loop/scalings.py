@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from robust_design.certified.barrier import ANY_REAL, CENTRED, FULL, GROWTH, REAL, Block, Problem, newton_step
+from robust_design.certified.barrier import (
+    ANY_REAL,
+    CENTRED,
+    COMPLEX,
+    FULL,
+    GROWTH,
+    REAL,
+    Block,
+    Problem,
+    newton_step,
+)
 from robust_design.certified.cells import balanced
 from robust_design.certified_loop.checker import is_circle, middle_of
 from robust_design.certified_loop.model import LoopModel
@@ -42,9 +52,13 @@ class CellTest:
     omega : float
         Frequency [rad/s], positive.
     level : float
+    static : bool
+        D alone. Near frequency zero, where all responses are real, G is of no use and its centre is far out.
     """
 
-    def __init__(self, model: LoopModel, box: Sequence[Interval], omega: float, level: float) -> None:
+    def __init__(
+        self, model: LoopModel, box: Sequence[Interval], omega: float, level: float, static: bool = False
+    ) -> None:
         self.model, self.omega = model, omega
         self.groups = list(map(list, model.groups))
         q, d = model.sizes[0], model.sizes[3]
@@ -66,7 +80,8 @@ class CellTest:
         maps[q:] *= self.scale[q]
         inputs = np.eye(q + d, dtype=complex)
         self.factors = [_factors(angle, *ends) for angle, ends in zip(model.angle, box)]
-        kinds = [ANY_REAL if angle and is_circle(*ends) else REAL for angle, ends in zip(model.angle, box)]
+        kind = COMPLEX if static else REAL
+        kinds = [ANY_REAL if angle and is_circle(*ends) else kind for angle, ends in zip(model.angle, box)]
         self.problem = Problem(
             [
                 *(Block(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),

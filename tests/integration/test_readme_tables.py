@@ -31,7 +31,7 @@ def test_examples(filler) -> None:
 
 
 def test_pages_have_the_markers_once(filler) -> None:
-    for name in ("gammas", "stages", "prediction", "worst_case", "run"):
+    for name in ("gammas", "stages", "prediction", "worst_case", "run", "bounds", "proven"):
         page = filler.PAGES[name].read_text("utf-8")
         assert filler.filled(page, name, "TABLE").count("TABLE") == 1
 

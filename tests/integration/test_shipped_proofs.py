@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from los_design.certify import NYQUIST, box_of, figures_of, telescope_model
+from los_design.certify import NYQUIST, box_of, figures_of, nominal_stable, telescope_model
 from los_design.implemented_loop import ImplementedLoop
 from los_design.open_loop import OpenLoop
 from los_design.store import load_designs
+from los_design.worst_points import load_worst_points
 from robust_design.certified_loop import LoopProof, check_loop_proof
+from robust_design.certified_loop.checker import windows_of
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import load_parameters
 
 PROOFS = Path(__file__).parents[1] / "fixtures" / "proofs"
-BANDS = {"slow": (1e-2, BAND_EDGE), "fast": (BAND_EDGE, NYQUIST)}
+WHOLE = (0.0, NYQUIST)
+BANDS = {"APE": WHOLE, "slow": (0.0, BAND_EDGE), "fast": (BAND_EDGE, NYQUIST), "mirror": WHOLE, "force": WHOLE}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +39,7 @@ def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop)
     assert proof.band == pytest.approx(BANDS[figure]) and proof.model.groups == model.groups
     np.testing.assert_allclose(proof.box, box_of(loop), rtol=1e-12)
     np.testing.assert_array_equal(proof.model.weights, model.weights)
-    for omega in np.geomspace(*BANDS[figure], 12):
+    for omega in np.geomspace(max(BANDS[figure][0], 1e-3), BANDS[figure][1], 12):
         for own, stored in zip(model.at(float(omega)), proof.model.at(float(omega))):
             np.testing.assert_allclose(stored, own, atol=1e-5 * np.abs(own).max())
 
@@ -46,3 +49,23 @@ def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop)
 def test_the_proof_passes(figure: str) -> None:
     checked = check_loop_proof(PROOFS / f"fsm+pma-{figure}.npz")
     assert checked.level == 1.0 and checked.band == pytest.approx(BANDS[figure])
+    assert checked.stable == (BANDS[figure] == WHOLE)
+
+
+def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
+    assert nominal_stable(loop)
+
+
+@pytest.mark.parametrize("figure", BANDS)
+def test_the_scalings_do_not_prove_less_than_the_worst_point(figure: str) -> None:
+    """Level 0.5 % below the largest value known: the window of its frequency is refused for some part of the box."""
+    proof = LoopProof.from_file(PROOFS / f"fsm+pma-{figure}.npz")
+    known = [p for table in load_worst_points(None).values() for p in table.values()]
+    worst = max((p for p in known if (p.stage, p.requirement) == ("fsm+pma", figure)), key=lambda p: p.gamma)
+    held = []
+    for strip in proof.strips:
+        if strip.nodes[0] <= worst.omega <= strip.nodes[-1]:
+            number = min(int(np.searchsorted(strip.nodes, worst.omega)) or 1, len(strip.nodes) - 1) - 1
+            held.append(windows_of(proof.model, strip, number, 0.995 * worst.gamma) > 0)
+            assert windows_of(proof.model, strip, number, 1.0)
+    assert not all(held)

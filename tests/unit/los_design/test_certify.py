@@ -105,6 +105,18 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: Part, loop: Impleme
         check_loop_proof(dataclasses.replace(proof, band=(199.0, 212.0)))
 
 
+def test_a_part_of_another_level_is_used(part: Part, tmp_path: Path) -> None:
+    """What holds for the lower level is taken from the part before: the strips are its own."""
+    first = prove_part(part)
+    lower = dataclasses.replace(part, level=0.97, file=tmp_path / "000.npz", others=(part.file,))
+    found = prove_part(lower)
+    assert found.finished and not found.uncovered
+    before = {(node, strip.box) for strip in first.strips for node in strip.nodes}
+    after = {(node, strip.box) for strip in found.strips for node in strip.nodes}
+    assert len(before & after) > 0.8 * len(before)
+    assert check_loop_proof(LoopProof(part.model, ("",) * 7, part.box, BAND, 0.97, found.strips)).level == 0.97
+
+
 def test_a_part_without_time_is_open_and_not_kept(part: Part, tmp_path: Path) -> None:
     late = dataclasses.replace(part, until=time.monotonic() - 1.0, file=tmp_path / "000.npz")
     found = prove_part(late)

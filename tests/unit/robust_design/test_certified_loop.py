@@ -13,8 +13,17 @@ from numpy.typing import NDArray
 
 from lti import Port, RealParameter, SampledSystem, UncertainSystem
 from robust_design.certified import ProofError
-from robust_design.certified_loop import LoopModel, LoopProof, box_of, check_loop_proof, loop_model, prove_level
+from robust_design.certified_loop import (
+    LoopModel,
+    LoopProof,
+    Strip,
+    box_of,
+    check_loop_proof,
+    loop_model,
+    prove_level,
+)
 from robust_design.certified_loop.bounds import member_gains
+from robust_design.certified_loop.nominal import nominal_windows
 from robust_design.certified_loop.polynomials import Polynomial, exponential, inverse, reciprocal
 
 DT = 0.01
@@ -141,6 +150,21 @@ def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None
     assert truth < proof.level
 
 
+@pytest.mark.parametrize("factor", [1.004, 0.999, 2.0])
+def test_a_proof_of_another_level_is_used_where_it_holds(proof: LoopProof, factor: float) -> None:
+    level, box = factor * peak(0.8), box_of(oscillator())
+    bounds = prove_level(proof.model, box, proof.band, level, known=proof.strips)
+    again = dataclasses.replace(proof, level=level, strips=tuple(bounds.strips))
+    if factor < 1.0:
+        assert bounds.uncovered or bounds.lower >= level
+        with pytest.raises(ProofError):
+            check_loop_proof(again)
+        return
+    assert not bounds.uncovered and check_loop_proof(again).level == level
+    kept = sum(len(strip.nodes) for strip in bounds.strips)
+    assert kept >= bounds.nodes and (factor < proof.level / peak(0.8) or bounds.nodes == 0)
+
+
 def test_no_proof_below_the_truth() -> None:
     """A level just below the worst case: a member that exceeds it, or open parts, never a proof."""
     bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.85, 0.93), 0.999 * peak(0.8))
@@ -156,6 +180,83 @@ def test_an_unstable_member_is_never_covered() -> None:
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
+def loop_eigenvalues(plant: UncertainSystem, law: SampledSystem) -> NDArray[np.complex128]:
+    """Of the nominal loop from tick to tick: plant, held command, law."""
+    from scipy.linalg import expm
+
+    data = plant.data_at({})
+    n, k = len(data.A), law.order
+    step = np.zeros((n + 1, n + 1))
+    step[:n, :n], step[:n, n] = data.A, data.B[:, 1]
+    step = expm(step * DT)
+    whole = np.zeros((n + k + 1, n + k + 1))
+    whole[:n, :n], whole[:n, n + k] = step[:n, :n], step[:n, n]
+    whole[n : n + k, :n], whole[n : n + k, n : n + k] = law.B @ data.C[:1], law.A
+    whole[n + k, :n], whole[n + k, n : n + k] = law.D @ data.C[:1], law.C
+    return np.linalg.eigvals(whole)  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("gain", [-30.0, -9.0, -1.0, -0.3, 0.05, 0.12, 1.0, 4.0, 20.0])
+def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
+    """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large."""
+    plant, law = held_loop()
+    law = SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
+    radius = float(np.abs(loop_eigenvalues(plant, law)).max())
+    assert abs(radius - 1.0) > 1e-5
+    windows = nominal_windows(loop_model(plant, DT, law, commands=["u"], measurements=["v"]))
+    assert (windows > 0) == (radius < 1.0)
+
+
+def test_the_limit_of_stability_is_found_from_both_sides() -> None:
+    """Between the two gains the largest eigenvalue passes 1."""
+    from scipy.optimize import brentq
+
+    plant, law = held_loop()
+
+    def changed(gain: float) -> SampledSystem:
+        return SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
+
+    limit = brentq(lambda g: np.abs(loop_eigenvalues(plant, changed(g))).max() - 1.0, -1000.0, -1.0)
+    for factor in (0.999, 1.001):
+        model = loop_model(plant, DT, changed(factor * limit), commands=["u"], measurements=["v"])
+        assert (nominal_windows(model) > 0) == (factor < 1.0)
+
+
+def test_unstable_controllers_and_open_plants_are_not_called_stable() -> None:
+    plant, law = held_loop()
+    growing = SampledSystem([[1.01]], law.B, law.C, law.D, law.inputs, law.outputs, dt=DT, name="law")
+    assert not nominal_windows(loop_model(plant, DT, growing, commands=["u"], measurements=["v"]))
+    assert not nominal_windows(loop_model(oscillator(), DT))
+
+
+def test_half_a_circle_is_enough_for_real_systems_alone() -> None:
+    """A mode without its conjugate: negative frequencies have not been looked at."""
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    assert nominal_windows(model)
+    assert not nominal_windows(dataclasses.replace(model, B=model.B * np.array([[1.0], [1.0 + 1e-9]])))
+    assert not nominal_windows(dataclasses.replace(model, K_C=model.K_C * 1j))
+
+
+@pytest.mark.parametrize(("factor", "proven"), [(1.002, True), (0.998, False)])
+def test_near_frequency_zero_the_bound_is_as_sharp(factor: float, proven: bool) -> None:
+    """Scalings D alone: the static gain of the softest spring, 1 / k."""
+    high = 0.02
+    truth = 1.0 / abs(0.8 - high**2 + 2j * ZETA * high)
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, high), factor * truth)
+    assert (not bounds.uncovered and bounds.lower < factor * truth) == proven
+
+
+def test_all_members_of_a_sampled_loop_are_stable_by_a_bound_of_the_whole_band() -> None:
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    box, names = box_of(plant), ("k",)
+    whole, part = (prove_level(model, box, band, 30.0) for band in ((0.0, NYQUIST), (0.5, 2.0)))
+    assert not whole.uncovered and not part.uncovered
+    assert check_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), 30.0, tuple(whole.strips))).stable
+    assert not check_loop_proof(LoopProof(model, names, box, (0.5, 2.0), 30.0, tuple(part.strips))).stable
+
+
 def test_a_file_gives_the_proof_again(proof: LoopProof, tmp_path: Path) -> None:
     path = tmp_path / "proof.npz"
     proof.to_file(path)
@@ -165,9 +266,15 @@ def test_a_file_gives_the_proof_again(proof: LoopProof, tmp_path: Path) -> None:
         check_loop_proof(path)
 
 
+def tightest(proof: LoopProof) -> Strip:
+    """The strip with the worst frequency."""
+    worst, lowest = math.sqrt(0.8), proof.box[0][0]
+    return next(s for s in proof.strips if s.nodes[0] <= worst <= s.nodes[-1] and s.box[0][0] == lowest)
+
+
 def with_strip(proof: LoopProof, **changes: object) -> LoopProof:
-    strips = list(proof.strips)
-    strips[0] = dataclasses.replace(strips[0], **changes)  # type: ignore[arg-type]
+    own = tightest(proof)
+    strips = [dataclasses.replace(s, **changes) if s is own else s for s in proof.strips]  # type: ignore[arg-type]
     return dataclasses.replace(proof, strips=tuple(strips))
 
 
@@ -179,15 +286,15 @@ CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
     "strip removed": lambda p: dataclasses.replace(p, strips=p.strips[1:]),
     "box widened": lambda p: with_strip(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
     "claim widened": lambda p: dataclasses.replace(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
-    "frequencies moved": lambda p: with_strip(p, nodes=0.99 * p.strips[0].nodes),
+    "frequencies moved": lambda p: with_strip(p, nodes=0.99 * tightest(p).nodes),
     "level lowered": lambda p: dataclasses.replace(p, level=0.97 * peak(0.8)),
-    "D negative": lambda p: with_strip(p, D=tuple(-d for d in p.strips[0].D)),
-    "D zero": lambda p: with_strip(p, D=tuple(0.0 * d for d in p.strips[0].D)),
-    "G turned": lambda p: with_strip(p, G=tuple(-g for g in p.strips[0].G)),
-    "not Hermitian": lambda p: with_strip(p, G=tuple(g + 1e-3j for g in p.strips[0].G)),
-    "factor negative": lambda p: with_strip(p, factor=-p.strips[0].factor),
-    "factor infinite": lambda p: with_strip(p, factor=np.inf * p.strips[0].factor),
-    "nodes exchanged": lambda p: with_strip(p, nodes=p.strips[0].nodes[::-1].copy()),
+    "D negative": lambda p: with_strip(p, D=tuple(-d for d in tightest(p).D)),
+    "D zero": lambda p: with_strip(p, D=tuple(0.0 * d for d in tightest(p).D)),
+    "G turned": lambda p: with_strip(p, G=tuple(-g for g in tightest(p).G)),
+    "not Hermitian": lambda p: with_strip(p, G=tuple(g + 1e-3j for g in tightest(p).G)),
+    "factor negative": lambda p: with_strip(p, factor=-tightest(p).factor),
+    "factor infinite": lambda p: with_strip(p, factor=np.inf * tightest(p).factor),
+    "nodes exchanged": lambda p: with_strip(p, nodes=tightest(p).nodes[::-1].copy()),
     "another plant": lambda p: dataclasses.replace(p, model=louder(p.model)),
     "no strips": lambda p: dataclasses.replace(p, strips=()),
     "another limit": lambda p: dataclasses.replace(p, model=dataclasses.replace(p.model, scale=0.9)),

@@ -21,7 +21,14 @@ from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
 from pointing_analysis.atomic_output import atomic_file, check_output
 from pointing_analysis.structured_text import load_json, read_text
-from titop_plant.interface import MIRROR_STAGES
+from titop_plant.interface import (
+    DT,
+    K_FSM_INPUTS,
+    K_FSM_OUTPUTS,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MIRROR_STAGES,
+)
 
 if TYPE_CHECKING:
     from los_design.certify import FigureBounds
@@ -31,7 +38,8 @@ if TYPE_CHECKING:
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
 Writes a proof STAGE-FIGURE.npz for each figure that is proven, and bounds.json. Parts that are proven are kept: the
-same command goes on after an interruption. The exit code is 1 if a figure is violated or not proven to its end.
+same command goes on after an interruption, and another level begins with what holds of them. The exit code is 1 if a
+figure is violated or not proven to its end.
 
 **Examples**
 
@@ -53,7 +61,7 @@ The check has its own short code (`robust_design/certified/checker.py`; for the 
 """
 
 SUMMARY = "bounds.json"
-FIGURES = ("APE", "slow", "fast", "mirror", "force")
+FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
 
 
 def certify(
@@ -70,7 +78,7 @@ def certify(
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
-    from los_design.certify import certify_figure, figures_of
+    from los_design.certify import certify_figure
     from lti.workers import Workers
 
     number("--level", level, 1e-6, 1e6)
@@ -82,13 +90,16 @@ def certify(
     if figure not in (None, *FIGURES) or (stage == "fsm" and figure == "force"):
         raise ValueError(f"--figure must be one of {', '.join(FIGURES)} (force with fsm+pma), got {figure}")
     count = processes(workers)
+    chosen = [(s, name) for s in (FIGURES if stage is None else [stage]) for name in FIGURES[s]]
+    chosen = [(s, name) for s, name in chosen if figure in (None, name)]
+    if not chosen:
+        raise ValueError(f"--figure must be one of APE, slow, fast, mirror, force (with fsm+pma), got {figure}")
     check_output(output, "--output", folder=True)
-    before = _bounds(output / SUMMARY)
+    if output.is_dir():
+        check_output(output / SUMMARY, f"{SUMMARY} in --output")
+    before = _before(output / SUMMARY)
     until = time.monotonic() + wall_limit
-    loops, known = _loops(folder, [stage] if stage else list(MIRROR_STAGES))
-    chosen = [
-        (s, name) for s, loop in loops.items() for name in figures_of(loop.parameters, s) if figure in (None, name)
-    ]
+    loops, known = _loops(folder, list(dict.fromkeys(s for s, _ in chosen)))
     found: list[FigureBounds] = []
     with ExitStack() as stack:
         pool = stack.enter_context(Workers(count))
@@ -127,6 +138,8 @@ def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemente
         k_fsm, k_pma = load_designs("implemented")
     else:
         k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+        k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+        k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     system = control_loop_plant(build_telescope(parameters), parameters)
     points = []
@@ -143,17 +156,21 @@ def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint
     return Search(loop).run([name], workers=workers)[name]
 
 
-def _bounds(path: Path) -> list[dict[str, Any]]:
-    """The bounds that an earlier command has written."""
+def _before(path: Path) -> list[dict[str, Any]]:
+    """Bounds of a run before, none if there is no file.
+
+    Raises
+    ------
+    ValueError
+        The file has no bounds.
+    """
     if not path.exists():
         return []
-    content = load_json(read_text(path), path)
-    entries = content.get("figures") if isinstance(content, dict) else None
-    if not (
-        isinstance(entries, list) and all(isinstance(e, dict) and {"stage", "figure"} <= e.keys() for e in entries)
-    ):
-        raise ValueError(f"{path} must hold bounds as made by `los-testbed design certify`, got another content")
-    return entries
+    try:
+        entries = load_json(read_text(path), path)["figures"]
+        return [{**entry, "stage": str(entry["stage"]), "figure": str(entry["figure"])} for entry in entries]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        raise ValueError(f"{SUMMARY} in --output must be that of a run before, got another file {path}") from None
 
 
 def _keep(path: Path, before: list[dict[str, Any]], found: list[FigureBounds]) -> None:
@@ -161,6 +178,7 @@ def _keep(path: Path, before: list[dict[str, Any]], found: list[FigureBounds]) -
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
     kept = [entry for entry in before if (entry["stage"], entry["figure"]) not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:
         temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
 
@@ -170,16 +188,21 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
         return
     table = Table(title="Bounds over the whole box (1 is the limit)")
-    for column in ("stage", "figure", "lower", "upper", "status", "strips", "CPU s"):
-        table.add_column(column, justify="left" if column in ("stage", "figure", "status") else "right")
+    for column in ("stage", "figure", "lower", "upper", "at rad/s", "status", "stable", "strips", "CPU s"):
+        table.add_column(column, justify="left" if column in ("stage", "figure", "status", "stable") else "right")
     for b in found:
-        upper = f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"
-        table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, b.status, f"{b.strips}", f"{b.seconds:.0f}")
+        upper, stable = (f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
+        work = (f"{b.strips}", f"{b.seconds:.0f}")
+        table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, f"{b.frequency:.5g}", b.status, stable, *work)
     Screen().print(table)
     for b in found:
         if b.status == "violated":
-            values = ", ".join(f"{name} {value:.5g}" for name, value in b.parameters.items())
-            sys.stderr.write(f"{b.stage}, {b.figure}: {b.lower:.4g} of the limit at {b.omega:.6g} rad/s, {values}\n")
+            values = ", ".join(f"{name} {value:.5g}" for name, value in b.point.items())
+            sys.stderr.write(
+                f"{b.stage}, {b.figure}: {b.lower:.4g} of the limit at {b.frequency:.6g} rad/s, {values}\n"
+            )
+        elif b.status == "unstable":
+            sys.stderr.write(f"{b.stage}, {b.figure}: the nominal loop was not proven stable\n")
         elif b.uncovered:
             low, high = b.uncovered[0]
             sys.stderr.write(
@@ -238,5 +261,7 @@ def _check_loop(file: Path, count: int, json_: bool) -> None:
     about = ", ".join(f"{key} {value}" for key, value in checked.about.items())
     sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
     sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
+    if checked.stable:
+        sys.stdout.write("proven: stable\n")
     sys.stdout.write(f"for all deviations from the nominal values {box} (the last an angle [rad])\n")
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
