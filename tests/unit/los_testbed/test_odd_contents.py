@@ -70,13 +70,23 @@ def test_tables_of_kilobytes_that_stand_for_gigabytes(call: Call, tmp_path: Path
         assert code == 2 and out == "" and one_line(err, name) and "must unpack to at most" in err, err
 
 
-@pytest.mark.parametrize("cell", ["9" * 200_000, "9" * 400, "1e308", "inf", '"'])
-def test_cells_that_are_no_angles(call: Call, tmp_path: Path, cell: str) -> None:
-    (tmp_path / "odd.csv").write_text(
-        "t,x,y\n" + "".join(f"{i / 100},{cell if i == 500 else 1e-8},0\n" for i in range(1000))
-    )
+def table_with(path: Path, cell: str) -> None:
+    rows = (f"{i / 100},{cell if i == 700 else 1e-8},0\n" for i in range(1000))
+    path.write_text("t,x,y\n" + "".join(rows))
+
+
+@pytest.mark.parametrize("cell", ["9" * 200_000, '"'])
+def test_cells_that_are_no_numbers(call: Call, tmp_path: Path, cell: str) -> None:
+    table_with(tmp_path / "odd.csv", cell)
     code, out, err = call("analyse", "odd.csv", "--unit=rad")
     assert code == 2 and out == "" and one_line(err, "odd.csv"), err
+
+
+@pytest.mark.parametrize("cell", ["9" * 400, "1e308", "inf"])
+def test_cells_that_are_no_angles_are_missing_samples(call: Call, tmp_path: Path, cell: str) -> None:
+    table_with(tmp_path / "odd.csv", cell)
+    code, out, err = call("analyse", "odd.csv", "--unit=rad")
+    assert code == 0 and "1 samples are infinite or above" in " ".join((out + err).split())
 
 
 @pytest.mark.parametrize("value", [1e308, -np.inf, 2 * LARGEST])
