@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -106,7 +106,7 @@ class _Systems:
 
 
 def simulate_members(
-    loops: Sequence[MemberLoop], k_fsm: SampledSystem, controller: FsmPmaController, ticks: int
+    loops: Sequence[MemberLoop], systems: Mapping[str, SampledSystem], controller: FsmPmaController, ticks: int
 ) -> list[LoopDivergedError | None]:
     """Run the loops of several members, as :func:`los_testbed.loop.simulate.simulate` runs each of them.
 
@@ -114,10 +114,10 @@ def simulate_members(
     ----------
     loops : sequence of MemberLoop
         With plants of one kind, see :class:`titop_plant.plant_batch.PlantBatch`.
-    k_fsm : SampledSystem
-        Of all members; its own state is left alone.
+    systems : mapping
+        ``k_fsm`` and ``k_pma`` of all members; their own states are left alone.
     controller : FsmPmaController
-        Mirror and proof-mass laws of all members; its own state is left alone.
+        With stage, limits and mirror sensitivity of all members.
     ticks : int
 
     Returns
@@ -132,8 +132,8 @@ def simulate_members(
     """
     count = len(loops)
     plant = PlantBatch([loop.plant for loop in loops])
-    observer = _Systems(k_fsm, [loop.k_fsm for loop in loops])
-    law = _Systems(controller.k_pma, [loop.k_pma for loop in loops])
+    observer = _Systems(systems["k_fsm"], [loop.k_fsm for loop in loops])
+    law = _Systems(systems["k_pma"], [loop.k_pma for loop in loops])
     camera, command = np.array([loop.camera for loop in loops]), np.array([loop.command for loop in loops])
     seen, force = np.empty((count, MEASUREMENTS)), np.empty((count, FORCES.stop - FORCES.start))
     accelerations, los = np.empty((count, PLATFORM.stop - PLATFORM.start)), np.empty((count, ESTIMATES))

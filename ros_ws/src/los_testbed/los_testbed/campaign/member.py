@@ -161,12 +161,11 @@ class MemberEvaluator:
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
         record = _Record(np.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"]))
-        none = LoopStart(
-            rest, np.zeros(COMMANDS), *(np.zeros(self.controllers[k].order) for k in ("k_fsm", "k_pma")), np.zeros(2)
-        )
-        begun = none if states is None else states
+        if states is None:
+            k_fsm, k_pma = (np.zeros(self.controllers[name].order) for name in ("k_fsm", "k_pma"))
+            states = LoopStart(rest, np.zeros(COMMANDS), k_fsm, k_pma, np.zeros(2))
         command = np.zeros(COMMANDS) if start.command is None else start.command
-        loop = MemberLoop(plant, begun.k_fsm, begun.k_pma, begun.camera, command, record.keep)
+        loop = MemberLoop(plant, states.k_fsm, states.k_pma, states.camera, command, record.keep)
         return _MemberRun(loop, record, first)
 
     def _simulate(self, runs: Sequence[_MemberRun]) -> None:
@@ -180,7 +179,7 @@ class MemberEvaluator:
             ends: Sequence[LoopDivergedError | MemoryError | None]
             try:
                 with one_thread(), np.errstate(all="ignore"):
-                    ends = simulate_members(loops, self.controllers["k_fsm"], controller, self.base.ticks)
+                    ends = simulate_members(loops, self.controllers, controller, self.base.ticks)
             except MemoryError as error:
                 ends = [error] * len(loops)
             for run, end in zip(alike, ends):
