@@ -145,6 +145,11 @@ class FsmPmaController:
             self._limit[FORCES] = pma_authority
         np.negative(self._limit, out=self._negative_limit)
 
+    @property
+    def limits(self) -> FloatArray:
+        """Copy of the largest commands, shape (8,): mirror [rad], forces [N]."""
+        return self._limit.copy()
+
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""
         if self._fsm_closed:

@@ -12,8 +12,10 @@ import pytest
 from los_testbed.campaign.member import TIME_METRICS, MemberEvaluator, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from los_testbed.factories import assemble_controller, run_start
+from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
+from los_estimator.runtime import LosEstimator
 from pointing_analysis.read import Run
 from pointing_analysis.summary import summarise
 
@@ -52,6 +54,59 @@ def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluat
     assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
 
 
+def test_rows_of_members_that_are_simulated_together_are_those_of_each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of them fails before its run."""
+    evaluator = MemberEvaluator.of(replace(BASE, scenario="design", duration=1.1))
+    asked = [{**member(k), "index": k} for k in range(4)]
+    asked[2]["omega_1"] = 3.0
+    together = evaluator.rows(asked, "time")
+    assert [row["status"] for row in together] == ["ok", "ok", "failed", "ok"]
+    assert together == [evaluator.row(m["index"], m, "time") for m in asked]
+    monkeypatch.setattr(los_testbed.campaign.member, "RECORDED", 2500)
+    assert evaluator.rows(asked, "time") == together
+
+
+@pytest.mark.parametrize(
+    ("changes", "growth"),
+    [
+        ({"loop": "fsm+pma"}, 0.0),
+        ({"loop": "fsm", "start": "rest", "camera_dropout": 0.3}, 0.0),
+        ({"loop": "fsm+pma"}, 3.0),
+    ],
+)
+def test_loops_together_have_the_bits_of_the_loop_alone(changes: dict[str, Any], growth: float) -> None:
+    """With frames that are lost, and with loops that diverge, which say when; against the loop that runs record."""
+    base = replace(BASE, scenario="design", duration=1.1, **changes)
+    evaluator = MemberEvaluator.of(base)
+    k_fsm = evaluator.controllers["k_fsm"]
+    pair = {**evaluator.controllers, "k_fsm": replace(k_fsm, A=k_fsm.A + growth * np.eye(k_fsm.order))}
+    evaluator = replace(evaluator, controllers=pair)
+    runs = [evaluator._prepared(replace(base, **settings(member(k)))) for k in range(3)]
+    evaluator._simulate(runs)
+    for k, run in enumerate(runs):
+        start = run_start(replace(base, **settings(member(k))), pair)
+        plant = evaluator._prepared(replace(base, **settings(member(k)))).loop.plant
+        estimator = LosEstimator(pair["k_fsm"])
+        controller = assemble_controller(pair, evaluator.telescope, base.loop)
+        if start.states is not None:
+            estimator.start_at(start.states.k_fsm, start.states.camera)
+            controller.start_at(start.states.k_pma)
+        estimator.reset()
+        controller.reset()
+        record = type(run.record)(np.empty((base.ticks, 4)), run.record.gain)
+        said = ""
+        try:
+            with np.errstate(all="ignore"):
+                simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
+        except LoopDivergedError as error:
+            said = str(error)
+        assert said == str(run.end or "") and bool(said) == (growth > 0.0)
+        done = record.done
+        assert done == run.record.done
+        np.testing.assert_array_equal(record.values[:done], run.record.values[:done])
+        np.testing.assert_array_equal(record.largest, run.record.largest)
+
+
 def test_member_that_fails_is_a_row_with_its_reason(
     evaluator: MemberEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -61,17 +116,17 @@ def test_member_that_fails_is_a_row_with_its_reason(
     short = MemberEvaluator.of(replace(BASE, duration=0.5, start="rest")).row(5, member(0), "time")
     assert short["status"] == "failed" and short["reason"] == "duration must exceed the start-up of 1 s, got 0.5 s"
 
-    def diverge(*_: Any) -> None:
-        raise LoopDivergedError("the loop diverged within the first 1000 ms")
+    def diverge(*_: Any) -> list[LoopDivergedError]:
+        return [LoopDivergedError("the loop diverged within the first 1000 ms")]
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate", diverge)
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate_members", diverge)
     diverged = evaluator.row(5, member(0), "time")
     assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
 
     def without_memory(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate", without_memory)
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate_members", without_memory)
     crashed = evaluator.row(5, member(0), "time")
     assert (crashed["status"], crashed["reason"]) == ("crashed", "no memory")
 

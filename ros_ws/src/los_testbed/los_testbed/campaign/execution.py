@@ -289,8 +289,7 @@ def _written(folder: ResultFolder, number: int, rows: list[dict[str, Any]]) -> N
 
 def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> list[dict[str, Any]]:
     """Rows of some members, on a worker."""
-    evaluator = _evaluator(content)
-    return [evaluator.row(member["index"], member, depth) for member in members]
+    return _evaluator(content).rows(members, depth)
 
 
 def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campaign: Campaign) -> list[dict[str, Any]]:

@@ -10,25 +10,27 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from los_estimator.runtime import LosEstimator
+from los_design.steady_state import LoopStart
+from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
 from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import judged, share_column
 from los_testbed.config import RunConfig
 from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
-from los_testbed.loop.simulate import Block, LoopDivergedError, simulate
+from los_testbed.loop.simulate import LoopDivergedError
 from lti import SampledSystem
 from lti.threads import one_thread
-from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
+from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
+from titop_plant.plant_batch import PlantBatch
 from titop_plant.simulation import PlantFamily
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +49,10 @@ resumed campaign computes its part again."""
 
 DEPTHS = {"time": TIME_METRICS, "model": MODEL_METRICS}
 """Columns of metrics of a depth."""
+
+
+RECORDED = 2_000_000
+"""Ticks that are recorded at a time, by all members that are simulated together: 64 MB."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +98,47 @@ class MemberEvaluator:
             ``seed`` and `COLUMNS`.
         depth : {"time", "model"}
         """
+        if depth == "time":
+            return self.rows([{**values, "index": index}], depth)[0]
+        return self._row(index, values, depth, lambda: self._modelled(values))
+
+    def rows(self, members: Sequence[Mapping[str, Any]], depth: str) -> list[dict[str, Any]]:
+        """Row of each member, which does not depend on the others; simulated runs go together, tick by tick.
+
+        Parameters
+        ----------
+        members : sequence of mappings
+            ``index``, ``seed`` and `COLUMNS`.
+        depth : {"time", "model"}
+        """
+        if depth != "time":
+            return [self.row(member["index"], member, depth) for member in members]
+        together = max(1, RECORDED // self.base.ticks)
+        parts = [members[k : k + together] for k in range(0, len(members), together)]
+        return [row for part in parts for row in self._simulated(part)]
+
+    def _simulated(self, members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Rows of simulated runs."""
+        runs: dict[int, _MemberRun] = {}
+
+        def prepared(member: Mapping[str, Any]) -> dict[str, float]:
+            runs[member["index"]] = self._prepared(replace(self.base, **settings(member)))
+            return {}
+
+        rows = {m["index"]: self._row(m["index"], m, "time", partial(prepared, m)) for m in members}
+        self._simulate(list(runs.values()))
+        for member in members:
+            if (run := runs.get(member["index"])) is not None:
+                rows[member["index"]] = self._row(member["index"], member, "time", run.metrics)
+        return [rows[member["index"]] for member in members]
+
+    def _row(
+        self, index: int, values: Mapping[str, Any], depth: str, evaluate: Callable[[], Mapping[str, float]]
+    ) -> dict[str, Any]:
         metrics, status, reason = dict.fromkeys(DEPTHS[depth], math.nan), "ok", ""
         try:
             with one_thread(), np.errstate(all="ignore"):
-                if depth == "time":
-                    metrics |= self._simulated(replace(self.base, **settings(values)))
-                else:
-                    metrics |= self._modelled(values)
+                metrics |= evaluate()
             if depth == "model" and not metrics["ape_gain"] < math.inf:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
@@ -109,46 +149,41 @@ class MemberEvaluator:
             status, reason = "failed", " ".join(str(error).split()) or type(error).__name__
         return finished_row(index, values, metrics, status, reason)
 
-    def _simulated(self, config: RunConfig) -> dict[str, float]:
-        """Metrics of the simulated run, start-up left out."""
+    def _prepared(self, config: RunConfig) -> _MemberRun:
+        """The loop of a member at its start, and where its run is kept."""
         from pointing_analysis.errors import default_transient
-        from pointing_analysis.summary import Knowledge, Performance
 
         start = run_start(config, self.controllers)
         states = start.states
         rest = np.zeros(self.family.control_loop.order)
         plant = self.family.build(plant_config(config, start), rest if states is None else states.plant)
-        estimator = LosEstimator(self.controllers["k_fsm"])
-        controller = assemble_controller(self.controllers, self.telescope, config.loop)
-        if states is not None:
-            estimator.start_at(states.k_fsm, states.camera)
-            controller.start_at(states.k_pma)
-        estimator.reset()
-        controller.reset()
-        record, done = np.empty((config.ticks, 4)), 0
-        largest = np.zeros(2)
-        gain = float(self.family.parameters["fsm"]["los_sensitivity"])
-
-        def keep(block: Block, rows: int) -> None:
-            nonlocal done
-            part = record[done : done + rows]
-            part[:, :2] = block.truth[:rows]
-            part[:, 2:4] = block.los_estimate[:rows] + gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]
-            for k, columns in enumerate((MIRROR, FORCES)):
-                largest[k] = max(largest[k], float(np.abs(block.command[:rows, columns]).max()))
-            done += rows
-
-        simulate(plant, estimator, controller, config.ticks, keep, start.command)
         first = round((default_transient(config.duration) if states is None else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
-        performance = Performance.of(record[first:, :2], DT)
-        knowledge = Knowledge.of(record[first:, 2:4], DT)
-        return dict(zip(TIME_METRICS, (
-            performance.ape_max, performance.ape_p997, performance.rpe_rms, performance.rpe_p997,
-            knowledge.ake_p997_arcsec, knowledge.rke_rms_mas, 1e3 * float(largest[0]), float(largest[1]),
-            *_samples(record[first:, :2], performance.rpe_windows_p997),
-        )))  # fmt: skip
+        record = _Record(np.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"]))
+        if states is None:
+            k_fsm, k_pma = (np.zeros(self.controllers[name].order) for name in ("k_fsm", "k_pma"))
+            states = LoopStart(rest, np.zeros(COMMANDS), k_fsm, k_pma, np.zeros(2))
+        command = np.zeros(COMMANDS) if start.command is None else start.command
+        loop = MemberLoop(plant, states.k_fsm, states.k_pma, states.camera, command, record.keep)
+        return _MemberRun(loop, record, first)
+
+    def _simulate(self, runs: Sequence[_MemberRun]) -> None:
+        """Runs of equal sizes together."""
+        kinds: dict[tuple[object, ...], list[_MemberRun]] = {}
+        for run in runs:
+            kinds.setdefault(PlantBatch.kind(run.loop.plant), []).append(run)
+        for alike in kinds.values():
+            controller = assemble_controller(self.controllers, self.telescope, self.base.loop)
+            loops = [run.loop for run in alike]
+            ends: Sequence[LoopDivergedError | MemoryError | None]
+            try:
+                with one_thread(), np.errstate(all="ignore"):
+                    ends = simulate_members(loops, self.controllers, controller, self.base.ticks)
+            except MemoryError as error:
+                ends = [error] * len(loops)
+            for run, end in zip(alike, ends):
+                run.end = end
 
     @cached_property
     def _model(self) -> ModelDepth:
@@ -169,6 +204,56 @@ class MemberEvaluator:
                 raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
             values[name] = value
         return self._model.metrics(values)
+
+
+@dataclass
+class _Record:
+    """Errors of a run, and its largest commands."""
+
+    values: FloatArray
+    gain: float
+    done: int = 0
+    largest: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    def keep(self, block: Signals, rows: int) -> None:
+        """Take a block of ticks."""
+        part = self.values[self.done : self.done + rows]
+        part[:, :2] = block.truth[:rows]
+        part[:, 2:4] = block.los_estimate[:rows] + self.gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]
+        for k, columns in enumerate((MIRROR, FORCES)):
+            self.largest[k] = max(self.largest[k], float(np.abs(block.command[:rows, columns]).max()))
+        self.done += rows
+
+
+@dataclass
+class _MemberRun:
+    """A member's loop, its record, the first row that is judged, and what the run ended with."""
+
+    loop: MemberLoop
+    record: _Record
+    first: int
+    end: LoopDivergedError | MemoryError | None = None
+
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the simulated run, start-up left out.
+
+        Raises
+        ------
+        LoopDivergedError, MemoryError
+            What the run ended with.
+        """
+        from pointing_analysis.summary import Knowledge, Performance
+
+        if self.end is not None:
+            raise self.end
+        judged_rows, largest = self.record.values[self.first :], self.record.largest
+        performance = Performance.of(judged_rows[:, :2], DT)
+        knowledge = Knowledge.of(judged_rows[:, 2:4], DT)
+        return dict(zip(TIME_METRICS, (
+            performance.ape_max, performance.ape_p997, performance.rpe_rms, performance.rpe_p997,
+            knowledge.ake_p997_arcsec, knowledge.rke_rms_mas, 1e3 * float(largest[0]), float(largest[1]),
+            *_samples(judged_rows[:, :2], performance.rpe_windows_p997),
+        )))  # fmt: skip
 
 
 def _samples(error: FloatArray, window_p997: float) -> tuple[float, ...]:
