@@ -22,8 +22,8 @@ from lti.progress import Progress
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
 Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
-same telescope that was interrupted goes on in its descent or after its last search; so does one that the time limit ended.
-The exit code is 1 if a requirement is not met.
+same telescope that was interrupted, or that the time limit ended, goes on in its descent or after its last search. The
+exit code is 1 if a requirement is not met.
 
 **Examples**
 
