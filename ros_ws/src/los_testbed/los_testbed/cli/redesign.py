@@ -11,19 +11,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.screen import Screen, met
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from lti.progress import Progress
+from pointing_analysis.atomic_output import atomic_file
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
 Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
-same telescope that was interrupted, or that the time limit ended, goes on in its descent or after its last search. The
-exit code is 1 if a requirement is not met.
+same telescope that was interrupted, or ended by its time limit, goes on in its descent or after its last search.
+The exit code is 1 if a requirement is not met.
 
 **Examples**
 
@@ -62,7 +63,8 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         if parameters is None or any(own[body]["modal_data"] for body in ("body", "payload")):
             return  # the reference, or modal data that belong beside the file
         if not (kept.exists() and kept.samefile(parameters)):
-            shutil.copyfile(parameters, kept)
+            with atomic_file(kept) as temporary:
+                shutil.copyfile(parameters, temporary)
     except OSError as error:
         raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
 
@@ -150,12 +152,11 @@ def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: 
             table.add_column(column, justify="right" if column == "gamma" else "left")
         for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
             for name, gamma in zip(names, implemented[stage]):
-                met = isinstance(gamma, float) and gamma <= 1.0
-                table.add_row(stage, name, f"{gamma}", "met" if met else "[red]not met[/red]")
-        Console().print(table)
+                table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
+        Screen().print(table)
         for key in ("margins", "noise", "worst_point"):
             if key in implemented:
-                Console().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False, markup=False)
+                Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")
     if not_met:
