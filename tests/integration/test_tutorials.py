@@ -196,5 +196,5 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
         check_ranges(caught.value.args[0])
 
 
-class Understood(BaseException):
+class Understood(SystemExit):
     """Carries the configuration of a command instead of starting a run."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from los_testbed.loop.contract import first_not_finite
-from los_testbed.loop.simulate import BLOCK, LoopDivergedError
+from los_testbed.loop.simulate import BLOCK, SIGNALS, LoopDivergedError
 from lti import SampledSystem
 from titop_plant.interface import (
     CAMERA,
@@ -173,6 +173,6 @@ def simulate_members(
 
 def _ended(block: Ticks, first: int, rows: int, sink: Callable[[Signals, int], None]) -> LoopDivergedError | None:
     """Hand a block to its sink; what is wrong with it."""
-    sink(block, rows)
-    odd = first_not_finite({"measurement": block.measurement, "truth": block.truth, "command": block.command}, rows)
+    odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
+    sink(block, rows if odd is None else odd[0])
     return None if odd is None else LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
