@@ -27,6 +27,7 @@ from ros_runs import (
     assert_gaps_are_counted,
     assert_plant_is_recorded,
     config_for,
+    keeps_pace,
     lost_samples,
     span_of,
 )
@@ -184,7 +185,7 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     assert (salvage.last_stamp - run["truth/los"].stamp[0]) // MS > done[0] - 2000
     second = Run.open(results.bag)
     assert results.bag.name == "bag-2"
-    assert len(second["truth/los"]) > 100
+    assert len(second["truth/los"]) > (1000 if keeps_pace(second) else 100)
     ticks = int(results.statistics["plant"]["ticks"])
     assert len(run["truth/los"]) + len(second["truth/los"]) < ticks
     assert_plant_is_recorded(second, len(span_of(second)))
@@ -270,8 +271,9 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     counts |= {"fsm_foreign, valid but for their age and their sender": plant["rejected_fsm_foreign"]}
     counts |= {f"pma_{r}": plant[f"rejected_pma_{r}"] for r in WRONG}
     counts |= {f"estimator_{r}": estimator[f"rejected_{r}"] for r in ("off_grid", "future")}
+    least = 190 if keeps_pace(Run.open(results.bag)) else 1
     for reason, count in counts.items():
-        assert 100 < int(count) <= 200, (reason, counts)
+        assert least <= int(count) <= 200, (reason, counts)
     assert results.statistics["recorder"]["unreadable_/telescope/fsm/command"] == "400"
     truth = Run.open(results.bag)["truth/los"].stamp
     assert int(plant["ticks"]) - 100 < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])

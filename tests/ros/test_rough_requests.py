@@ -15,6 +15,7 @@ from los_testbed.topics import FSM_COMMAND, TRUTH_LOS
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_faults import run_with_fault
+from ros_runs import keeps_pace
 from user_node import UserNode
 
 from pointing_analysis.read import Run
@@ -115,9 +116,9 @@ def test_commands_of_an_impostor_with_the_name_of_the_controller_reach_no_actuat
     assert line in results.failures
     plant = results.statistics["plant"]
     seen = int(plant["foreign_/telescope/fsm/command"])
-    assert FORGED / 2 < seen <= FORGED, "the plant reads best effort: what it has no time for is dropped"
+    assert seen == FORGED or (seen < FORGED and not keeps_pace(run))
     refused = sum(int(plant.get(f"rejected_fsm_{reason}", 0)) for reason in ("foreign", "unmatched", "future"))
     assert refused == seen
     own = np.abs(run["fsm/command"].values[:, :2]).max()
     assert own < 9e-4, "1e-3 was asked for"
-    assert np.abs(run["fsm/strain_gauge"].values[:, :2]).max() < 9e-4
+    assert np.abs(run["fsm/strain_gauge"].values[:, :2]).max() < (1.1 * own if keeps_pace(run) else 9e-4)

@@ -64,20 +64,29 @@ def assert_gaps_are_counted(run: Run, topic: str, node: str) -> None:
     assert lost_samples(run, topic) == len(span_of(run)) - len(stamps), topic
 
 
+def keeps_pace(run: Run) -> bool:
+    """Whether the loop keeps up with its clock on this machine: half of the mirror commands come within their tick.
+
+    Where it does not, the system drops messages between the nodes, and how many is a matter of the machine.
+    """
+    return float(run.parameters["statistics"]["plant"]["latency_median_us"]) < TICK_NS / 1000
+
+
 def assert_plant_is_recorded(run: Run, ticks: int, frame_ticks: int = 20) -> None:
     """Every sample that the plant sent is in the bag, or is counted as lost by the recorder.
 
-    In real time a recorder that gets no processor for more than 100 ticks loses some; how many depends on the machine
-    (the benchmarks measure it). In lockstep none may be missing: see the hashes of the bags.
+    In real time a recorder that gets no processor for more than 100 ticks loses some; more than a fifth of a run fails
+    where the loop keeps pace. In lockstep none may be missing: see the hashes of the bags.
     """
     span = span_of(run)
     assert ticks - 100 < len(span) <= ticks
     expected = dict.fromkeys(PLANT_TOPICS, span)
     expected["camera/los"] = span[span // TICK_NS % frame_ticks == 0]
+    share = 0.2 if keeps_pace(run) else 1.0
     for name, stamps in expected.items():
         assert np.isin(run[name].stamp, stamps).all(), name
         assert np.all(np.diff(run[name].stamp) > 0), name
-        assert lost_samples(run, name) == len(stamps) - len(run[name].stamp) < len(stamps), name
+        assert lost_samples(run, name) == len(stamps) - len(run[name].stamp) <= share * len(stamps), name
 
 
 def topic_hashes(bag: Path) -> dict[str, tuple[int, str]]:
