@@ -81,9 +81,11 @@ def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):
 
 def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(tmp_path):
     config = config_for(tmp_path, duration=60.0)
+    stopped = []
 
     def stop(ticks):
-        if ticks > 500:
+        if ticks > 500 and not stopped:
+            stopped.append(ticks)
             raise KeyboardInterrupt
 
     results = Runner(config, stop, {"plant": PLANT}).run()

@@ -66,7 +66,8 @@ def run(config: str, device: str, folder: str) -> dict[str, object]:
             found["sockets"] = sorted(local_addresses())
             found["alone"] = dict(packets.counts)
             Path(folder, "running").touch()
-        if Path(folder, "left").exists():
+        if "left" not in found and Path(folder, "left").exists():
+            found["left"] = True  # once: a second interrupt would end the run at once
             raise KeyboardInterrupt
 
     values = json.loads(Path(config).read_text())
