@@ -45,6 +45,8 @@ class Manifest:
     checksum, digest, size : CRC-32, BLAKE2b digest and length [byte] of its content
     runs : (k,) of `RUN`, in the order of the content
     checksums : (n,) CRC-32 of each record
+    damaged : whether something in it was wrong when it was read
+    verified : whether its own checksum agrees now; if not, it serves to find whole records, but proves no loss
     """
 
     checksum: int
@@ -52,17 +54,14 @@ class Manifest:
     size: int
     runs: NDArray[np.void]
     checksums: NDArray[np.uint32]
+    damaged: bool = False
+    verified: bool = True
 
     @property
     def offsets(self) -> NDArray[np.int64]:
         """(n + 1,) where each record begins, and where the last one ends."""
         lengths = np.repeat(self.runs["length"].astype(np.int64), self.runs["count"])
         return np.append(0, np.cumsum(lengths))
-
-    @property
-    def messages(self) -> NDArray[np.bool_]:
-        """(n,) which records are messages."""
-        return np.repeat(self.runs["channel"] != 0, self.runs["count"])
 
 
 def _digest(content: bytes | bytearray) -> bytes:
@@ -84,13 +83,15 @@ def encode_manifest(content: bytes, runs: Sequence[tuple[int, ...]]) -> bytes:
 
 
 def decode_manifest(body: bytes) -> Manifest | None:
-    """Read a manifest record; None if it is damaged or of another version."""
+    """Read a manifest record; one wrong bit in it is undone. None if it is of another version or its sizes disagree."""
     if len(body) < _HEAD.size + 8:
         return None
-    own, checksum, size, version, digest = _HEAD.unpack_from(body)
+    read = body
+    body, verified = _one_bit_undone(read)
+    _, checksum, size, version, digest = _HEAD.unpack_from(body)
     (length,) = struct.unpack_from("<I", body, _HEAD.size)
     at = _HEAD.size + 4 + length
-    if own != zlib.crc32(body[4:]) or version != VERSION or length % RUN.itemsize or at + 4 > len(body):
+    if version != VERSION or length % RUN.itemsize or at + 4 > len(body):
         return None
     runs = np.frombuffer(body, RUN, length // RUN.itemsize, _HEAD.size + 4)
     checksums = np.frombuffer(body[at + 4 :], "<u4") if (len(body) - at) % 4 == 0 else np.empty(0, "<u4")
@@ -98,7 +99,27 @@ def decode_manifest(body: bytes) -> Manifest | None:
     sizes = int((runs["count"].astype(np.int64) * runs["length"]).sum())
     if checksums.size != total or sizes != size:
         return None
-    return Manifest(checksum, digest, size, runs, checksums)
+    return Manifest(checksum, digest, size, runs, checksums, not verified or body != read, verified)
+
+
+def _one_bit_undone(body: bytes) -> tuple[bytes, bool]:
+    """The body of a manifest, with one wrong bit undone where its checksum tells which; whether the checksum agrees.
+
+    No two single bits of less than 2^32 give the same difference of CRC-32.
+    """
+    (own,) = struct.unpack_from("<I", body)
+    syndrome = zlib.crc32(body[4:]) ^ own
+    if syndrome.bit_count() <= 1:  # all agrees, or the bit is in the checksum itself
+        return struct.pack("<I", own ^ syndrome) + body[4:], True
+    if len(body) > MAX_LENGTH:
+        return body, False
+    for at, pattern in _bursts(syndrome, len(body) - 4):
+        bits = int.from_bytes(pattern, "little")
+        if bits.bit_count() == 1:
+            right = bytearray(body)
+            right[4 + at : 4 + at + BURST] = bytes(a ^ b for a, b in zip(right[4 + at : 4 + at + BURST], pattern))
+            return bytes(right), True
+    return body, False
 
 
 def salvage(content: bytes, manifest: Manifest) -> tuple[bytes, NDArray[np.bool_]]:

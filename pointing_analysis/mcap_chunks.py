@@ -202,14 +202,22 @@ def _heads(data: bytes, offsets: NDArray[np.int64]) -> NDArray[np.void]:
 def whole_records(info: FileInfo, found: Unpacked, manifest: Manifest, where: str, offset: int) -> Block | None:
     """Messages among the whole records of a damaged chunk; schemas and channels are read on the way."""
     assert found.whole is not None
-    begins, messages = manifest.offsets[:-1], manifest.messages
-    for i in np.flatnonzero(found.whole & ~messages).tolist():
-        begin = int(begins[i])
+    content = np.frombuffer(found.content, np.uint8)
+    lengths = np.diff(manifest.offsets)
+    usable = found.whole & (lengths >= RECORD.size)
+    begins, lengths = manifest.offsets[:-1][usable], lengths[usable]
+    is_message = content[begins] == OP_MESSAGE  # the record is whole, the manifest need not be
+    for begin in begins[~is_message].tolist():
         op, length = RECORD.unpack_from(found.content, begin)
         if op in SIDE_RECORDS:
             read_side_record(info, op, found.content[begin + RECORD.size : begin + RECORD.size + length], where, offset)
-    offsets = begins[found.whole & messages]
-    return Block(found.content, _heads(found.content, offsets), offsets) if offsets.size else None
+    is_message &= lengths >= HEAD
+    offsets = begins[is_message]
+    if not offsets.size:
+        return None
+    heads = _heads(found.content, offsets)
+    right = heads["length"] == lengths[is_message] - RECORD.size
+    return Block(found.content, heads[right], offsets[right])
 
 
 def block_of(

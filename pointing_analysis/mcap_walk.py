@@ -114,9 +114,9 @@ class _Walk:
             self.manifest = None if self.chunk is None else self.manifest
         elif op == OP_MANIFEST:
             self.manifest = decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
-            if self.manifest is not None:
+            if self.manifest is not None and self.manifest.verified:
                 self.info.expect(self.manifest.runs)
-            elif not frame.defect:
+            if (self.manifest is None or self.manifest.damaged) and not frame.defect:
                 self.info.note(self.where, frame.at, "the manifest of a chunk is damaged")
         elif op == OP_MESSAGE and frame.length <= self.info.max_chunk:
             self.plain += RECORD.pack(op, frame.length) + self._body(frame)

@@ -64,6 +64,26 @@ def _torn(bag, number):
     return hurt.chunk_start_offset
 
 
+@pytest.mark.parametrize("places", [[0], [6], [20], [25], [50], [70], [-5], [-5, -2000], [30, -7000]])
+def test_damage_in_a_chunk_and_in_its_manifest_leaves_the_records_that_are_whole(bag, tmp_path, places):
+    """A wrong bit of the manifest is undone; with two, what its checksums of records confirm is used."""
+    file, hurt = bag / "bag_0.mcap", chunks(bag)[1]
+    data = bytearray(file.read_bytes())
+    begin = data.rfind(b"\x81", 0, hurt.chunk_start_offset)
+    while begin + 9 + int.from_bytes(data[begin + 1 : begin + 9], "little") != hurt.chunk_start_offset:
+        begin = data.rfind(b"\x81", 0, begin)
+    for place in places:
+        data[place + (begin + 9 if place >= 0 else hurt.chunk_start_offset)] ^= 4
+    data[hurt.chunk_start_offset + hurt.chunk_length // 2] ^= 1
+    file.write_bytes(data)
+    result = repair_bag(bag, tmp_path / "new")
+    assert 32_199 - len(places) <= result.messages <= 32_200
+    assert sum(loss.missing for loss in result.losses) == 32_200 - result.messages
+    assert begin in [place for place, _ in result.damage], "the manifest is named"
+    old, new = Run.open(bag), Run.open(tmp_path / "new")
+    assert all(np.array_equal(old[name].values, new[name].values, equal_nan=True) for name in old.topics)
+
+
 def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(bag, tmp_path):
     offset = _torn(bag, 1)
     result = repair_bag(bag, tmp_path / "new")
