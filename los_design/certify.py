@@ -31,7 +31,7 @@ from robust_design.certified.checker import ProofError
 from robust_design.certified_loop import LoopModel, LoopProof, Strip, prove_level
 from robust_design.certified_loop.build import modal
 from robust_design.certified_loop.checker import covered, windows_of
-from robust_design.certified_loop.nominal import nominal_windows
+from robust_design.certified_loop.nominal import nominal_windows, whole_axis
 from robust_design.certified_loop.proof import Interval, packed, unpacked
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
@@ -330,7 +330,7 @@ def certify_figure(
     file = f"{loop.stage}-{name}.npz"
     with atomic_file(folder / file) as temporary:
         proof.to_file(temporary)
-    return replace(bounds, upper=target, proof=file, stable=metric.band == (0.0, NYQUIST))
+    return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT))
 
 
 def _parts(

@@ -160,7 +160,8 @@ def design_in_rounds(
         late = descent.status == "out_of_time"
         unfinished = descent.value > 1.0 and (late or descent.status == "iterations")
         last = state.number >= effort.rounds or late
-        found, new = _searched(task, state, problem, descent, effort, last, kept, unfinished)
+        searches = _searches(effort, state.searched, last, unfinished)
+        found, new = _searched(task, state, problem, searches, kept)
         worst, values = _worst(task, found)
         report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
         if last or not (new or unfinished) or not effort.searches:
@@ -213,25 +214,30 @@ def _status(worse: bool, late: bool) -> str:
     return "out_of_time" if worse and late else "rounds" if worse else "converged"
 
 
+def _searches(effort: Effort, done: int, last: bool, unfinished: bool) -> list[tuple[int, SearchOptions, bool]]:
+    """The searches of a round that are not done: number, options, whether it is the thorough one.
+
+    The last round has the thorough one alone. A descent that is not at its end and above 1 goes on in the next round:
+    the last of several searches waits.
+    """
+    final = len(effort.searches) - 1
+    numbered = [(k, options, k == final) for k, options in enumerate(effort.searches)]
+    if last:
+        return numbered[final:]
+    return [search for search in numbered[: final if unfinished and final else None] if search[0] >= done]
+
+
 def _searched(
     task: Task,
     state: RoundState,
     problem: ResponseProblem,
-    descent: Descent,
-    effort: Effort,
-    last: bool,
+    searches: Sequence[tuple[int, SearchOptions, bool]],
     kept: Kept | None,
-    unfinished: bool,
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
-    """Worst points by name, and those that are worse than what is known.
-
-    A descent that is not at its end and above 1 goes on in the next round: the last of several searches waits.
-    """
-    found: dict[str, list[WorstPoint]] = {}
-    for k, options in enumerate(effort.searches):
-        final = k == len(effort.searches) - 1
-        if (last and not final) or k < state.searched or (final and k and unfinished and not last):
-            continue
+    """Worst points by name, and those that are worse than what is known, of the first search that finds such."""
+    assert state.descent is not None
+    descent, found = state.descent, {}
+    for k, options, final in searches:
         near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
         if state.exceeded and not final:
             near = {name: name in state.exceeded for name in near}

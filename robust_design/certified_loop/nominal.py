@@ -32,7 +32,12 @@ def members_stable(model: LoopModel, band: tuple[float, float]) -> bool:
     The bound keeps their poles off the axis, and they move continuously with the parameters: all are as stable as the
     nominal one, if the band is the whole axis up to half of the sampling rate.
     """
-    return band[0] == 0.0 and band[1] >= math.pi / model.dt and nominal_windows(model) > 0
+    return whole_axis(band, model.dt) and nominal_windows(model) > 0
+
+
+def whole_axis(band: tuple[float, float], dt: float) -> bool:
+    """Whether a band [rad/s] reaches from zero to half of the sampling rate ``1/dt``."""
+    return band[0] == 0.0 and band[1] >= math.pi / dt
 
 
 def nominal_windows(model: LoopModel) -> int:
