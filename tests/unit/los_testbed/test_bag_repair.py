@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import yaml
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from simple_telescope import SimpleTelescope, write_controllers
@@ -129,3 +131,22 @@ def test_a_reader_names_the_place_of_a_damaged_chunk_and_uses_what_is_whole(bag)
     left = run["truth/los"]
     assert 3000 <= len(left) < 4000
     assert np.array_equal(left.values, whole.values[np.isin(whole.stamp, left.stamp)])
+
+
+def test_log_times_beyond_the_signed_ones_are_kept(bag, tmp_path):
+    (tmp_path / "odd").mkdir()
+    times = [7, 2**63 + 5, 2**64 - 1]
+    with (tmp_path / "odd" / "odd_0.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "another")
+        schema = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"uint8 structure_needs_at_least_one_member\n")
+        channel = writer.register_channel("/odd", "cdr", schema)
+        for number, stamp in enumerate(times):
+            writer.add_message(channel, stamp, b"\0\1\0\0\0", stamp, number)
+        writer.finish()
+    result = repair_bag(tmp_path / "odd", tmp_path / "new")
+    assert (result.messages, result.last_stamp) == (3, 2**64 - 1)
+    with (tmp_path / "new" / "new_0.mcap").open("rb") as stream:
+        assert [message.log_time for *_, message in make_reader(stream).iter_messages()] == times
+    about = yaml.safe_load((tmp_path / "new" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert about["duration"]["nanoseconds"] == 2**63 - 8

@@ -126,7 +126,7 @@ class McapBlockWriter:
     def _append(
         self,
         channel: int,
-        log_times: NDArray[np.int64],
+        log_times: NDArray[np.int64] | NDArray[np.uint64],
         publish_times: NDArray[np.int64],
         messages: NDArray[np.uint8],
         sequences: NDArray[np.int64] | None,
@@ -140,6 +140,7 @@ class McapBlockWriter:
         head = rows["head"]
         if sequences is None:
             sequences = np.arange(self._sequences[channel] + 1, self._sequences[channel] + n + 1)
+        log_times = log_times.astype(np.uint64)  # a damaged bag has times beyond the signed ones, too
         head["op"] = Opcode.MESSAGE
         head["length"] = BODY + length
         head["channel"] = channel

@@ -35,6 +35,8 @@ QOS = [
     }
 ]
 """Quality of service that every topic was offered with."""
+_LATEST = 2**63 - 1
+"""Largest time [ns] that metadata.yaml may name; MCAP has one bit more."""
 
 
 def check_new_bag(path: Path) -> None:
@@ -177,7 +179,7 @@ class BagWriter:
         partial.replace(self.path / "metadata.yaml")
 
     def _description(self) -> dict[str, Any]:
-        start, end = self._mcap.start_time, self._mcap.end_time
+        start, end = (min(stamp, _LATEST) for stamp in (self._mcap.start_time, self._mcap.end_time))
         counts = self.counts()
         total = sum(counts.values())
         span = {
