@@ -113,6 +113,8 @@ def test_no_verdict_is_better_than_that_of_the_whole_bag(original: Original, cha
     whole = Run.open(original.folder / "bag")
     for name in run.topics:
         left, all_of_it = run[name], whole[name]
+        if not len(left):  # the message that tells how many values the arrays of this topic have is lost
+            continue
         rows = np.searchsorted(all_of_it.stamp, left.stamp)
         assert np.array_equal(all_of_it.stamp[rows], left.stamp)
         assert np.array_equal(all_of_it.values[rows], left.values, equal_nan=True)

@@ -87,13 +87,12 @@ def certify(
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
-    if figure not in (None, *FIGURES) or (stage == "fsm" and figure == "force"):
-        raise ValueError(f"--figure must be one of {', '.join(FIGURES)} (force with fsm+pma), got {figure}")
-    count = processes(workers)
     chosen = [(s, name) for s in (FIGURES if stage is None else [stage]) for name in FIGURES[s]]
+    names = dict.fromkeys(name for _, name in chosen)
+    if figure not in (None, *names):
+        raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
+    count = processes(workers)
     chosen = [(s, name) for s, name in chosen if figure in (None, name)]
-    if not chosen:
-        raise ValueError(f"--figure must be one of APE, slow, fast, mirror, force (with fsm+pma), got {figure}")
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
