@@ -83,7 +83,8 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> Summary | None
     stream.seek(start - RECORD.size - 4)
     if stream.read(RECORD.size) == RECORD.pack(OP_DATA_END, 4):
         found.anchors[start - RECORD.size - 4] = (OP_DATA_END, 4)
-    return found if all(at + RECORD.size + length <= start for at, (_, length) in found.anchors.items()) else None
+    inside = (length >= 0 and at + RECORD.size + length <= start for at, (_, length) in found.anchors.items())
+    return found if all(inside) else None
 
 
 def _place(found: Summary, op: int, body: bytes) -> None:

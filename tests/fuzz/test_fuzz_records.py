@@ -19,7 +19,7 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.mcap_records import BagError
+from pointing_analysis.mcap_records import OP_ATTACHMENT_INDEX, OP_CHUNK_INDEX, OP_METADATA_INDEX, BagError
 from pointing_analysis.read import Run
 from pointing_analysis.summary import summarise
 
@@ -89,3 +89,15 @@ def test_records_that_agree_with_their_checksums(bags: Bags, changes: list[Recor
     if result is not None:
         missing = Counter(topic for topic, _ in bags.content.keys() - found.keys())
         assert {loss.topic: loss.missing for loss in result.losses} == missing
+
+
+@pytest.mark.parametrize("kind", [OP_CHUNK_INDEX, OP_ATTACHMENT_INDEX, OP_METADATA_INDEX])
+def test_a_summary_with_records_shorter_than_their_head_is_not_believed(bags: Bags, kind: int) -> None:
+    found, new = list(bags.found), bags.folder / "new"
+    at = next(i for i, (op, _) in enumerate(found) if op == kind)
+    length = 24 if kind == OP_CHUNK_INDEX else 8
+    found[at] = (kind, found[at][1][:length] + (1).to_bytes(8, "little") + found[at][1][length + 8 :])
+    bag = changed(bags, [], trusted=True)
+    (bag / "bag_0.mcap").write_bytes(put_together(found, True))
+    shutil.rmtree(new, ignore_errors=True)
+    assert repair_bag(bag, new).messages == len(bags.content)
