@@ -24,7 +24,8 @@ def run_with_fault(folder, at, fault, duration=None, after=500, **values):
             state["thread"] = threading.Thread(target=act)
             state["thread"].start()
         over = duration is None and "thread" in state and not state["thread"].is_alive()
-        if over and ticks - state.setdefault("end", ticks) >= after:
+        if over and "ended" not in state and ticks - state.setdefault("end", ticks) >= after:
+            state["ended"] = True  # a second interrupt would end the run at once
             raise KeyboardInterrupt
 
     runner = Runner(config_for(folder, duration=duration or 240.0, **values), progress, {"plant": PLANT})
