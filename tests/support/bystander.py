@@ -59,13 +59,18 @@ class Bystander:
         self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
         self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}
         end = time.monotonic() + (10.0 if wait else 0.0)
-        while not self._matched() and time.monotonic() < end:
-            time.sleep(0.05)
-        time.sleep(pause)  # the other side may see the match a little later
+        while True:
+            matched = self._matched()
+            time.sleep(pause)  # the other side, or one more node, may see the match a little later
+            if (matched and self._matched()) or time.monotonic() > end:
+                break
 
     def _matched(self) -> bool:
-        node, topics = self.node, [*self._outputs, *self._inputs]
-        return all(node.count_subscribers(f"/telescope/{n}") > (n in self._inputs) for n in topics)
+        """Whether each topic has a reader of the run, and every reader that the graph knows gets what is sent."""
+        node = self.node
+        count = {n: node.count_subscribers(f"/telescope/{n}") for n in (*self._outputs, *self._inputs)}
+        heard = all(count[n] > (n in self._inputs) for n in count)
+        return heard and all(output._publisher.get_subscription_count() >= count[n] for n, output in self._outputs.items())
 
     def next(self, topic: Topic, newer_than: int = 0, timeout: float = 30.0) -> int:
         """Stamp of a message on `topic` that comes after this call and is newer than a stamp."""
