@@ -96,7 +96,7 @@ def certify(
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
-    before = _before(output / SUMMARY)
+    _before(output / SUMMARY)
     until = time.monotonic() + wall_limit
     loops, known = _loops(folder, list(dict.fromkeys(s for s, _ in chosen)))
     found: list[FigureBounds] = []
@@ -110,7 +110,7 @@ def certify(
                         loops[s], name, None if gap else level, gap or 0.0, points, output, pool, until, bar.report
                     )
                 )
-            _keep(output / SUMMARY, before, found)
+            _keep(output / SUMMARY, found)
             sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
@@ -172,11 +172,11 @@ def _before(path: Path) -> list[dict[str, Any]]:
         raise ValueError(f"{SUMMARY} in --output must be that of a run before, got another file {path}") from None
 
 
-def _keep(path: Path, before: list[dict[str, Any]], found: list[FigureBounds]) -> None:
-    """The bounds so far, with those of other figures that the file had."""
+def _keep(path: Path, found: list[FigureBounds]) -> None:
+    """The bounds so far, with those of other figures that the file has by now."""
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
-    kept = [entry for entry in before if (entry["stage"], entry["figure"]) not in done]
+    kept = [entry for entry in _before(path) if (entry["stage"], entry["figure"]) not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:
         temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
