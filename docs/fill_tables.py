@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -120,7 +121,18 @@ def between(figure: Mapping[str, Any]) -> str:
     ('0.951–1', '0.200–?')
     """
     upper = figure["upper"]
-    return f"{figure['lower']:.3f}–{'?' if upper is None else f'{upper:.4g}'}"
+    return f"{figure['lower']:.3f}–{'?' if upper is None else rounded_up(upper)}"
+
+
+def rounded_up(bound: float) -> str:
+    """An upper bound with four decimals, not below it.
+
+    Examples
+    --------
+    >>> rounded_up(0.99571), rounded_up(1.0)
+    ('0.9958', '1')
+    """
+    return f"{math.ceil(1e4 * bound) / 1e4:.5g}"
 
 
 def bounds(figures: Sequence[Mapping[str, Any]]) -> str:
@@ -141,7 +153,7 @@ def bounds(figures: Sequence[Mapping[str, Any]]) -> str:
         work = (f"{f['strips']}", f"{f['windows']}", f"{f['seconds']:.0f}")
         at = f"{f['frequency']:#.4g}".rstrip(".")
         name = f"{f['stage']}, {FIGURES[f['figure']]}"
-        rows.append((name, lower, at, "" if upper is None else f"{upper:.4g}", *work))
+        rows.append((name, lower, at, "" if upper is None else rounded_up(upper), *work))
     return markdown(head, rows)
 
 

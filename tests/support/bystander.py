@@ -70,7 +70,8 @@ class Bystander:
         node = self.node
         count = {n: node.count_subscribers(f"/telescope/{n}") for n in (*self._outputs, *self._inputs)}
         heard = all(count[n] > (n in self._inputs) for n in count)
-        return heard and all(output._publisher.get_subscription_count() >= count[n] for n, output in self._outputs.items())
+        known = {n: output._publisher.get_subscription_count() for n, output in self._outputs.items()}
+        return heard and all(known[n] >= count[n] for n in known)
 
     def next(self, topic: Topic, newer_than: int = 0, timeout: float = 30.0) -> int:
         """Stamp of a message on `topic` that comes after this call and is newer than a stamp."""
