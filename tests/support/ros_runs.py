@@ -84,14 +84,14 @@ def assert_plant_is_recorded(run: Run, ticks: int, frame_ticks: int = 20, *, joi
     expected = dict.fromkeys(PLANT_TOPICS, span)
     expected["camera/los"] = span[span // TICK_NS % frame_ticks == 0]
     share = 0.2 if keeps_pace(run) else 1.0
-    begun = max(run[name].stamp[0] for name in expected) if joined else span[0]
+    found_all = max(run[name].stamp[0] for name in expected) if joined else span[0]
     for name, stamps in expected.items():
         found = run[name].stamp
         assert np.isin(found, stamps).all(), name
         assert np.all(np.diff(found) > 0), name
         assert lost_samples(run, name) == len(stamps) - len(found), name
-        after = stamps >= begun
-        assert after.sum() - (found >= begun).sum() <= share * after.sum(), name
+        after = stamps >= found_all
+        assert after.sum() - (found >= found_all).sum() <= share * after.sum(), name
 
 
 def topic_hashes(bag: Path) -> dict[str, tuple[int, str]]:
