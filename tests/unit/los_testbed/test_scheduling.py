@@ -51,3 +51,15 @@ def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     if runaway.returncode == 77:
         pytest.skip("real-time scheduling is not permitted here")
     assert runaway.returncode == -signal.SIGXCPU
+
+
+@pytest.mark.parametrize(("before", "code"), [(True, -signal.SIGTERM), (False, 7)])
+def test_a_process_ends_whose_parent_was_gone_before_it_asked_to_end_with_it(before, code):
+    """The runner may be killed while its nodes import their modules."""
+    number = "os.getppid()" + " + 1" * before
+    script = (
+        "import os, sys; from los_testbed.loop.scheduling import end_with_parent\n"
+        f"end_with_parent({number})\n"
+        "sys.exit(7)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == code

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 def start(*arguments):
     domain = str(10 + os.getpid() % 90)
     variables = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    variables["LOS_TESTBED_EVENTS"] = "1"
+    variables["LOS_TESTBED_EVENTS"] = str(os.getpid())
     command = [sys.executable, "-m", "los_testbed.nodes.controller", "--ros-args", *arguments]
     return subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

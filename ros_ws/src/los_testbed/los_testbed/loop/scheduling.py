@@ -37,9 +37,11 @@ def sharpen_timers() -> None:
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def end_with_parent() -> None:
-    """Let the kernel send SIGTERM to this process when the one that started it is gone."""
+def end_with_parent(parent: int) -> None:
+    """Let the kernel send SIGTERM to this process when the one that started it, of this number, is gone."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:  # it went before the kernel was asked
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def disable_idle_states() -> bool:

@@ -94,7 +94,7 @@ def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
     if logs is not None:
         variables.setdefault("ROS_LOG_DIR", str(logs))
     variables["OPENBLAS_NUM_THREADS"] = "1"
-    variables[EVENTS_VARIABLE] = "1"
+    variables[EVENTS_VARIABLE] = str(os.getpid())
     if config.domain >= 0:
         variables["ROS_DOMAIN_ID"] = str(config.domain)
     if Path(sys.prefix, "share", "ament_index").is_dir():

@@ -57,9 +57,10 @@ class NodeContext:
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
         self.name = name
         self.stop = False
-        self._events = bool(os.environ.get(EVENTS_VARIABLE))
+        runner = os.environ.get(EVENTS_VARIABLE, "")
+        self._events = bool(runner)
         if self._events:
-            end_with_parent()
+            end_with_parent(int(runner))
         sharpen_timers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
