@@ -8,7 +8,7 @@ from los_testbed.nodes.support.middleware import LOCALHOST_PROFILE, NETWORK_PROF
 
 TRANSPORT = (
     "transport_descriptors", "userTransports", "useBuiltinTransports", "metatrafficUnicastLocatorList",
-    "initialPeersList", "listenSocketBufferSize",
+    "initialPeersList",
 )  # fmt: skip
 """Settings of the transport: the profile for this machine alone has one of its own."""
 

@@ -1,10 +1,12 @@
 """Scheduling of a process: what is refused is named, the middleware's thread, a thread that never blocks."""
 
 import signal
+import socket
 import subprocess
 import sys
 
 import pytest
+from los_testbed.loop.scheduling import enlarge_receive_buffers
 
 
 def test_what_is_not_permitted_is_named_and_not_an_error():
@@ -63,3 +65,12 @@ def test_a_process_ends_whose_parent_was_gone_before_it_asked_to_end_with_it(bef
         "sys.exit(7)"
     )
     assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == code
+
+
+def test_receive_buffers_of_udp_sockets_are_enlarged_and_others_left_alone():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams, socket.socket() as stream:
+        datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 10_000)
+        before = stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        assert enlarge_receive_buffers(100_000) >= 1
+        assert datagrams.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= 100_000
+        assert stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == before

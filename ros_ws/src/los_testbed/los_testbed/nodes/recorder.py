@@ -18,6 +18,7 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import run_start
 from los_testbed.loop.health import ERROR, OK, STALE, WARN
+from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
@@ -34,6 +35,10 @@ DEPTH = 5000
 PERIOD_S = 0.01
 QUIET_S = 0.2
 CHUNK_S = 1.0
+BUFFER_BYTES = 4 << 20
+"""Receive buffer of each socket. The kernel's default of 208 KiB is 30 ms of a run: after a pause as long samples are
+lost, and those that are asked for fill the buffer anew. The nodes of the loop keep the default: what they have no time
+for is better lost than late."""
 LOOK_NS = 20_000_000
 """Time between looks at the publishers of the topics."""
 
@@ -90,6 +95,7 @@ class Recorder:
     def run(self) -> int:
         """Record until a signal comes and the topics are quiet."""
         context = self.context
+        enlarge_receive_buffers(BUFFER_BYTES)
         context.become_real_time()
         context.event("ready")
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
