@@ -1,5 +1,6 @@
 """Two testbeds on one domain of one machine, each in its namespace: names, counts and verdicts of its own."""
 
+import socket
 import threading
 
 import numpy as np
@@ -8,7 +9,14 @@ import pytest
 pytest.importorskip("rclpy")
 from bystander import Bystander
 from los_testbed.config import RunConfig
-from los_testbed.run.domains import domain_lock, free_domain
+from los_testbed.run.domains import (
+    DOMAIN_GAIN,
+    FIRST_PARTICIPANT,
+    PARTICIPANT_GAIN,
+    PORT_BASE,
+    domain_lock,
+    free_domain,
+)
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary import summarise_runs
 from mcap.reader import make_reader
@@ -115,6 +123,15 @@ def test_a_domain_with_a_participant_is_not_free():
         assert free_domain("/another") != domain
     finally:
         stranger.close()
+
+
+def test_a_domain_whose_first_participant_has_ended_is_not_free():
+    """As after a run whose plant was killed: its other nodes may still be there."""
+    domain = free_domain("/another")
+    second = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT + PARTICIPANT_GAIN
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as left:
+        left.bind(("", second))
+        assert free_domain("/another") != domain
 
 
 @pytest.mark.parametrize("name", ["foo", "", "/foo/", "/foo//bar", "/9", "/a b"])

@@ -99,6 +99,34 @@ def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(tmp_path):
         assert_gaps_are_counted(run, name, node)
 
 
+FAKE = """
+import json, signal
+def tell(event, **values):
+    print(json.dumps({"event": event, **values}), flush=True)
+signal.signal(signal.SIGINT, lambda *_: None)
+tell("ready")
+if PATIENT:
+    signal.pause()
+tell("done", bag=None, statistics={})
+"""
+"""A recorder that ends in order without a bag, at once or when it is told to."""
+
+
+@pytest.mark.parametrize("node", ["estimator", "controller", "recorder"])
+def test_a_node_that_is_told_to_end_before_the_run_begins_ends_it_at_once(tmp_path, node):
+    commands = {"plant": PLANT, node: [sys.executable, "-c", FAKE.replace("PATIENT", "False")]}
+    with pytest.raises(RunError, match=rf"^{node} was told to end before the run began$") as error:
+        Runner(config_for(tmp_path), commands=commands).run()
+    assert error.value.code == 1
+
+
+def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
+    commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAKE.replace("PATIENT", "True")]}
+    with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:
+        Runner(config_for(tmp_path, wait_for_recorder=False), commands=commands).run()
+    assert error.value.code == 1
+
+
 def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
     first = config_for(tmp_path, duration=60.0)
     (tmp_path / "second").mkdir()

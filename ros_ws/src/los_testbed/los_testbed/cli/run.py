@@ -340,7 +340,7 @@ def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.
 
         served = None if live is None else Live(live_host, live, _tell_addresses)
         results = Runner(replace(config, wait_for_recorder=True), progress, live=served).run()
-    if results.bag is None:
+    if results.bag is None:  # the runner has raised unless it was interrupted
         raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]
     return results.bag, results

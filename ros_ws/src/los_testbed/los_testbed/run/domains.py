@@ -9,8 +9,11 @@ from collections.abc import Iterator
 MAX_DOMAIN = 101
 """Above it the ports of a domain may be those that the system gives to any program."""
 
-PORT_BASE, DOMAIN_GAIN, FIRST_PARTICIPANT = 7400, 250, 10
-"""Ports of DDS: base, step from domain to domain, offset of the first participant's unicast discovery."""
+PORT_BASE, DOMAIN_GAIN, FIRST_PARTICIPANT, PARTICIPANT_GAIN = 7400, 250, 10, 2
+"""Ports of DDS: base, step from domain to domain, the first participant's unicast discovery, step to the next one's."""
+
+PARTICIPANTS = 32
+"""So many of a machine are looked for: nodes may still run whose first participant has ended."""
 
 
 @contextlib.contextmanager
@@ -41,11 +44,10 @@ def free_domain(namespace: str) -> int:
         All of them are in use.
     """
     for domain in range(MAX_DOMAIN + 1):
-        with (
-            contextlib.suppress(OSError, ValueError),
-            domain_lock(domain, namespace),
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
-        ):
-            probe.bind(("", PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT))
+        with contextlib.suppress(OSError, ValueError), domain_lock(domain, namespace):
+            first = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT
+            for participant in range(PARTICIPANTS):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                    probe.bind(("", first + PARTICIPANT_GAIN * participant))
             return domain
     raise ValueError(f"a ROS domain from 0 to {MAX_DOMAIN} must be free on this machine, got participants in all")

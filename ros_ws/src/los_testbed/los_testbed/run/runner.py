@@ -243,6 +243,9 @@ class Runner:
         self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
         bag = self._seen[("recorder", "done")].get("bag")
         bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
+        if not bags and not self.results.interrupted:
+            told = [message for who, message in self._errors if who == "recorder"]
+            raise RunError(f"recorder: {[*told, 'it got no message'][0]}; there is no bag")
         self.results.bag = bags[-1] if bags else None
         restarted = len(bags) - 1 > self._resets
         lines = self.results.failures if restarted else self.results.warnings
@@ -323,9 +326,13 @@ class Runner:
         """Raise if a node ended that was not asked to."""
         for node in list(self._nodes.values()):
             code = node.process.poll()
-            if code is None or node.asked_to_stop or (code == 0 and (node.name, "done") in self._seen):
+            if code is None or node.asked_to_stop:
                 continue
             self._poll(0.1)
+            if code == 0 and (node.name, "done") in self._seen:
+                if ("plant", "running") not in self._seen:
+                    raise RunError(f"{node.name} was told to end before the run began")
+                continue
             told = [message for name, message in self._errors if name == node.name]
             if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run does without
                 node.asked_to_stop = True

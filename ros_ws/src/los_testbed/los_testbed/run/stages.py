@@ -240,7 +240,7 @@ def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str
         run_in_process(config, bag, progress=progress)
         return ""
     results = Runner(replace(config, wait_for_recorder=True), progress).run()
-    if results.interrupted or results.bag is None:
+    if results.interrupted:
         raise KeyboardInterrupt
     return "; ".join([*results.warnings, *results.failures])
 
