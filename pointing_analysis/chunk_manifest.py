@@ -117,7 +117,7 @@ def _one_bit_undone(body: bytes) -> tuple[bytes, bool]:
         bits = int.from_bytes(pattern, "little")
         if bits.bit_count() == 1:
             right = bytearray(body)
-            right[4 + at : 4 + at + BURST] = bytes(a ^ b for a, b in zip(right[4 + at : 4 + at + BURST], pattern))
+            _add(pattern, right, 4 + at)
             return bytes(right), True
     return body, False
 
@@ -166,10 +166,15 @@ def _mended(content: bytearray, manifest: Manifest, wrong: Sequence[int]) -> byt
     for trial in trials[: max(MAX_WORK // max(len(content), 1), 1)]:
         changed = bytearray(content)
         for at, pattern in [trial] if trial is not None else [options[0] for options in choices]:
-            changed[at : at + BURST] = bytes(a ^ b for a, b in zip(changed[at : at + BURST], pattern))
+            _add(pattern, changed, at)
         if _digest(changed) == manifest.digest:
             return bytes(changed)
     return None
+
+
+def _add(pattern: bytes, content: bytearray, at: int) -> None:
+    """Add a difference of `BURST` bytes to the content, modulo 2."""
+    content[at : at + BURST] = bytes(a ^ b for a, b in zip(content[at : at + BURST], pattern))
 
 
 _TABLE = [zlib.crc32(bytes([i])) ^ zlib.crc32(b"\0") for i in range(256)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,19 @@ from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import load_parameters
 
-PROOFS = Path(__file__).parents[1] / "fixtures" / "proofs"
+ROOT = Path(__file__).parents[2]
+PROOFS = ROOT / "tests" / "fixtures" / "proofs"
 WHOLE = (0.0, NYQUIST)
 BANDS = {"APE": WHOLE, "slow": (0.0, BAND_EDGE), "fast": (BAND_EDGE, NYQUIST), "mirror": WHOLE, "force": WHOLE}
+NAMES = {"slow": "RPE, slow tone", "fast": "RPE, fast tone"}
+"""Figures as the page on certificates calls them, where it has another name."""
+
+
+def printed_bound(figure: str) -> float:
+    """Upper bound of the page's table, with both stages."""
+    page = (ROOT / "docs" / "certificates.md").read_text("utf-8")
+    (row,) = re.findall(rf"^\| fsm\+pma, {NAMES.get(figure, figure)} \|(.*)\|$", page, re.MULTILINE)
+    return float(row.split("|")[2])
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +46,8 @@ def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop)
     """Remade by ``los-testbed design certify`` when the telescope or the controllers change."""
     proof = LoopProof.from_file(PROOFS / f"fsm+pma-{figure}.npz")
     model = telescope_model(loop, figures_of(loop.parameters, loop.stage)[figure])
-    assert proof.level <= 1.0 and proof.model.scale == model.scale and proof.model.window == model.window
+    assert printed_bound(figure) - 1e-4 < proof.level <= printed_bound(figure) <= 1.0, "rounded up"
+    assert proof.model.scale == model.scale and proof.model.window == model.window
     assert proof.band == pytest.approx(BANDS[figure]) and proof.model.groups == model.groups
     np.testing.assert_allclose(proof.box, box_of(loop), rtol=1e-12)
     np.testing.assert_array_equal(proof.model.weights, model.weights)
@@ -48,7 +60,7 @@ def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop)
 @pytest.mark.parametrize("figure", BANDS)
 def test_the_proof_passes(figure: str) -> None:
     checked = check_loop_proof(PROOFS / f"fsm+pma-{figure}.npz")
-    assert checked.level <= 1.0 and checked.band == pytest.approx(BANDS[figure])
+    assert checked.level <= printed_bound(figure) and checked.band == pytest.approx(BANDS[figure])
     assert checked.stable == (BANDS[figure] == WHOLE)
 
 

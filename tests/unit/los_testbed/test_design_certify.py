@@ -111,17 +111,17 @@ def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "proven"),
+    ("options", "chosen"),
     [(["--figure=slow"], {("fsm", "slow"), ("fsm+pma", "slow")}), (["--figure=force"], {("fsm+pma", "force")}),
      (["--stage=fsm", "--figure=APE"], {("fsm", "APE")})],
 )  # fmt: skip
-def test_one_figure_is_chosen(tmp_path: Path, options: list[str], proven: set[tuple[str, str]]) -> None:
+def test_one_figure_is_chosen(tmp_path: Path, options: list[str], chosen: set[tuple[str, str]]) -> None:
     """Below a value that is known the answer needs no proof."""
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", f"--output={tmp_path}", "--level=0.1", "--workers=1", *options])
     assert stopped.value.code == 1
     found = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
-    assert {(entry["stage"], entry["figure"]) for entry in found} == proven
+    assert {(entry["stage"], entry["figure"]) for entry in found} == chosen
     assert {entry["status"] for entry in found} == {"violated"}
 
 

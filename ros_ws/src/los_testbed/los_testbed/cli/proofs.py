@@ -87,16 +87,16 @@ def certify(
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
-    chosen = [(s, name) for s in (FIGURES if stage is None else [stage]) for name in FIGURES[s]]
-    names = dict.fromkeys(name for _, name in chosen)
+    possible = [(s, name) for s in (FIGURES if stage is None else [stage]) for name in FIGURES[s]]
+    names = dict.fromkeys(name for _, name in possible)
     if figure not in (None, *names):
         raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
+    chosen = [(s, name) for s, name in possible if figure in (None, name)]
     count = processes(workers)
-    chosen = [(s, name) for s, name in chosen if figure in (None, name)]
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
-    _before(output / SUMMARY)
+    _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + wall_limit
     loops, known = _loops(folder, list(dict.fromkeys(s for s, _ in chosen)))
     found: list[FigureBounds] = []
@@ -155,7 +155,7 @@ def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint
     return Search(loop).run([name], workers=workers)[name]
 
 
-def _before(path: Path) -> list[dict[str, Any]]:
+def _bounds_of(path: Path) -> list[dict[str, Any]]:
     """Bounds of a run before, none if there is no file.
 
     Raises
@@ -176,7 +176,7 @@ def _keep(path: Path, found: list[FigureBounds]) -> None:
     """The bounds so far, with those of other figures that the file has by now."""
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
-    kept = [entry for entry in _before(path) if (entry["stage"], entry["figure"]) not in done]
+    kept = [entry for entry in _bounds_of(path) if (entry["stage"], entry["figure"]) not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:
         temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
