@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.runner import Runner, environment, node_command
+from los_testbed.run.node_launch import environment, node_command
+from los_testbed.run.runner import Runner
 from ros_runs import config_for
 
 from pointing_analysis.read import Run

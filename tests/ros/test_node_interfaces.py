@@ -13,7 +13,8 @@ from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.config import FIELDS
 from los_testbed.loop.changes import NAMES as CHANGING
-from los_testbed.run.runner import Runner, environment, node_command
+from los_testbed.run.node_launch import environment, node_command
+from los_testbed.run.runner import Runner
 from los_testbed.topics import TOPICS
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context

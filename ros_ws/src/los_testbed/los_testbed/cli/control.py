@@ -32,7 +32,7 @@ def _remote(domain: int, namespace: str, timeout: float, at: float | None = None
     RunConfig(namespace=namespace, domain=domain)
     number("--timeout", timeout, 0.0, 86400.0, "s")
     seconds("--at", at, 1e6)
-    from los_testbed.run.runner import check_ros
+    from los_testbed.run.node_launch import check_ros
 
     check_ros()
     from los_testbed.nodes.remote_control import remote_control

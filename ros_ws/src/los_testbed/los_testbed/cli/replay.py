@@ -111,7 +111,7 @@ def _through(
 
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeout: float) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
-    from los_testbed.run.runner import check_ros
+    from los_testbed.run.node_launch import check_ros
     from pointing_analysis.replay import compare
 
     check_ros()

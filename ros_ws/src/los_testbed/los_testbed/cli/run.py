@@ -144,7 +144,7 @@ def run(
     }  # fmt: skip
     chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
-        from los_testbed.run.runner import run_alone
+        from los_testbed.run.node_launch import run_alone
 
         raise typer.Exit(run_alone(only, chosen))
     _run_and_tell(chosen, live, live_host, report, json_)
@@ -235,7 +235,7 @@ def check(config: RunConfig) -> tuple[str, ...]:
         make_disturbance(config)
     warnings = check_controllers(config)
     if config.mode != "inprocess":
-        from los_testbed.run.runner import check_ros
+        from los_testbed.run.node_launch import check_ros
 
         check_ros()
     return warnings

@@ -80,7 +80,7 @@ def stages(
     from los_testbed.bags.writer import check_new_bag
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
-    from los_testbed.run.runner import check_ros
+    from los_testbed.run.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, Plan
     from los_testbed.variants import chosen_member, layered
     from titop_plant.interface import SCENARIOS

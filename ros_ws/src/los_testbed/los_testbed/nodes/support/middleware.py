@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import MutableMapping
 from pathlib import Path
 
+from los_testbed.run.node_launch import RANGE_VARIABLE
+
 _PROFILES = Path(__file__).parents[2] / "profiles"
 NETWORK_PROFILE = _PROFILES / "fastdds.xml"
 LOCALHOST_PROFILE = _PROFILES / "fastdds_localhost.xml"
@@ -18,7 +20,6 @@ LOCALHOST_PROFILE = _PROFILES / "fastdds_localhost.xml"
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Fast DDS 2 and 3 call it differently."""
 
-RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
 """Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
 

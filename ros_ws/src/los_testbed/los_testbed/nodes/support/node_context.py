@@ -37,10 +37,8 @@ from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.security import refuse_missing_security
+from los_testbed.run.node_launch import EVENTS_VARIABLE
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
-
-EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
-"""If set, a node tells its parent process what happens, one JSON object per line on its output."""
 
 
 class NodeContext:
