@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.nodes.support.middleware import (
     PROFILE_VARIABLES,
-    RANGE_VARIABLE,
     TRANSPORT_VARIABLE,
     choose_middleware,
 )
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
+from los_testbed.run.node_launch import RANGE_VARIABLE
 from los_testbed.topics import Topic
 from rclpy.context import Context
 from rclpy.node import Node

@@ -19,8 +19,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from los_testbed.loop.changes import ALIASES, owner_of
-from los_testbed.nodes.support.middleware import RANGE_VARIABLE, choose_middleware
+from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import FAULT
+from los_testbed.run.node_launch import RANGE_VARIABLE
 
 TRANSITIONS = {"activate": Transition.TRANSITION_ACTIVATE, "deactivate": Transition.TRANSITION_DEACTIVATE}
 
