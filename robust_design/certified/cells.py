@@ -27,6 +27,8 @@ NARROW = 1e-7
 BALANCING_SWEEPS = 8
 WIDE = 4.0
 """Ratio of frequencies above which a band is bisected before the parameters."""
+DEEP = 16.0
+"""A parameter whose interval, as a part of its range, is this much narrower than the widest one counts less."""
 
 
 class SingularCellError(ArithmeticError):
@@ -216,16 +218,23 @@ class CellTest:
         return blocks
 
     def _axis(self, found: Scalings, cell: Cell) -> int:
-        """Number of the interval with the largest loss; intervals that are points are not bisected."""
+        """Number of the interval with the largest loss; intervals that are points are not bisected.
+
+        In a cell that several parameters keep open, the loss of one may stay the largest however narrow its interval
+        is. The losses of narrow intervals are therefore taken in proportion to their width.
+        """
         if self.n and self._wide(cell.band):
             return len(self.sizes)
         first = 1 if self.n else 0
         losses = list(found.losses[first : first + len(self.sizes)])
         low, high = cell.band
         losses.append(found.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
-        for i, (lower, upper) in enumerate(cell.intervals):
-            if not upper - lower > 4.0 * EPS * max(abs(lower), abs(upper)):
-                losses[i] = 0.0
+        parts = [
+            (upper - lower) / (p.upper - p.lower) if upper - lower > 4.0 * EPS * max(abs(lower), abs(upper)) else 0.0
+            for (lower, upper), p in zip(cell.intervals, self.system.parameters)
+        ]
+        for i, part in enumerate(parts):
+            losses[i] *= min(1.0, DEEP * part / max(parts)) if part else 0.0
         return int(np.argmax(losses))
 
     def _wide(self, band: tuple[float, float]) -> bool:

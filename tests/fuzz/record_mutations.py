@@ -118,11 +118,13 @@ def _compression(found: list[Record], m: RecordMutation, _: list[Record]) -> lis
 
 
 def _repacked(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
-    """The same content under another compression: nothing is lost."""
+    """The same content, where it can be unpacked, under another compression: nothing is lost."""
     at = _choose(found, m.which, OP_CHUNK)
     if at is not None:
         head, kind, data = _chunk_of(found[at][1])
         content = _content(kind, data)
+        if content is None:
+            return found
         kind, pack = (("", bytes), ("lz4", lz4.frame.compress), ("zstd", zstandard.ZstdCompressor().compress))[
             m.other % 3
         ]
@@ -130,10 +132,14 @@ def _repacked(found: list[Record], m: RecordMutation, _: list[Record]) -> list[R
     return found
 
 
-def _content(kind: str, data: bytes) -> bytes:
-    if kind == "lz4":
-        return bytes(lz4.frame.decompress(data))
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 26) if kind == "zstd" else data
+def _content(kind: str, data: bytes) -> bytes | None:
+    """The data unpacked; None where an earlier change has given them the name of another compression."""
+    try:
+        if kind == "lz4":
+            return bytes(lz4.frame.decompress(data))
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 26) if kind == "zstd" else data
+    except (RuntimeError, zstandard.ZstdError):
+        return None
 
 
 def _chunk_head(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
@@ -226,7 +232,10 @@ def _forged_content(found: list[Record], m: RecordMutation, _: list[Record]) -> 
     if at is None:
         return found
     head, kind, data = _chunk_of(found[at][1])
-    content = bytearray(_content(kind, data))
+    unpacked = _content(kind, data)
+    if unpacked is None:
+        return found
+    content = bytearray(unpacked)
     place = m.number % (len(content) + 1) if m.other % 2 else m.other % 200
     if m.other % 3:
         content[place : place + len(m.data)] = m.data

@@ -77,6 +77,12 @@ def test_bounds_of_a_thousand_random_systems(first: int) -> None:
         check_system(seed, 200)
 
 
+def test_a_narrow_interval_with_the_largest_loss_is_not_bisected_for_ever() -> None:
+    """Three parameters keep the cells of this system open; the loss of one of them stays the largest."""
+    bounds = worst_case_gain(random_system(1232), wall_limit=LONG, max_tests=200)
+    assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
+
+
 def test_an_unstable_member_is_named_at_once() -> None:
     system = UncertainSystem(
         [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), (Port("u", 1),), (Port("y", 1),), ("p",),
