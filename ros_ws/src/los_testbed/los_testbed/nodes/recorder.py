@@ -150,9 +150,11 @@ class Recorder:
     def _another_run(self) -> bool:
         """Whether the plant holds after a run: it was started again, and what comes now is another run.
 
-        One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag.
+        One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag. Those of the
+        other nodes do not count: at the start the answer to a tick may be taken before the tick itself, whose topics
+        were looked at earlier.
         """
-        return any(track.first for track in self.tracks) and all(track.held for track in self._from_plant)
+        return any(track.first for track in self._from_plant) and all(track.held for track in self._from_plant)
 
     def _begin_again(self) -> None:
         """Close the bag of the run that broke off; the next one gets a name of its own."""
