@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
+from los_testbed.run import stages_tables
+from los_testbed.run.screen import Screen
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
 
@@ -70,6 +72,26 @@ def test_the_tables_hold_all_stages(compared) -> None:
     for loop in STAGES:
         assert f"| {loop} |" in text
     assert "Transmissibility" in text and "imbalance" in text
+
+
+def test_the_tables_for_the_screen_have_their_units(compared, monkeypatch, capsys) -> None:
+    """Square brackets are no markup there, and need no escape."""
+    monkeypatch.setenv("COLUMNS", "300")
+    plan, results = compared
+    for table in stages_tables.screen(results, plan):
+        Screen().print(table)
+    shown = capsys.readouterr().out
+    assert "\\" not in shown
+    for words in ("APE max [arcsec]", "RPE 99.7 % of windows [mas]", "transmissibility [mas per N]"):
+        assert words in shown
+
+
+def test_the_report_names_the_units_of_its_columns(compared, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    bag = select(compared[1], "imbalance", "fsm", "all")["nominal"].bag
+    cli.main(["report", str(bag), f"--output={tmp_path / 'r.html'}"])
+    shown = capsys.readouterr().out
+    assert "APE max, 99.7 % [arcsec]" in shown and "RPE rms, 99.7 % [mas]" in shown and "\\[" not in shown
 
 
 def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> None:

@@ -83,7 +83,7 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
     table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     table.add_column("run", overflow="fold")
     table.add_column("verdict", no_wrap=True)
-    for head in ("APE max, 99.7 % \\[arcsec]", "RPE rms, 99.7 % \\[mas]", "left out", "lost"):
+    for head in ("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"):
         table.add_column(head, justify="right")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"

@@ -107,7 +107,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
             table = Table(title=f"{scenario}: {title}", title_justify="left")
             table.add_column("stage", no_wrap=True)
             for _, _, head in chosen:
-                table.add_column(head.replace(" alone", "").replace("[", "\\["), justify="right", overflow="fold")
+                table.add_column(head.replace(" alone", ""), justify="right", overflow="fold")
             for row in rows(results, scenario, chosen):
                 table.add_row(*row)
             if chosen:
@@ -117,7 +117,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
             yield _plain_table(
                 ("Hz", *STAGES),
                 found,
-                f"{scenario}: transmissibility \\[mas per N], measured / model (when settled), {_of(found, total)}",
+                f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}",
             )
 
 
