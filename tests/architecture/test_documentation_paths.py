@@ -81,6 +81,18 @@ def test_named_files_exist(page: Path) -> None:
     assert not {path for path in missing if not is_generic(path)}
 
 
+def is_test(name: str) -> bool:
+    """Whether a module of the tests, or one of their functions, has this name."""
+    modules = list((ROOT / "tests").glob("**/test_*.py"))
+    return any(m.stem == name or re.search(rf"^def {name}\b", m.read_text("utf-8"), re.MULTILINE) for m in modules)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_named_tests_exist(page: Path) -> None:
+    names = {span for span in code_spans(page.read_text("utf-8")) if re.fullmatch(r"test_\w+", span)}
+    assert not {name for name in names if not is_test(name)}
+
+
 def named_objects(text: str, changelog: bool) -> set[str]:
     """Dotted names of this project in inline code; of CHANGELOG.md the right column of its table only."""
     if changelog:
@@ -172,6 +184,7 @@ def test_the_checks_find_mistakes() -> None:
     assert named_files("see `lti/no_such.py` and `run x/y.toml now`") == {"lti/no_such.py", "x/y.toml"}
     assert not exists("lti/no_such.py")
     assert named_objects("`lti.no_such`", False) == {"lti.no_such"} and not is_object("lti.no_such")
+    assert not is_test("test_no_such") and is_test("test_faults") and is_test("test_named_tests_exist")
     assert exists("los_testbed/config.py")
     assert exists("los_estimator/designs/*.json")
     commands = get_command(app).commands  # type: ignore[attr-defined]

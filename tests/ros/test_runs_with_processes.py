@@ -121,6 +121,13 @@ def test_a_node_that_is_told_to_end_before_the_run_begins_ends_it_at_once(tmp_pa
     assert error.value.code == 1
 
 
+def test_a_node_that_the_kernel_ended_for_computing_without_a_pause_is_told_of(tmp_path):
+    killed = "import os, signal; os.kill(os.getpid(), signal.SIGXCPU)"
+    words = r"^estimator ended unexpectedly \(signal 24: it computed for 1 s without a pause at real-time priority\)"
+    with pytest.raises(RunError, match=words):
+        Runner(config_for(tmp_path), commands={"plant": PLANT, "estimator": [sys.executable, "-c", killed]}).run()
+
+
 def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
     commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAKE.replace("PATIENT", "True")]}
     with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import selectors
+import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Any
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
+from los_testbed.loop.scheduling import MAX_BUSY_S
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
 from los_testbed.run.memory_file import MemoryFile, memory_file
@@ -262,6 +264,8 @@ class Runner:
                 raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)
             last = node.errors.strip().splitlines()[-1:] or [""]
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            if code == -signal.SIGXCPU:
+                how += f": it computed for {MAX_BUSY_S:g} s without a pause at real-time priority"
             self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
             return
 
