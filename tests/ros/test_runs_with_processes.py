@@ -128,6 +128,32 @@ def test_a_node_that_the_kernel_ended_for_computing_without_a_pause_is_told_of(t
         Runner(config_for(tmp_path), commands={"plant": PLANT, "estimator": [sys.executable, "-c", killed]}).run()
 
 
+ONCE = """
+import os, signal, sys
+from pathlib import Path
+from los_testbed.nodes import {node}
+mark = Path({mark!r})
+if not mark.exists():
+    mark.touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+sys.exit({node}.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+@pytest.mark.parametrize("node", ["estimator", "controller", "recorder"])
+def test_a_node_that_dies_before_the_run_begins_is_started_again(tmp_path, node, mode):
+    """Nothing is lost with it: the run is whole, with a warning."""
+    commands = {"plant": PLANT, node: [sys.executable, "-c", ONCE.format(node=node, mark=str(tmp_path / "mark"))]}
+    results = Runner(config_for(tmp_path, mode=mode), commands=commands).run()
+    assert not results.failures
+    (warning,) = [text for text in results.warnings if text.startswith(node)]
+    assert warning == f"{node} ended unexpectedly (signal 9); it was started again before the run began"
+    assert results.bag == tmp_path / "bag"
+    stamps = Run.open(results.bag)["truth/los"].stamp
+    assert len(stamps) == 2000 if mode == "lockstep" else len(stamps) > 1000
+
+
 def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
     commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAKE.replace("PATIENT", "True")]}
     with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:

@@ -173,7 +173,7 @@ class Runner:
     def _start(self, name: str) -> None:
         assert self._parameters is not None
         command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
-        if name == "recorder" and self._restarts:  # what the first one wrote is left alone
+        if name == "recorder" and Path(self._config.output).exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(Path(self._config.output))}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
@@ -266,24 +266,29 @@ class Runner:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             if code == -signal.SIGXCPU:
                 how += f": it computed for {MAX_BUSY_S:g} s without a pause at real-time priority"
-            self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip())
+            self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip(), code < 0)
             return
 
-    def _replace(self, node: NodeProcess, what: str) -> None:
+    def _replace(self, node: NodeProcess, what: str, killed: bool) -> None:
         """The others go on: start the node again, or give up if it happens too often.
 
-        A plant starts anew from its initial state: estimator and controller start anew with it when it holds, the
-        recorder ends its bag and begins another, and the run ends when it was to end.
+        Before the run begins, nothing is lost with a node that a signal has ended, unless it is the plant. A plant
+        starts anew from its initial state: estimator and controller start anew with it when it holds, the recorder ends
+        its bag and begins another, and the run ends when it was to end.
         """
         # in lockstep the tick that waits for the node can no longer be answered
-        running = ("plant", "running") in self._seen and self._config.mode == "realtime"
+        begun = ("plant", "running") in self._seen
+        possible = self._config.mode == "realtime" if begun else killed and node.name in NODES[1:]
         rest = self._config.ticks - self._ticks_done
-        if not running or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
+        if not possible or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
         self._restarts += 1
         if node.name == "plant":
             self._before = self._ticks_done
-        self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
+        if begun:
+            self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
+        else:
+            self.results.warnings.append(f"{what}; it was started again before the run began")
         for stream in node.streams:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(stream)
