@@ -277,15 +277,15 @@ class Runner:
         its bag and begins another, and the run ends when it was to end.
         """
         # in lockstep the tick that waits for the node can no longer be answered
-        begun = ("plant", "running") in self._seen
-        possible = self._config.mode == "realtime" if begun else killed and node.name in NODES[1:]
+        running = ("plant", "running") in self._seen
+        possible = self._config.mode == "realtime" if running else killed and node.name in NODES[1:]
         rest = self._config.ticks - self._ticks_done
         if not possible or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
         self._restarts += 1
         if node.name == "plant":
             self._before = self._ticks_done
-        if begun:
+        if running:
             self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
         else:
             self.results.warnings.append(f"{what}; it was started again before the run began")
