@@ -55,6 +55,23 @@ def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     assert runaway.returncode == -signal.SIGXCPU
 
 
+def test_memory_that_takes_long_to_lock_is_locked_before_the_limit_holds():
+    """As the first time on a virtual machine: the kernel must not take it for a process that never pauses."""
+    script = (
+        "import os, time; from los_testbed.loop import scheduling\n"
+        "class Library:\n"
+        "    def mlockall(self, flags):\n"
+        "        while time.process_time() < 1.5 + scheduling.MAX_BUSY_S:\n"
+        "            pass\n"
+        "        print('locked at', os.sched_getscheduler(0) == os.SCHED_FIFO)\n"
+        "        return 0\n"
+        "scheduling.ctypes.CDLL = lambda *_, **__: Library()\n"
+        "print(scheduling.become_real_time(1))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert "locked at False" in done.stdout and "locked memory" not in done.stdout
+
+
 @pytest.mark.parametrize(("before", "code"), [(True, -signal.SIGTERM), (False, 7)])
 def test_a_process_ends_whose_parent_was_gone_before_it_asked_to_end_with_it(before, code):
     """The runner may be killed while its nodes import their modules."""
