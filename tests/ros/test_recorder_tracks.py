@@ -1,15 +1,18 @@
-"""When the recorder ends its bag and begins another: the plant holds after a run."""
+"""What the recorder takes for another run, for a start, and for a report of a node of its own."""
 
 from collections import deque
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
-from los_testbed.loop.source_guard import OURS, SourceGuard
+from los_testbed.bags.diagnostics import Status, write_diagnostics
+from los_testbed.loop.source_guard import OURS, Endpoint, SourceGuard
 from los_testbed.nodes.recorder import Recorder
-from los_testbed.nodes.support.track import Track
+from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
 from los_testbed.topics import TOPICS, Topic
 
 from titop_plant.interface import TICK_NS
@@ -68,3 +71,77 @@ def test_a_plant_that_holds_after_its_run_is_another_run():
         assert not drained(made, tick * TICK_NS, *plant, *followers)
     assert not drained(made, HOLD, plant[0]), "one topic"
     assert drained(made, HOLD, *plant)
+
+
+class Info:
+    """What the graph tells of a publisher."""
+
+    def __init__(self, node_name: str) -> None:
+        self.endpoint_gid, self.node_namespace, self.node_name = bytes(15) + b"\1", "/telescope", node_name
+
+
+def subscription(*infos: Info) -> RawSubscription:
+    """One that the middleware does not know, with what the graph tells at each look."""
+    made, left = object.__new__(RawSubscription), list(infos)
+    made.name, made._node_names = "/telescope/truth/los", {}
+    made._node = SimpleNamespace(get_publishers_info_by_topic=lambda name: [left.pop(0)])
+    return made
+
+
+def test_a_publisher_that_is_found_again_is_of_the_node_that_it_was_of():
+    """After the lease the graph forgets a node, and learns its name later than its publishers."""
+    found = subscription(Info("_NODE_NAME_UNKNOWN_"), Info("plant"), Info("_NODE_NAME_UNKNOWN_"))
+    assert [found.endpoints()[0].node for _ in range(3)] == ["", "/telescope/plant", "/telescope/plant"]
+
+
+@pytest.mark.parametrize("node", ["/telescope/node", ""])
+def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node):
+    made, plant, followers = recorder()
+    endpoints = [Endpoint("1", "")]
+    for queue in (*plant, *followers):
+        queue.endpoints = lambda: endpoints
+    made.reports, made.simulated, made._named, made._held_since = {}, True, False, 0
+    sent = []
+    made._header, made.progress = SimpleNamespace(encode=lambda stamp: stamp), SimpleNamespace(publish=sent.append)
+
+    def progress_at(time_ns):
+        made._look_for_names(time_ns)
+        made._tell_progress()
+        return sent
+
+    drained(made, HOLD, *plant, *followers)
+    assert progress_at(1) == progress_at(UNKNOWN_NS) == []
+    endpoints[:] = [Endpoint("1", node)]
+    assert progress_at(UNKNOWN_NS + 1) == ([HOLD] if node else [])
+    assert set(progress_at(UNKNOWN_NS + 2)) == {HOLD}
+
+
+def test_a_report_waits_until_the_graph_knows_its_node():
+    queue = Queue(TOPICS[0])
+    queue.name, queue.guard.expected = "/telescope/plant/diagnostics", "/telescope/plant"
+    endpoints = []
+    queue.endpoints = lambda: endpoints
+    track = ReportTrack(queue)
+    for publisher in ("01", "02"):
+        status = Status(0, "telescope: plant", "", {"from": publisher})
+        data = write_diagnostics(0, publisher, status)
+        queue.take = iter([(data, {"received_timestamp": 1, "source_timestamp": 1}), None]).__next__
+        track.drain()
+    assert (track.statistics, track.foreign) == ({}, 2)
+    endpoints += [Endpoint("01", "/telescope/plant"), Endpoint("02", "/stranger")]
+    queue.take = lambda: None
+    track.drain()
+    assert (track.statistics, track.foreign) == ({"from": "01"}, 1)
+
+
+def test_a_report_that_comes_when_its_node_has_left_the_graph_is_taken():
+    queue = Queue(TOPICS[0])
+    queue.name, queue.guard.expected = "/telescope/plant/diagnostics", "/telescope/plant"
+    queue.endpoints = lambda: [Endpoint("01", "/telescope/plant")]
+    track = ReportTrack(queue)
+    assert track.learn() == {"01": "/telescope/plant"}
+    queue.endpoints = list
+    data = write_diagnostics(0, "01", Status(0, "telescope: plant", "", {"ticks": "7"}))
+    queue.take = iter([(data, {"received_timestamp": 1, "source_timestamp": 1}), None]).__next__
+    track.drain()
+    assert (track.statistics, track.foreign) == ({"ticks": "7"}, 0)

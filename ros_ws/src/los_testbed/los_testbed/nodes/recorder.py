@@ -23,7 +23,7 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.source_watch import SourceWatch
-from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track, merge
 from los_testbed.run.bag_names import free_name
 from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
@@ -85,6 +85,8 @@ class Recorder:
         self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
         self._second = ""
         self._next_look = 0
+        self._held_since = 0
+        self._named = False
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
         self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
@@ -129,19 +131,34 @@ class Recorder:
         if now < self._next_look and not waiting:
             return
         self._next_look = now + LOOK_NS
+        self._look_for_names(now)
         if news := self.watch.look(now):
             self._second = ", ".join(f"{topic} (node {node})" for topic, node in news)
             self.context.report_second_publishers(news)
             self._report()
 
+    def _look_for_names(self, now: int) -> None:
+        """While the plant holds: whether the graph knows whose each publisher is, or has had its time for that.
+
+        What it tells of a node comes later than the node's samples, by seconds where the processor is taken away; a
+        report is only taken from a node that is known.
+        """
+        if not all(track.held for track in self.tracks):
+            self._held_since, self._named = 0, False
+        elif not self._named:
+            self._held_since = self._held_since or now
+            nodes = [endpoint.node for track in self.tracks for endpoint in track.subscription.endpoints()]
+            nodes += [node for report in self.reports.values() for node in report.learn().values()]
+            self._named = all(nodes) or now - self._held_since > UNKNOWN_NS
+
     def _tell_progress(self) -> None:
-        """Stamp of the newest tick that is here of every topic; zero while the plant holds."""
+        """Stamp of the newest tick that is here of every topic; zero while the plant holds and all nodes are known."""
         ticks = [track.last for track in self.tracks if track.period_ns == TICK_NS]
         if any(ticks):
             stamp = min(ticks)
             if not self.simulated:
                 return
-        elif all(track.held for track in self.tracks):
+        elif self._named and all(track.held for track in self.tracks):
             stamp = HOLD_STAMP
         else:
             return

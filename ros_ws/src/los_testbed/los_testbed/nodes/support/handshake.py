@@ -25,7 +25,7 @@ LISTEN_S = 1.0
 
 HOLD_PERIOD_S = 0.02
 
-LEASE_S = 5.0
+LEASE_S = 11.0
 """A node that was killed has left the graph within this time."""
 
 

@@ -40,6 +40,9 @@ from los_testbed.nodes.support.security import refuse_missing_security
 from los_testbed.run.node_launch import EVENTS_VARIABLE
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
+REPORT_S = 5.0
+"""Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
+
 
 class NodeContext:
     """A node, by default in namespace ``/telescope``, with the run's configuration as parameters.
@@ -202,7 +205,7 @@ class NodeContext:
     def close(self) -> None:
         """Leave the graph when the recorder has the last report."""
         self.finish_work()
-        self._diagnostics[1].wait_for_all_acked(Duration(seconds=1.0))
+        self._diagnostics[1].wait_for_all_acked(Duration(seconds=REPORT_S))
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()

@@ -102,6 +102,7 @@ class RawSubscription:
         self.guard = SourceGuard(f"{node.get_namespace().rstrip('/')}/{publisher}")
         self.message = MESSAGES[message] if isinstance(message, str) else message
         self._node = node
+        self._node_names: dict[str, str] = {}
         how = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         quality = QoSProfile(depth=depth, reliability=how)
         self._subscription = node.create_subscription(
@@ -130,14 +131,18 @@ class RawSubscription:
         return self.guard.sort(number, sent, now_ns, data)
 
     def endpoints(self) -> list[Endpoint]:
-        """Publishers of the topic that the graph knows; about 0.3 ms."""
-        return [
-            Endpoint(
-                bytes(info.endpoint_gid).hex(),
-                "" if info.node_name == _UNKNOWN else f"{info.node_namespace.rstrip('/')}/{info.node_name}",
-            )
-            for info in self._node.get_publishers_info_by_topic(self.name)
-        ]
+        """Publishers of the topic that the graph knows; about 0.3 ms.
+
+        The graph learns the node of a publisher after the publisher. One that was out of reach for longer than the
+        lease and is found again is the same one, of the node that it was of.
+        """
+        found = []
+        for info in self._node.get_publishers_info_by_topic(self.name):
+            gid = bytes(info.endpoint_gid).hex()
+            if info.node_name != _UNKNOWN:
+                self._node_names[gid] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            found.append(Endpoint(gid, self._node_names.get(gid, "")))
+        return found
 
     def decide(self, now_ns: int) -> None:
         """Look at the graph if there are messages of a publisher that is not yet decided on."""

@@ -21,8 +21,11 @@ MAX_DISORDER = 1000
 MAX_WAITING = 5000
 """Messages kept while it is not decided whose they are."""
 
-UNKNOWN_NS = 1_000_000_000
-"""Time [ns] within which the graph knows the node of a publisher."""
+UNKNOWN_NS = 5_000_000_000
+"""Time [ns] within which the graph knows the node of a publisher, also where others have the processor."""
+
+MAX_UNKNOWN = 100
+"""Reports kept while the graph does not know their publisher's node."""
 
 Taken = tuple[bytes, dict[str, int]]
 
@@ -158,6 +161,12 @@ class ReportTrack(Track):
             self._decide(now)
         return len(self.data) - before
 
+    def learn(self) -> dict[str, str]:
+        """Ask the graph for the node of each publisher; those of the node stay known when it has left the graph."""
+        nodes = {endpoint.gid: endpoint.node for endpoint in self.subscription.endpoints()}
+        self._known |= {gid for gid, node in nodes.items() if node == self.subscription.guard.expected}
+        return nodes
+
     def _readable(self, message: bytes) -> bool:
         try:
             read_diagnostics(message)
@@ -170,15 +179,14 @@ class ReportTrack(Track):
         """Keep the reports whose publisher is the node's; one that the graph does not know yet is waited for."""
         unknown: set[str] = set()
         if any(publisher not in self._known for _, publisher, _ in self._undecided):
-            nodes = {endpoint.gid: endpoint.node for endpoint in self.subscription.endpoints()}
-            self._known |= {gid for gid, node in nodes.items() if node == self.subscription.guard.expected}
+            nodes = self.learn()
             unknown = {publisher for _, publisher, _ in self._undecided if not nodes.get(publisher)} - self._known
         waiting = []
         for since, publisher, taken in self._undecided:
             if publisher in self._known:
                 self._keep(taken)
                 self.status = next(iter(read_diagnostics(taken[0])[1][-1:]), None)
-            elif publisher in unknown and now_ns - since < UNKNOWN_NS:
+            elif publisher in unknown and now_ns - since < UNKNOWN_NS and len(waiting) < MAX_UNKNOWN:
                 waiting.append((since, publisher, taken))
             else:
                 self._refused += 1
