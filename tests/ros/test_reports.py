@@ -1,6 +1,7 @@
 """Diagnostics as the recorder reads them, and second publishers as the graph shows them."""
 
 import random
+import sys
 
 import pytest
 
@@ -10,7 +11,10 @@ from los_testbed.bags.cdr import CodecError
 from los_testbed.bags.diagnostics import HARDWARE, Status, read_diagnostics, write_diagnostics
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.nodes.support.source_watch import UNKNOWN_LOOKS, SourceWatch
+from los_testbed.run.runner import Runner
 from rclpy.serialization import deserialize_message, serialize_message
+from ros_runs import PLANT as PLANT_COMMAND
+from ros_runs import config_for
 
 pytestmark = pytest.mark.ros
 VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}
@@ -110,3 +114,22 @@ def test_a_restarted_plant_is_no_second_publisher_and_interleaved_messages_of_it
     assert watch.look(0) == []
     graph.guard.doubled = True
     assert watch.look(0) == [(TOPIC, "of the same name")]
+
+
+LOSES_REPORTS = """
+import sys
+from los_testbed.nodes import recorder
+from los_testbed.nodes.support.track import ReportTrack
+ReportTrack.drain = lambda self: 0
+sys.exit(recorder.main())
+"""
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_counts_of_the_plant_that_did_not_reach_the_bag_are_told_of(tmp_path, lost):
+    """As where the processor is taken away for seconds."""
+    commands = {"plant": PLANT_COMMAND, **({"recorder": [sys.executable, "-c", LOSES_REPORTS]} if lost else {})}
+    results = Runner(config_for(tmp_path, duration=0.5, mode="lockstep"), commands=commands).run()
+    told = [line for line in results.warnings if "did not reach the bag" in line]
+    assert len(told) == lost
+    assert not lost or told[0].endswith("which has no ticks instead of 500, no missed_ticks instead of 0")

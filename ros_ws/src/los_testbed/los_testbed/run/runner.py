@@ -32,6 +32,7 @@ RESTARTS = 3
 LIVE = "live"
 """Name of the node that serves viewers."""
 
+COUNTS = ("ticks", "missed_ticks")
 STOP_S = 10.0
 
 
@@ -165,10 +166,19 @@ class Runner:
             told = [message for who, message in self._errors if who == "recorder"]
             raise RunError(f"recorder: {[*told, 'it got no message'][0]}; there is no bag")
         self.results.bag = bags[-1] if bags else None
+        self._compare_counts()
         restarted = len(bags) - 1 > self._resets
         lines = self.results.failures if restarted else self.results.warnings
         what = "the plant was started again" if restarted else "the reset"
         lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
+
+    def _compare_counts(self) -> None:
+        """Warn if the bag has not the plant's last counts: on a machine that can't keep pace its report may be lost."""
+        own = self.results.statistics["plant"]
+        kept = self._seen[("recorder", "done")].get("nodes", {}).get("plant", {})
+        wrong = [f"{kept.get(count, 'no')} {count} instead of {own[count]}" for count in COUNTS if count in own]
+        if self.results.bag is not None and any(kept.get(count) != own[count] for count in COUNTS if count in own):
+            self.results.warnings.append(f"the plant's last report did not reach the bag, which has {', '.join(wrong)}")
 
     def _start(self, name: str) -> None:
         assert self._parameters is not None
