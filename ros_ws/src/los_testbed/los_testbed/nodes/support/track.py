@@ -181,7 +181,7 @@ class ReportTrack(Track):
         if any(publisher not in self._known for _, publisher, _ in self._undecided):
             nodes = self.learn()
             unknown = {publisher for _, publisher, _ in self._undecided if not nodes.get(publisher)} - self._known
-        waiting = []
+        waiting: list[tuple[int, str, Taken]] = []
         for since, publisher, taken in self._undecided:
             if publisher in self._known:
                 self._keep(taken)
