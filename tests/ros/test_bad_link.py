@@ -102,7 +102,8 @@ def test_the_estimator_steps_over_what_is_missing_and_goes_on(recorded):
 def test_the_mirror_never_goes_back_to_an_older_command(recorded):
     """Each angle of the strain gauge (noise 1e-8 rad) is looked up among the commands of the last 40 ticks.
 
-    Where the loop does not keep pace, few commands are obeyed, perhaps none: what can be compared, must agree.
+    Where the loop does not keep pace, few commands are obeyed, perhaps none: what can be compared, must agree. A mirror
+    that fades to zero passes the angles of some commands by chance, but not of one at each of nine ticks.
     """
     _, run, _ = recorded
     gauge, command = run["fsm/strain_gauge"], run["fsm/command"]
@@ -110,14 +111,15 @@ def test_the_mirror_never_goes_back_to_an_older_command(recorded):
     assert np.abs(angle).max() > 5e-5 or not keeps_pace(run), "the loop works"
     steepest = np.abs(np.diff(command.values[600:, 0]) / np.diff(command.stamp[600:])).max()
     slope = np.abs(np.gradient(command.values[:, 0], command.stamp))
-    compared, last = 0, (0, 0)
+    obeyed = np.full(len(stamps), -1)
     for k in range(600, len(stamps)):
         first, end = np.searchsorted(command.stamp, [stamps[k] - 40 * MS, stamps[k]])
         if end - first < 5 or slope[first:end].min() < 0.3 * steepest:  # near its turning points an angle comes twice
             continue
         nearest = first + int(np.argmin(np.abs(command.values[first:end, 0] - angle[k])))
         if abs(command.values[nearest, 0] - angle[k]) < 6e-8:
-            follows = stamps[k] - last[0] == MS
-            assert not follows or nearest >= last[1], f"tick {k}"
-            compared, last = compared + follows, (stamps[k], nearest)
-    assert compared > 20 or not keeps_pace(run), "on a busy machine few commands are obeyed at once"
+            obeyed[k] = nearest
+    sure = np.flatnonzero(np.convolve(obeyed >= 0, np.ones(9), "same") == 9)
+    follows = sure[1:][np.diff(stamps[sure]) == MS]
+    assert np.all(obeyed[follows] >= obeyed[follows - 1])
+    assert len(follows) > 20 or not keeps_pace(run), "on a busy machine few commands are obeyed at once"
