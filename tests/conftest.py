@@ -1,4 +1,5 @@
-"""For every test: linear algebra on one thread, as the testbed runs it; no time limit per hypothesis example.
+"""For every test: linear algebra on one thread, as the testbed runs it; no time limit per hypothesis example; an hour
+for a slow test that names no other time.
 
 At the end of a run: what was skipped and how to get it.
 """
@@ -20,6 +21,16 @@ settings.load_profile("any-machine")
 
 SKIPPED_VARIABLE = "SKIPPED_TESTS_FILE"
 """Environment variable: a file that the lines are appended to, so that several runs can be summed up."""
+
+SLOW_S = 3600.0
+"""Time limit of slow tests [s]: minutes where the machine is quiet."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The limit of slow tests."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

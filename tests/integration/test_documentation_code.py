@@ -105,11 +105,12 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "robust_design.md"}
-MARKS = [pytest.mark.slow, pytest.mark.timeout(3600)]
 WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]
 
 
-@pytest.mark.parametrize("path", [pytest.param(p, id=p.name, marks=MARKS * (p.name in SLOW)) for p in WITH_PYTHON])
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.name, marks=[pytest.mark.slow] * (p.name in SLOW)) for p in WITH_PYTHON]
+)
 def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In order, in one session; the output is the one shown, where the page shows one."""
     monkeypatch.chdir(tmp_path)
