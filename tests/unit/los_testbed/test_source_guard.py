@@ -25,6 +25,11 @@ class Line:
         assert self.send(1, None) == UNMATCHED
         assert self.guard.decide(endpoints or (PLANT,), self.now)
 
+    def run(self, ticks):
+        """So many ticks, numbers 2 and following."""
+        for k in range(ticks):
+            assert self.send(2 + k, k, after=1) == OURS
+
     def send(self, number, tick, after=0):
         self.now += after * MS
         return self.guard.sort(number, self.now, self.now, message(tick))
@@ -75,12 +80,62 @@ def test_a_relay_that_repeats_and_swaps_messages_is_one_publisher():
 def test_a_restarted_node_is_matched_by_its_name_and_a_stranger_is_not():
     line = Line()
     line.send(2, 0)
-    assert line.send(1, 40, after=40) == UNMATCHED
+    assert line.send(1, 600, after=600) == UNMATCHED
     assert not line.guard.decide([PLANT, STRANGER], line.now)
-    assert line.send(2, 41, after=1) == UNMATCHED
+    assert line.send(2, 601, after=1) == UNMATCHED
     assert line.guard.decide([PLANT, Endpoint("03", "/telescope/plant")], line.now)
-    assert line.send(3, 42, after=1) == OURS
+    assert line.send(3, 602, after=1) == OURS
     assert line.guard.foreign == 0, "what came before it was matched was its own"
+
+
+AGAIN = Endpoint("03", "/telescope/plant")
+
+
+def test_a_node_that_is_back_within_the_silence_is_no_second_publisher():
+    line = Line()
+    line.run(2000)
+    sorted_as = []
+    for k in range(600):
+        sorted_as.append(line.send(1 + k, 2100 + k, after=100 if k == 0 else 1))
+        line.guard.decide([PLANT, AGAIN], line.now)
+    assert sorted_as == [FOREIGN] * 401 + [UNMATCHED] + [OURS] * 198
+    assert (line.guard.foreign, line.guard.doubled) == (0, False)
+
+
+def test_an_impostor_of_the_same_name_does_not_take_the_place_of_a_node_that_pauses():
+    line = Line()
+    line.run(2000)
+    assert line.send(1, 2100, after=100) == FOREIGN
+    assert not line.guard.decide([PLANT, AGAIN], line.now)
+    assert line.send(2002, 2101, after=1) == OURS
+    assert (line.guard.foreign, line.guard.doubled) == (1, True)
+
+
+def test_a_node_whose_place_was_taken_has_it_again_when_the_impostor_has_left():
+    """Nothing tells a node that pauses for longer than it takes to start again from one that has ended."""
+    line = Line()
+    line.run(2000)
+    assert line.send(1, 2700, after=700) == UNMATCHED
+    assert line.guard.decide([PLANT, AGAIN], line.now)
+    sorted_as = []
+    for k in range(1500):
+        sorted_as.append(line.send(2002 + k, 2700 + k, after=1))
+        if k < 100:
+            assert line.send(2 + k, 2700 + k) == OURS
+        line.guard.decide([PLANT, *([AGAIN] if k < 100 else [])], line.now)
+    assert sorted_as == [FOREIGN] * sorted_as.count(FOREIGN) + [OURS] * sorted_as.count(OURS)
+    assert sorted_as.count(OURS) > 800
+    assert line.guard.doubled
+
+
+def test_another_node_that_sent_beside_the_matched_one_is_not_matched_when_that_has_left():
+    line = Line()
+    line.run(2000)
+    assert line.send(1, None, after=1) == FOREIGN
+    assert line.send(2002, 2001, after=1) == OURS
+    for k in range(2, 1000):
+        assert line.send(k, None, after=1) in (FOREIGN, UNMATCHED)
+        assert not line.guard.decide([STRANGER], line.now)
 
 
 def test_a_new_publisher_beside_the_living_one_is_foreign_whatever_its_name():

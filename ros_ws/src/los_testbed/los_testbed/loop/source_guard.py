@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pointing_analysis.cdr import STAMP, STAMP_OFFSET
 from titop_plant.interface import TICK_NS
 
-SILENCE_NS = 20_000_000
-"""A publisher that sent nothing for this time [ns] may have been replaced."""
+SILENCE_NS = 500_000_000
+"""A publisher that sent nothing for this time [ns] may have been replaced: less than a node takes to start again, more
+than a node of a loop that does not keep pace is silent."""
 
 SLACK, PER_MS = 64, 3
 """Messages that may be lost between two of a stream, and more of them for each millisecond between the two."""
@@ -101,6 +102,7 @@ class SourceGuard:
     _data: bytes = b""
     _lead: int | None = None
     _forgotten: int = 0
+    _interrupted: bool = False
     _gids: set[str] = field(default_factory=set)
 
     @property
@@ -132,10 +134,11 @@ class SourceGuard:
         stream.hold |= stamp == 0
         if stream is matched:
             self._data = data
+            self.doubled |= self._interrupted
             return OURS
         if matched is None or (stream.first_at > matched.at and now_ns - matched.at > SILENCE_NS):
             return UNMATCHED
-        self.doubled = True
+        self._interrupted = True
         return FOREIGN
 
     def _too_fast(self, number: int, stamp: int) -> bool:
@@ -176,14 +179,15 @@ class SourceGuard:
             return self.others
         if not self.others or now_ns - self.matched.at <= SILENCE_NS:
             return []
-        return [stream for stream in self.others if stream.first_at > self.matched.at]
+        return [stream for stream in self.others if stream.at > self.matched.at and now_ns - stream.at <= SILENCE_NS]
 
     def decide(self, endpoints: Sequence[Endpoint], now_ns: int) -> bool:
         """Match a stream if the publishers in the graph leave no doubt; whether one was matched.
 
         The first one: the only stream with hold ticks, or the only one of the expected node. Later ones, when the
         matched one is silent: a new publisher of the same node; the only publisher left if it begins with hold ticks;
-        and any stream while the graph has no other publisher than the matched one.
+        and any stream while the graph has no other publisher than the matched one. One that sent beside the matched one
+        is only matched if the node has a single publisher left: the match was wrong.
         """
         candidates, nodes = self._candidates(now_ns), {endpoint.node for endpoint in endpoints}
         holding = [stream for stream in candidates if stream.hold]
@@ -193,13 +197,16 @@ class SourceGuard:
             return False
         new = [endpoint for endpoint in endpoints if endpoint.gid not in self._gids]
         again = not new or any(endpoint.node == self.node for endpoint in new)
+        beside = any(stream.first_at <= self.matched.at for stream in candidates)
+        if beside and (len(endpoints) != 1 or nodes != {self.node}):
+            return False
         if len(candidates) == 1 and (again or (len(nodes) == 1 and candidates == holding)):
             return self._match(candidates[0], endpoints)
         return False
 
     def _match(self, stream: Stream, endpoints: Sequence[Endpoint]) -> bool:
         self.others = [other for other in self.others if other is not stream]
-        self.matched, self._data, self._lead = stream, b"", None
+        self.matched, self._data, self._lead, self._interrupted = stream, b"", None, False
         nodes = sorted({endpoint.node for endpoint in endpoints if endpoint.node})
         if self.node not in nodes:
             self.node = self.expected if self.expected in nodes or not nodes else nodes[0]
