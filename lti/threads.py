@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unused-ignore]
+import scipy.linalg  # noqa: F401  its library is to be found, beside numpy's
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped, unused-ignore]
 
 
 def one_thread() -> AbstractContextManager[Any]:
     """Context with one thread of linear algebra: two add up in another order, with other last bits."""
-    limit: AbstractContextManager[Any] = threadpool_limits(limits=1, user_api="blas")
+    limit: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
     return limit
+
+
+@cache
+def _controller() -> Any:
+    """The libraries of this process: to look for them takes 6 ms."""
+    return ThreadpoolController()

@@ -146,10 +146,11 @@ def simulate_members(
     for first in range(0, ticks, BLOCK):
         rows = min(BLOCK, ticks - first)
         for row in range(rows):
+            at_frame = plant.tick % plant.frame_ticks == 0
             plant.step(command, measurement, truth)
-            frames = measurement[:, CAMERA]
-            fresh = np.isfinite(frames).all(axis=1)
-            if fresh.any():
+            if at_frame:
+                frames = measurement[:, CAMERA]
+                fresh = np.isfinite(frames).all(axis=1)
                 camera[fresh] = frames[fresh]
             seen[:] = measurement
             seen[:, CAMERA] = camera
