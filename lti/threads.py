@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 from contextlib import AbstractContextManager
 from functools import cache
 from typing import Any
 
-import scipy.linalg  # noqa: F401  its library is to be found, beside numpy's
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped, unused-ignore]
 
 
@@ -18,5 +18,6 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @cache
 def _controller() -> Any:
-    """The libraries of this process: to look for them takes 6 ms."""
+    """The libraries of this process, scipy's beside numpy's: to look for them takes 6 ms."""
+    importlib.import_module("scipy.linalg")
     return ThreadpoolController()
