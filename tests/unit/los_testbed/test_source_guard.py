@@ -128,6 +128,21 @@ def test_a_node_whose_place_was_taken_has_it_again_when_the_impostor_has_left():
     assert line.guard.doubled
 
 
+def test_a_restarted_node_is_matched_beside_a_stranger_that_goes_on_sending():
+    line = Line()
+    line.run(2000)
+    stranger = Endpoint("02", "/stranger")
+    assert line.send(50_000, 2000) == FOREIGN
+    assert line.send(2002, 2001, after=1) == OURS
+    sorted_as = []
+    for k in range(1000):
+        assert line.send(50_001 + k, 2002 + k, after=1) == FOREIGN
+        if k > 600:  # killed, and here again
+            sorted_as.append(line.send(k - 600, 2002 + k))
+            line.guard.decide([PLANT, AGAIN, stranger], line.now)
+    assert sorted_as == [UNMATCHED] + [OURS] * 398
+
+
 def test_another_node_that_sent_beside_the_matched_one_is_not_matched_when_that_has_left():
     line = Line()
     line.run(2000)

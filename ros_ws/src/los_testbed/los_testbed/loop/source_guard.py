@@ -179,7 +179,8 @@ class SourceGuard:
             return self.others
         if not self.others or now_ns - self.matched.at <= SILENCE_NS:
             return []
-        return [stream for stream in self.others if stream.at > self.matched.at and now_ns - stream.at <= SILENCE_NS]
+        later = [stream for stream in self.others if stream.first_at > self.matched.at]
+        return later or [stream for stream in self.others if stream.at > self.matched.at]
 
     def decide(self, endpoints: Sequence[Endpoint], now_ns: int) -> bool:
         """Match a stream if the publishers in the graph leave no doubt; whether one was matched.
