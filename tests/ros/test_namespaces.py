@@ -62,10 +62,8 @@ def test_two_testbeds_for_20_s_have_each_a_verdict_of_its_own(tmp_path_factory):
         assert not results.failures
         summary, plant = summarise_runs([results.bag], None).runs[0], results.statistics["plant"]
         assert plant["ticks"] == "20000"
-        assert int(plant["missed_ticks"]) <= 20_000 + int(plant["skipped_periods"])
-        if not any("the plant's last report did not reach the bag" in line for line in results.warnings):
-            assert summary["missed_ticks"] == int(plant["missed_ticks"])
-            assert summary["periods"] == 20_000 + int(plant["skipped_periods"])
+        assert summary["missed_ticks"] == int(plant["missed_ticks"]) <= summary["periods"]
+        assert summary["periods"] == 20_000 + int(plant["skipped_periods"])
         truth = Run.open(results.bag)["truth/los"]
         kept = truth.values[truth.stamp - truth.stamp[0] >= summary["transient_s"] * 1e9, :2]
         largest = np.hypot(*kept.T).max() / RAD_PER_ARCSEC

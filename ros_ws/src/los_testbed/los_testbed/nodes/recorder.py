@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -25,6 +27,7 @@ from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track, merge
 from los_testbed.run.bag_names import free_name
+from los_testbed.run.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
 from pointing_analysis.cdr import Encoder
@@ -254,11 +257,20 @@ class Recorder:
             final = {**self.statistics, "recorder": self.own_statistics()}
             self.bag.close({METADATA_NAME: final_metadata(self.context.config, final, self.start)})
 
+    def _take_last_statistics(self) -> None:
+        """Those that the runner has of each node, where there is one: of a report that was lost they are not."""
+        path = os.environ.get(STATISTICS_VARIABLE, "")
+        text = Path(path).read_text() if path else ""
+        for name, values in (json.loads(text) if text else {}).items():
+            if values:
+                self.statistics[name] = {**self.statistics.get(name, {}), **values}
+
     def _close(self) -> None:
         self._write_chunk()
+        self._take_last_statistics()
         self._finish_bag()
         path = str(self.path) if self.bag is not None else None
-        self.context.event("done", statistics=self.own_statistics(), bag=path, nodes=self.statistics)
+        self.context.event("done", statistics=self.own_statistics(), bag=path)
         if self.bag is None and not self.finished:
             raise ValueError("a plant must run on this domain, got no message before the recorder was ended")
 

@@ -18,6 +18,8 @@ from pointing_analysis.atomic_output import write_text
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """Process number of the runner; if set, a node tells what happens, one JSON object per line on its output."""
+STATISTICS_VARIABLE = "LOS_TESTBED_STATISTICS"
+"""File with the last statistics of each node, as JSON, that the runner writes before it ends the recorder."""
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 

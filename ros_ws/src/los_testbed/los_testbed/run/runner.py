@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import selectors
 import signal
@@ -19,7 +20,14 @@ from los_testbed.loop.scheduling import MAX_BUSY_S
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
 from los_testbed.run.memory_file import MemoryFile, memory_file
-from los_testbed.run.node_launch import check_ros, environment, node_command, parameter_text, ros_arguments
+from los_testbed.run.node_launch import (
+    STATISTICS_VARIABLE,
+    check_ros,
+    environment,
+    node_command,
+    parameter_text,
+    ros_arguments,
+)
 from los_testbed.run.node_process import NodeProcess
 from los_testbed.run.results import Results, RunError
 from los_testbed.run_start import at_rest
@@ -32,7 +40,6 @@ RESTARTS = 3
 LIVE = "live"
 """Name of the node that serves viewers."""
 
-COUNTS = ("ticks", "missed_ticks")
 STOP_S = 10.0
 
 
@@ -82,6 +89,7 @@ class Runner:
         self._ticks_done = 0
         self._before = 0
         self._parameters: MemoryFile | None = None
+        self._statistics: MemoryFile | None = None
         self._variables: Mapping[str, str] = {}
         self.results = Results()
 
@@ -118,8 +126,9 @@ class Runner:
         with (
             domain_lock(self.domain, self._config.namespace),
             memory_file(text, "run.yaml") as self._parameters,
+            memory_file(b"", "statistics.json") as self._statistics,
         ):
-            self._variables = environment(self._config)
+            self._variables = {**environment(self._config), STATISTICS_VARIABLE: self._statistics.path}
             try:
                 self._perform()
             except RunError as error:
@@ -148,16 +157,22 @@ class Runner:
         self._finish()
 
     def _finish(self) -> None:
-        """Followers first, so that their last samples reach the recorder; then the recorder."""
+        """Followers first, so that their last samples reach the recorder; then the recorder.
+
+        It has the nodes' last statistics from here: where other programs have the processor, reports may be lost.
+        """
         served = [LIVE] if LIVE in self._nodes else []
         for name in ("estimator", "controller", *served):
             self._nodes[name].interrupt()
         self._await_exit(("plant", "estimator", "controller"))
+        for name in NODES[:-1]:
+            self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
+        assert self._statistics is not None
+        os.write(self._statistics.descriptor, json.dumps(self.results.statistics).encode())
         self._nodes["recorder"].interrupt()
         self._until("recorder", "done", 60.0)
         self._await_exit(("recorder", *served))
-        for name in NODES:
-            self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
+        self.results.statistics["recorder"] = self._seen[("recorder", "done")]["statistics"]
         histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
         self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
         bag = self._seen[("recorder", "done")].get("bag")
@@ -166,28 +181,20 @@ class Runner:
             told = [message for who, message in self._errors if who == "recorder"]
             raise RunError(f"recorder: {[*told, 'it got no message'][0]}; there is no bag")
         self.results.bag = bags[-1] if bags else None
-        self._compare_counts()
         restarted = len(bags) - 1 > self._resets
         lines = self.results.failures if restarted else self.results.warnings
         what = "the plant was started again" if restarted else "the reset"
         lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
 
-    def _compare_counts(self) -> None:
-        """Warn if the bag has not the plant's last counts: on a machine that can't keep pace its report may be lost."""
-        own = self.results.statistics["plant"]
-        kept = self._seen[("recorder", "done")].get("nodes", {}).get("plant", {})
-        wrong = [f"{kept.get(count, 'no')} {count} instead of {own[count]}" for count in COUNTS if count in own]
-        if self.results.bag is not None and any(kept.get(count) != own[count] for count in COUNTS if count in own):
-            self.results.warnings.append(f"the plant's last report did not reach the bag, which has {', '.join(wrong)}")
-
     def _start(self, name: str) -> None:
-        assert self._parameters is not None
+        assert self._parameters is not None and self._statistics is not None
         command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
         if name == "recorder" and Path(self._config.output).exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(Path(self._config.output))}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
-        node = self._nodes[name] = NodeProcess(name, command, self._variables, [self._parameters.descriptor])
+        files = [self._parameters.descriptor, self._statistics.descriptor]
+        node = self._nodes[name] = NodeProcess(name, command, self._variables, files)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)
