@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import re
+import resource
 import socket
 import subprocess
 import sys
@@ -14,6 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import _fetched as fetched
@@ -60,6 +63,25 @@ def test_interrupted_and_resumed_with_two_workers(
     assert summary["rows_hash"] == undisturbed.rows_hash() == folder.rows_hash()
     assert (summary["members"], summary["status"]) == (30, {"ok": 30})
     assert [Path(bag).exists() for bag in summary["bags"]] == [True]
+
+
+def pages_of_arrays() -> int:
+    """Pages of memory that 20 arrays of 8 MB, one after the other, had to be given by the system."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(20):
+        np.ones(1_000_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="allocator of the GNU C library")
+def test_memory_of_local_workers_is_kept_between_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    for name in [name for name in os.environ if name.startswith("MALLOC_")]:
+        monkeypatch.delenv(name)
+    with cluster("", 1) as client:
+        client.run(pages_of_arrays)  # the allocator learns the size of the first ones
+        (pages,) = client.run(pages_of_arrays).values()
+    assert pages < 4 * 8_000_000 / resource.getpagesize()
 
 
 class Processes:

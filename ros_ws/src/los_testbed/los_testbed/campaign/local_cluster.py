@@ -17,6 +17,9 @@ from typing import Any
 
 PREFIX = "los_testbed_campaign_"
 
+ALLOCATOR = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
+"""Dask lets its workers give memory back to the system at every turn; a member would fault 9000 pages anew."""
+
 REMOVE = """
 import os, shutil, sys, time
 sys.stdin.read()  # until the other end is closed: by the block, or by the system with its process
@@ -34,19 +37,21 @@ def local_cluster(workers: int) -> Iterator[Any]:
     Its files are in a :func:`scratch_folder`. A signal that comes while processes start is answered when they have
     started and can be closed in order. SIGINT, which a terminal sends to all processes, is left to this one.
     """
+    from dask import config
     from distributed import LocalCluster
 
     with scratch_folder() as folder, _loop_without_interrupts() as loop, contextlib.ExitStack() as closed:
         with _signals_later():
-            started = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address=":0",
-                silence_logs=50,
-                loop=loop,
-                local_directory=str(folder),
-                scheduler_kwargs={"local_directory": str(folder)},
-            )
+            with config.set(ALLOCATOR):
+                started = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=50,
+                    loop=loop,
+                    local_directory=str(folder),
+                    scheduler_kwargs={"local_directory": str(folder)},
+                )
             closed.enter_context(started)
         yield started
 
