@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import platform
 import re
 import resource
 import socket
@@ -73,7 +72,6 @@ def pages_of_arrays() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="allocator of the GNU C library")
 def test_memory_of_local_workers_is_kept_between_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     for name in [name for name in os.environ if name.startswith("MALLOC_")]:
