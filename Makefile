@@ -83,7 +83,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
 	$(BIN)/python benchmarks/campaign.py --members 3 --json
-	$(BIN)/python benchmarks/tuning.py --quick --json
+	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json
 	$(BIN)/python benchmarks/soak.py --minutes 2 --json
