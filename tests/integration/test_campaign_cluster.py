@@ -72,14 +72,17 @@ def pages_of_arrays() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
-def test_memory_of_local_workers_is_kept_between_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_local_workers_keep_freed_memory_and_collect_no_call_stacks(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     for name in [name for name in os.environ if name.startswith("MALLOC_")]:
         monkeypatch.delenv(name)
     with cluster("", 1) as client:
         client.run(pages_of_arrays)  # the allocator learns the size of the first ones
         (pages,) = client.run(pages_of_arrays).values()
+        client.submit(time.sleep, 1.5).result()
+        stacks = client.profile()["count"]
     assert pages < 4 * 8_000_000 / resource.getpagesize()
+    assert stacks == 0
 
 
 class Processes:

@@ -17,8 +17,12 @@ from typing import Any
 
 PREFIX = "los_testbed_campaign_"
 
-ALLOCATOR = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
-"""Dask lets its workers give memory back to the system at every turn; a member would fault 9000 pages anew."""
+SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.worker.profile.enabled": False,
+}
+"""Dask lets its workers give memory back to the system at every turn: a member would fault 9000 pages anew. And it
+records call stacks a hundred times a second: 4 MB a minute."""
 
 REMOVE = """
 import os, shutil, sys, time
@@ -42,7 +46,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
 
     with scratch_folder() as folder, _loop_without_interrupts() as loop, contextlib.ExitStack() as closed:
         with _signals_later():
-            with config.set(ALLOCATOR):
+            with config.set(SETTINGS):
                 started = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
