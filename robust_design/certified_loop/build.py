@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lti import SampledSystem, UncertainSystem
-from lti.eigenvectors import modes
+from lti.eigenvectors import corrected_modes, modes
 from lti.ports import FloatArray
 from robust_design.certified_loop.model import LoopModel
 from robust_design.certified_loop.proof import Interval
@@ -93,7 +93,7 @@ def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, Co
     """Poles, B and C in coordinates in which A is diagonal."""
     if not len(A):
         return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
-    found = modes(np.asarray(A))
+    found = corrected_modes(np.asarray(A), modes(np.asarray(A)))
     b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
     for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
         b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
