@@ -22,7 +22,7 @@ SETTINGS = {
     "distributed.worker.profile.enabled": False,
 }
 """Dask lets its workers give memory back to the system at every turn: a member would fault 9000 pages anew. And it
-records call stacks a hundred times a second: 4 MB a minute."""
+records call stacks a hundred times a second: 4 MB a minute for the thousand seconds that it keeps."""
 
 REMOVE = """
 import os, shutil, sys, time
