@@ -107,9 +107,17 @@ def find_scalings(
 
 
 class Problem:
-    """Variables y = (s, coordinates of the scalings); minimise s with ``s I - F(y) > 0``."""
+    """Variables y = (s, coordinates of the scalings); minimise s with ``s I - F(y) > 0``.
 
-    def __init__(self, blocks: Sequence[Block]) -> None:
+    Parameters
+    ----------
+    blocks : sequence of Block
+    penalty : float
+        Weight of ``|G|^2 / 2`` in the objective with barrier. Where all responses are nearly real, G costs nothing and
+        its centre is far out, so that the inequality is lost in rounding.
+    """
+
+    def __init__(self, blocks: Sequence[Block], penalty: float = 0.0) -> None:
         self.blocks = tuple(blocks)
         self.N = self.blocks[0].Z.shape[1]
         self.slices: list[tuple[slice | None, slice | None]] = []
@@ -134,6 +142,10 @@ class Problem:
             sizes.append(k if first else 0)
         self.count = count
         self.signals = np.vstack([np.zeros((0, self.N), complex), *signals])
+        self.penalty = np.zeros(count)
+        for _, second in self.slices:
+            if second is not None:
+                self.penalty[second] = penalty
         self.trace = np.zeros(count)
         for size, (first, _) in zip(sizes, self.slices):
             if first is not None:
@@ -183,7 +195,7 @@ class Problem:
 
     def value(self, y: FloatArray, weight: float) -> float:
         """Objective with barrier; infinite outside."""
-        total = weight * y[0]
+        total = weight * y[0] + 0.5 * float(self.penalty @ y**2)
         for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *(D for _, D in self._positive(y))):
             factor, info = sl.lapack.zpotrf(matrix, lower=1)
             if info:
@@ -209,7 +221,7 @@ class Problem:
             inverse = _inverse(D)
             slope[part] -= _coordinates(inverse)
             curvature[part, part] += _products([(inverse, inverse)])
-        return slope, curvature
+        return slope + self.penalty * y, curvature + np.diag(self.penalty)
 
     def _add_rows(self, S: ComplexArray, curvature: FloatArray) -> None:
         """Upper triangle of the rows of s and of full blocks."""

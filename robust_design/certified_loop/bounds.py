@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from lti.batched_linalg import largest_gains, solve
 from lti.threads import one_thread
-from robust_design.certified_loop.checker import is_circle, windows_of
+from robust_design.certified_loop.branching import Branching
+from robust_design.certified_loop.checker import windows_of
 from robust_design.certified_loop.model import LoopModel
 from robust_design.certified_loop.proof import Interval, Strip
 from robust_design.certified_loop.scalings import CellTest, NodeScalings
@@ -53,6 +54,8 @@ DEEPEST = 14
 """Most bisections of the box."""
 SAMPLES = 64
 """Members that are looked at where a box is bisected."""
+ROOTS = 8
+"""Bisections after which the parameters' gains are measured anew, in the box that is left."""
 
 
 @dataclass
@@ -116,7 +119,7 @@ def prove_level(
     """
     start = time.process_time()
     slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
-    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow)
+    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow, Branching(model, level, until))
     with one_thread():
         if known:
             for strip in known:
@@ -135,6 +138,7 @@ class _State:
     rng: np.random.Generator
     found: LoopBounds
     slow: float
+    branching: Branching
 
     @property
     def lowest(self) -> float:
@@ -153,7 +157,10 @@ class _State:
         if self._over(box, low, high):
             return
         wide = [k for k, (a, b) in enumerate(box) if self.model.angle[k] and b - a > TURN]
-        reached, axis = (low, wide[0]) if wide else self._strip(box, low, high, self.level, static=True)[:2]
+        reached, axis = low, wide[0] if wide else 0
+        if not wide:
+            reached, losses, _ = self._strip(box, low, high, self.level, static=True)
+            axis = int(np.argmax(losses))
         if reached >= high:
             return
         if depth == DEEPEST:
@@ -183,8 +190,9 @@ class _State:
                 self.prove(strip.box, float(strip.nodes[number]), float(strip.nodes[end]), 0)
             number = end
 
-    def prove(self, box: Box, low: float, high: float, depth: int) -> None:
-        """Prove a box from `low` to `high`; what can't be proven goes to `uncovered`."""
+    def prove(self, box: Box, low: float, high: float, depth: int, root: Box | None = None) -> None:
+        """Prove a box, a part of `root`, from `low` to `high`; what can't be proven goes to `uncovered`."""
+        root = box if root is None or depth == ROOTS else root
         at = low
         if at < self.slow:
             at = min(high, self.slow)
@@ -193,7 +201,7 @@ class _State:
             if self._over(box, at, high):
                 return
             for aim in AIMS:
-                reached, axis, found = self._strip(box, at, high, aim * self.level)
+                reached, losses, found = self._strip(box, at, high, aim * self.level)
                 if reached > at or not found:
                     break
             if reached >= high:
@@ -203,19 +211,21 @@ class _State:
                 self.found.uncovered.append((box, (reached, end)))
             else:
                 self._look(box, reached, end)
-                for half in _halves(box, axis):
-                    self.prove(half, reached, end, depth + 1)
+                for half in _halves(box, self.branching.axis(box, root, reached, losses)):
+                    self.prove(half, reached, end, depth + 1, root)
             at = end
 
-    def _strip(self, box: Box, low: float, high: float, aim: float, static: bool = False) -> tuple[float, int, bool]:
-        """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, parameter
-        to bisect there, whether there are scalings at `low`.
+    def _strip(
+        self, box: Box, low: float, high: float, aim: float, static: bool = False
+    ) -> tuple[float, FloatArray, bool]:
+        """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, losses of
+        the parameters there, whether there are scalings at `low`.
         """
         first = CellTest(self.model, box, max(low, self.lowest), aim, static)
         node, y = self._centre(first, None)
-        axis = int(np.argmax(_widths(first.losses(y), box)))
+        losses = first.losses(y)
         if node is None:
-            return low, axis, False
+            return low, losses, False
         nodes = [replace(node, omega=low)]
         step, longest = SLOW_STEPS if static else (FIRST_STEP, LONGEST)
         while nodes[-1].omega < high and time.monotonic() <= self.until:
@@ -227,7 +237,7 @@ class _State:
             if following is not None:
                 windows = windows_of(self.model, strip_of(box, [nodes[-1], following]), 0, self.level, BISECTIONS)
             if following is None or not windows:
-                axis = int(np.argmax(_widths(test.losses(y), box)))
+                losses = test.losses(y)
                 step *= 0.4
                 if step < SHORTEST:
                     break
@@ -237,7 +247,7 @@ class _State:
             step = min(step * (1.7 if windows == 1 else 1.2 if windows < 4 else 0.8), longest)
         if len(nodes) > 1:
             self.found.strips.append(strip_of(box, nodes))
-        return nodes[-1].omega, axis, True
+        return nodes[-1].omega, losses, True
 
     def _centre(self, test: CellTest, before: NodeScalings | None) -> tuple[NodeScalings | None, FloatArray]:
         """Centred scalings at a frequency, None if there are none; the variables reached."""
@@ -295,15 +305,6 @@ def _between(strip: Strip, first: int, last: int) -> Strip:
     part = slice(first, last + 1)
     D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
     return Strip(strip.box, strip.nodes[part], D, G, strip.factor[part])
-
-
-def _widths(losses: FloatArray, box: Box) -> FloatArray:
-    """Losses, for a whole circle of an angle (which has no D, so no loss) the mean of the others."""
-    losses = np.array(losses)
-    for k, ends in enumerate(box):
-        if losses[k] == 0.0 and is_circle(*ends):
-            losses[k] = 0.5 * float(np.max(losses))
-    return losses
 
 
 def _halves(box: Box, axis: int) -> list[Box]:

@@ -28,6 +28,8 @@ from robust_design.certified_loop.proof import Interval
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+PENALTY = 1e-3
+"""Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
 PRECISION = 1e-7
 """Distance to the optimal margin at which a test without scalings is given up."""
 
@@ -86,7 +88,8 @@ class CellTest:
             [
                 *(Block(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),
                 Block(FULL, maps[q:], inputs[q:]),
-            ]
+            ],
+            PENALTY,
         )
 
     def scalings(self, y: FloatArray) -> NodeScalings:
