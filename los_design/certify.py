@@ -43,7 +43,7 @@ ANGLE = "solar_array.tau"
 LOWEST = 1e-2
 """Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
 NYQUIST = math.pi / DT
-PART = 0.12
+PART = 0.04
 """Length of a part of a band, of log frequency."""
 SLOWEST_PARTS = (0.01, 0.3)
 """Upper ends of the first parts of a band that begins at zero [rad/s]."""

@@ -154,9 +154,13 @@ class Problem:
 
     def start(self) -> FloatArray:
         """Variables to begin with: equal scalings, s large enough."""
-        y: FloatArray = self.trace / self.trace.sum()
+        return self.raised(self.trace / self.trace.sum(), 1e-3)
+
+    def raised(self, y: FloatArray, least: float) -> FloatArray:
+        """Variables with the same scalings and s large enough, by at least `least`."""
+        y = np.array(y)
         largest = float(linalg.eigvalsh(self.sum_of_forms(y))[-1])
-        y[0] = largest + 0.1 * abs(largest) + 1e-3
+        y[0] = largest + 0.1 * abs(largest) + least
         return y
 
     def variables(self, D: Sequence[ComplexArray], G: Sequence[ComplexArray]) -> FloatArray:

@@ -34,7 +34,7 @@ CENTRING = 40
 """Most Newton steps to a centre."""
 FOLLOWING = 8
 """The same from the scalings of the frequency before."""
-BISECTIONS = 3
+BISECTIONS = 5
 """Most bisections of a step in the check of a prover."""
 PART = 0.01
 """Part of the band, relative to its frequency, for which a box is bisected."""
@@ -222,7 +222,7 @@ class _State:
         the parameters there, whether there are scalings at `low`.
         """
         first = CellTest(self.model, box, max(low, self.lowest), aim, static)
-        node, y = self._centre(first, None)
+        node, y = self._centre(first, [])
         losses = first.losses(y)
         if node is None:
             return low, losses, False
@@ -232,7 +232,7 @@ class _State:
             omega = max(nodes[-1].omega, self.lowest) * (1.0 + step)
             omega = high if omega > high / (1.0 + 0.5 * step) else omega
             test = CellTest(self.model, box, omega, aim, static)
-            following, y = self._centre(test, nodes[-1])
+            following, y = self._centre(test, nodes[-2:])
             windows = 0
             if following is not None:
                 windows = windows_of(self.model, strip_of(box, [nodes[-1], following]), 0, self.level, BISECTIONS)
@@ -244,22 +244,28 @@ class _State:
                 continue
             self.found.windows += windows
             nodes.append(following)
-            step = min(step * (1.7 if windows == 1 else 1.2 if windows < 4 else 0.8), longest)
+            step = min(step * (1.7 if windows <= 2 else 1.2 if windows < 9 else 0.8), longest)
         if len(nodes) > 1:
             self.found.strips.append(strip_of(box, nodes))
         return nodes[-1].omega, losses, True
 
-    def _centre(self, test: CellTest, before: NodeScalings | None) -> tuple[NodeScalings | None, FloatArray]:
-        """Centred scalings at a frequency, None if there are none; the variables reached."""
+    def _centre(self, test: CellTest, before: Sequence[NodeScalings]) -> tuple[NodeScalings | None, FloatArray]:
+        """Centred scalings at a frequency, None if there are none; the variables reached. At most two nodes before it
+        say where to begin.
+        """
         self.found.nodes += 1
-        y = None if before is None else test.variables(before)
-        if y is None or not test.allowed(y):
-            y, reached = test.feasible()
-            if y is None:
-                return None, reached
-            y = test.centred(y, CENTRING)
-        else:
-            y = test.centred(y, FOLLOWING)
+        guesses = list(before[-1:])
+        if len(before) > 1:
+            guesses.insert(0, extrapolated(before[-2], before[-1], test.omega))
+        for guess in guesses:
+            y = test.variables(guess)
+            if test.allowed(y):
+                y = test.centred(y, FOLLOWING)
+                return test.scalings(y), y
+        found, reached = test.feasible(test.variables(before[-1]) if before else None)
+        if found is None:
+            return None, reached
+        y = test.centred(found, CENTRING)
         return test.scalings(y), y
 
     def _look(self, box: Box, low: float, high: float) -> None:
@@ -286,6 +292,17 @@ def member_gains(model: LoopModel, omega: float, members: FloatArray) -> FloatAr
     loop = np.eye(q) - z[:, :q] * delta[:, None, :]
     inner = solve(loop, np.broadcast_to(z[:, q:], (len(delta), *z[:, q:].shape)))
     return weight * largest_gains((e[:, q:] + (e[:, :q] * delta[:, None, :]) @ inner) * amplitude)
+
+
+def extrapolated(first: NodeScalings, second: NodeScalings, omega: float) -> NodeScalings:
+    """Scalings at a frequency from those at two lower ones."""
+    share = (omega - second.omega) / (second.omega - first.omega)
+
+    def beyond(a: tuple[ComplexArray, ...], b: tuple[ComplexArray, ...]) -> tuple[ComplexArray, ...]:
+        return tuple(y + share * (y - x) for x, y in zip(a, b))
+
+    factor = second.factor + share * (second.factor - first.factor)
+    return NodeScalings(omega, beyond(first.D, second.D), beyond(first.G, second.G), factor)
 
 
 def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:

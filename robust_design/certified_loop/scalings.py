@@ -120,10 +120,10 @@ class CellTest:
         """Whether variables prove the level at this frequency, but for rounding."""
         return bool(np.isfinite(self.problem.value(y, 0.0)))
 
-    def feasible(self, steps: int = 80) -> tuple[FloatArray | None, FloatArray]:
-        """Variables that prove the level, None if there are none; the variables reached."""
+    def feasible(self, before: FloatArray | None = None, steps: int = 80) -> tuple[FloatArray | None, FloatArray]:
+        """Variables that prove the level, None if there are none; the variables reached. Begins at those `before`."""
         problem = self.problem
-        y = problem.start()
+        y = problem.start() if before is None else problem.raised(before, 1e-9)
         weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
         for _ in range(steps):
             slope, curvature = problem.derivatives(y, weight)
