@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -26,11 +27,26 @@ def fail_at_three(item: int) -> int:
     return item
 
 
+def pages_taken(count: int) -> int:
+    """Pages that the system hands out while so many arrays of 1 MB are made and dropped, a hundred times."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(100):
+        arrays = [np.ones(1 << 17) for _ in range(count)]
+        arrays.clear()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
 def test_the_results_are_those_of_one_process_in_order() -> None:
     with Workers(1) as one, Workers(2) as two:
         assert two.map(spectrum, range(5)) == one.map(spectrum, range(5))
         assert list(two.each(abs, [-3, 2, -1])) == [3, 2, 1]
         assert two.map(abs, []) == [] and two.map(abs, [-1]) == [1]
+
+
+def test_arrays_reuse_the_memory_of_those_before() -> None:
+    """20 arrays have 5120 pages of 4 kB; a new process takes them anew every time."""
+    with Workers(2) as workers:
+        assert max(workers.map(pages_taken, [20, 20])) < 10 * 5120
 
 
 def test_an_error_comes_from_the_item() -> None:

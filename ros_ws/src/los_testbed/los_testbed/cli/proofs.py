@@ -257,7 +257,7 @@ def _check_loop(file: Path, count: int, json_: bool) -> None:
         print_json(vars(checked))
         return
     box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
-    about = ", ".join(f"{key} {value}" for key, value in checked.about.items())
+    about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
     sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
     if checked.stable:
