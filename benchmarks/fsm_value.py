@@ -33,7 +33,8 @@ from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
 DESIGN = Path(__file__).parents[1] / "los_estimator" / "designs" / "k_fsm.json"
 MODELS = 8
-FRUITLESS = 1e-5  # relative decrease by a smooth phase after which no other one is begun
+FRUITLESS = 1e-5  # relative decrease by a smooth phase after which the next one begins elsewhere
+PERTURBATIONS = -3.0, -1.0  # decades of the relative size of a perturbation of the best point
 
 
 def problem_and_start() -> tuple[Problem, NDArray[np.float64]]:
@@ -61,24 +62,40 @@ def _active_models(tree: Any) -> list[dict[str, float]]:
 
 
 def measure(seconds: float) -> dict[str, list[float]]:
-    """Descend for about this many CPU seconds; a smooth phase that ended by itself is followed by another one."""
+    """Descend for about this many CPU seconds.
+
+    A smooth phase that ended by itself is followed by another one from its end and, where that found nothing, by others
+    from perturbed copies of the best point.
+    """
     problem, x = problem_and_start()
     rows: dict[str, list[float]] = {"cpu_seconds": [], "value": [], "evaluations": []}
     begin = time.process_time()
+    best, lowest, before = np.inf, x, 0
 
     def report(point: Point, evaluations: int) -> bool:
         rows["cpu_seconds"].append(time.process_time() - begin)
-        rows["value"].append(point.soft)
+        rows["value"].append(min(point.soft, best) if point.feasible else best)
         rows["evaluations"].append(before + evaluations)
         return time.process_time() - begin < seconds
 
-    best, before = np.inf, 0
+    rng = np.random.default_rng(0)
     while time.process_time() - begin < seconds:
         phase = smooth_phase(problem, x, 1_000_000, np.inf, 0.0, report=report)
-        if not phase.point.soft < best * (1.0 - FRUITLESS):
-            break
-        x, best, before = phase.point.x, phase.point.soft, before + phase.evaluations
+        before += phase.evaluations
+        fruitless = not (phase.point.feasible and phase.point.soft < best * (1.0 - FRUITLESS))
+        if phase.point.feasible and phase.point.soft < best:
+            lowest, best = phase.point.x, phase.point.soft
+        x = perturbed(problem, lowest, rng) if fruitless else lowest
     return rows
+
+
+def perturbed(problem: Problem, x: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """A point near `x` at which all models are stable."""
+    while True:
+        size = 10.0 ** rng.uniform(*PERTURBATIONS)
+        trial = x + size * np.abs(x) * rng.standard_normal(len(x))
+        if problem.abscissa(trial) < -problem.min_decay:
+            return np.asarray(trial)
 
 
 def draw(files: list[Path], output: Path) -> None:
