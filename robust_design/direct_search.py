@@ -1,7 +1,8 @@
 """Starts of problems of few states: BFGS on the exact largest value (Lewis and Overton 2013) between smooth phases.
 
 An evaluation costs less than a tenth of one on a grid, so that many starts can be tried. The p-norm of the smooth phase
-passes by local minima in which the exact value is caught; the exact value finishes.
+passes by local minima in which the exact value is caught; the exact value finishes, in the Gauss-Newton metric: optima
+of dynamic controllers are often approached along valleys of fast controller poles and large gains that cancel.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from robust_design.metric import Metric
 from robust_design.problem import Problem
 from robust_design.quasi_newton import quasi_newton
 from robust_design.single_start import StartResult, stabilise, unstable
+from robust_design.smooth_objective import SmoothObjective
 from robust_design.smooth_phase import NEGLIGIBLE, Point, point_at, smooth_phase
 from robust_design.starts import Start
 from robust_design.status import TuningStatus
@@ -29,6 +31,10 @@ SMOOTH_EVALUATIONS = 120
 SCREENING_STEPS, POLISHING_STEPS = 120, 1000
 SCREENING_TOLERANCE, POLISHING_TOLERANCE = 1e-5, 1e-7  # of the logarithm
 CYCLES, VISIBLE = 4, 1e-4
+RESTARTS, MAX_ROUNDS = 10, 10  # descents from perturbed copies of the best point in a round; rounds
+RESTART_SIZES = -3.0, 0.0  # decades of the size of such a perturbation, in the Gauss-Newton metric
+METRIC_FLOOR = 1e-6  # of its eigenvalues, relative
+RESTART_STEPS, RESTART_TOLERANCE = 400, 1e-8  # of the logarithm
 MAX_MOVES = 8  # rounds of descents from points of more gain
 SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
@@ -42,7 +48,7 @@ def direct_screen(problem: Problem, start: Start, limits: DescentOptions, band: 
     run.begin(stable)
     if start.number % 2 == 0:
         run.smooth()
-    run.descend(SCREENING_STEPS, SCREENING_TOLERANCE)
+    run.descend_a_little()
     return run.result()
 
 
@@ -55,7 +61,7 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
     run.begin(stable)
     for _ in range(CYCLES):
         before = run.point
-        run.descend(POLISHING_STEPS, POLISHING_TOLERANCE)
+        run.descend()
         if run.late():
             break
         run.smooth()
@@ -63,6 +69,20 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
             break
     run.follow_gain()
     return run.result()
+
+
+def direct_restarts(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """From a stable point: descents from perturbed copies of the best point so far, until a round brings little."""
+    run = _Direct(problem, limits)
+    run.begin(start.parameters(problem))
+    run.restart(np.random.default_rng(start.seed))
+    return run.result()
+
+
+def perturbed(x: FloatArray, decades: tuple[float, float], rng: np.random.Generator) -> FloatArray:
+    """A copy of `x` (size,) with relative changes, their size uniform in the decades; small entries change, too."""
+    size = np.abs(x) + 0.1 * float(np.sqrt(np.mean(x**2)))
+    return np.asarray(x + 10.0 ** rng.uniform(*decades) * size * rng.standard_normal(len(x)))
 
 
 def negligible_value(problem: Problem) -> float:
@@ -120,15 +140,48 @@ class _Direct:
         self._evaluations += found.evaluations
         self._take(found.point)
 
-    def descend(self, steps: int, tolerance: float) -> None:
-        """Quasi-Newton on the exact value."""
+    def descend(self) -> None:
+        """Quasi-Newton on the exact value to the end, in the Gauss-Newton metric."""
+        self._descend(POLISHING_STEPS, POLISHING_TOLERANCE, self._gauss_newton())
+
+    def descend_a_little(self) -> None:
+        """Quasi-Newton on the exact value, in the parameters as they are."""
+        self._descend(SCREENING_STEPS, SCREENING_TOLERANCE, self._metric)
+
+    def _descend(self, steps: int, tolerance: float, metric: Metric) -> None:
         if not np.isfinite(self._value(self.point.x)[0]):
             return
         floor = float(np.log(max(self._limits.target, self._floor)))
         found = quasi_newton(
-            self._value, self.point.x, self._metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
+            self._value, self.point.x, metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
         )
         self._take(point_at(self._problem, found.x))
+
+    def restart(self, rng: np.random.Generator) -> None:
+        """Descents from perturbed copies of the best point.
+
+        At a kink the line search ends a descent early, next to a direction that lowers the value.
+        """
+        for _ in range(MAX_ROUNDS):
+            before, metric = self.point, self._gauss_newton()
+            for _ in range(RESTARTS):
+                if self.late() or self.point.soft <= self._floor:
+                    return
+                step = 10.0 ** rng.uniform(*RESTART_SIZES) * rng.standard_normal(len(before.x))
+                x = self.point.x + metric.step(step)
+                if self._problem.abscissa(x) < -self._problem.min_decay:
+                    self._restart_from(x, metric)
+            if not self.point.better_than(before, VISIBLE):
+                return
+
+    def _gauss_newton(self) -> Metric:
+        point = self.point
+        return SmoothObjective(self._problem, point.x, point.found).metric(point.x, METRIC_FLOOR)
+
+    def _restart_from(self, x: FloatArray, metric: Metric) -> None:
+        found = quasi_newton(self._value, x, metric, steps=RESTART_STEPS, tolerance=RESTART_TOLERANCE, stop=self.late)
+        if np.exp(found.value) < self.point.soft:
+            self._take(point_at(self._problem, found.x))
 
     def follow_gain(self) -> None:
         """Descents from points of more gain, as long as they lower the value."""
@@ -142,7 +195,7 @@ class _Direct:
                 if not np.isfinite(trial.soft):
                     continue
                 self.point = trial
-                self.descend(POLISHING_STEPS, POLISHING_TOLERANCE)
+                self.descend()
                 if not self.point.better_than(best):
                     self.point = best
             if not self.point.better_than(kept, VISIBLE):

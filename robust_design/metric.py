@@ -53,15 +53,15 @@ def diagonal_metric(x: FloatArray, result: OracleResult) -> Metric:
     return Metric(np.diag(scale), np.diag(1.0 / scale))
 
 
-def metric_of(matrix: FloatArray) -> Metric:
+def metric_of(matrix: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
     """Metric in which the positive semidefinite `matrix` (n, n) becomes the identity.
 
-    The matrix is first scaled to a unit diagonal; eigenvalues below :data:`EIGENVALUE_FLOOR` are raised to it.
+    The matrix is first scaled to a unit diagonal; eigenvalues below `floor` times the largest are raised to it.
     """
     diagonal = np.diag(matrix)
     scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max(initial=0.0)), 1e-300)))
     values, vectors = sl.eigh(matrix * np.outer(scale, scale))
-    root = np.sqrt(np.maximum(values, EIGENVALUE_FLOOR * max(float(values[-1]), 1e-300)))
+    root = np.sqrt(np.maximum(values, floor * max(float(values[-1]), 1e-300)))
     return Metric(scale[:, None] * vectors / root, (root[:, None] * vectors.T) / scale)
 
 

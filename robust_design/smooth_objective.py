@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robust_design.gains import unresolved
 from robust_design.grid_gains import GridGains
-from robust_design.metric import Metric, metric_of
+from robust_design.metric import EIGENVALUE_FLOOR, Metric, metric_of
 from robust_design.pieces import HARD_TARGET
 from robust_design.problem import Evaluation, Problem, worst_values
 from robust_design.structures import gain_sizes, jacobian
@@ -296,8 +296,11 @@ class SmoothObjective:
         own = RIDGE * np.diag(total) + max(RIDGE**3 * float(np.diag(total).max()), 1e-200)
         return np.asarray(total + np.diag(own) + PROPORTION * (J.T / gain_sizes(K, structure.order).ravel() ** 2) @ J)
 
-    def metric(self, x: FloatArray) -> Metric:
-        """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains."""
+    def metric(self, x: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
+        """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains.
+
+        Directions that change next to nothing get at most the length ``1 / sqrt(floor)``.
+        """
         structure = self._problem.structure
         K = structure.gain_matrix(x)
         entries = self._entries(x, K, self.power)
@@ -308,7 +311,7 @@ class SmoothObjective:
             excess, slope = self._log_norm(x, K, hard)
             if excess - self._offset + 0.5 * self._multiplier / self._penalty > 0.0:
                 total = total + 2.0 * self._penalty * np.outer(slope, slope)
-        return metric_of(total)
+        return metric_of(total, floor)
 
     def _gauss_newton(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry], J: FloatArray) -> FloatArray:
         """Squared relative size of the change of all responses, weighted by their gains."""

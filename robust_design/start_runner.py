@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lti.progress import Progress
 from lti.threads import one_thread
 from robust_design.descent import DescentOptions
-from robust_design.direct_search import direct_polish, direct_screen, negligible_value
+from robust_design.direct_search import direct_polish, direct_restarts, direct_screen, negligible_value, perturbed
 from robust_design.exact_value import ExactValue
 from robust_design.problem import Problem
 from robust_design.single_start import StartResult, screen, tune_from
@@ -90,6 +90,8 @@ def run_starts(
             runner.run(_full, starts)
         elif direct:
             _run_batch(runner, _with_perturbed(starts, runner.results), direct_screen, direct_polish)
+            if runner.best.rank[0] != 2:
+                runner.run(direct_restarts, [Start(starts[0].seed, runner.best.x)])
         else:
             _run_batch(runner, starts, _screened, _full)
         after = min((r.rank for r in runner.results), default=(3, np.inf))
@@ -111,9 +113,7 @@ def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> 
     for start in starts:
         if start.number % 2:
             rng = np.random.default_rng(start.seed)
-            size = np.abs(best.x) + 0.1 * float(np.sqrt(np.mean(best.x**2)))
-            x = best.x + 10.0 ** rng.uniform(*PERTURBATIONS) * size * rng.standard_normal(len(best.x))
-            changed.append(replace(start, x=x))
+            changed.append(replace(start, x=perturbed(best.x, PERTURBATIONS, rng)))
         else:
             changed.append(start)
     return changed
