@@ -23,6 +23,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from los_testbed.topics import NODES
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
+WIDTH = 118  # of lines in the documentation
 LABELS = {
     "ours": "own clock, WaitSet, bytes, real-time scheduling",
     "ours_hogs": "the same, with busy processes",
@@ -210,14 +212,13 @@ def table(result: dict[str, Any]) -> str:
         )
     rows += ["", *bare_lines(result)] if any("bare" in result.get(name, {}) for name in LABELS) else []
     m = result["machine"]
-    rows += [
-        "",
+    machine = (
         f"{result['seconds']:g} s each, recorder included; {result['hogs']} busy processes where there are any. "
         f"{m['processor']}{' (virtual machine)' if m['virtual'] else ''}, {m['processors']} processors, "
         f"{m['memory_GiB']} GiB, {m['kernel']}, Python {m['python']}, rclpy {m['rclpy']}, rmw_fastrtps_cpp "
-        f"{m['rmw-fastrtps-cpp']}; load average before the first run {m['load_before']:.1f}.",
-    ]
-    return "\n".join(rows) + "\n"
+        f"{m['rmw-fastrtps-cpp']}; load average before the first run {m['load_before']:.1f}."
+    )
+    return "\n".join([*rows, "", textwrap.fill(machine, WIDTH)]) + "\n"
 
 
 def bare_lines(result: dict[str, Any]) -> list[str]:
@@ -230,7 +231,7 @@ def bare_lines(result: dict[str, Any]) -> list[str]:
         for name in LABELS
         if (run := result.get(name, {})).get("bare")
     ]
-    return ["\n\n".join(line[0].upper() + line[1:] for line in found)]
+    return ["\n\n".join(textwrap.fill(line[0].upper() + line[1:], WIDTH) for line in found)]
 
 
 def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:
