@@ -55,7 +55,7 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     data = continuous(k_pma).data_at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
     law = delayed_controller(StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
-    requirement = next(r for r in actuator_requirements(parameters, implemented=True) if r.name == "RPE")
+    requirement = next(r for r in actuator_requirements(parameters, implemented=True) if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, requirement).matrices for values in points]
 
