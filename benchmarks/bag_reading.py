@@ -3,7 +3,7 @@
     python benchmarks/bag_reading.py [BAG] [--seconds 10] [--json]
 
 Without a bag a synthetic one is written: the nine topics of the testbed at 1 kHz. Each reader delivers the same thing:
-stamps and values of every topic as arrays. ``--json`` prints one object as the last line:
+stamps and values of every topic as arrays. ``--json`` prints one object in place of the table:
 ``{"ratio_rosbags", "ratio_mcap_ros2", "equal"}`` (times of the other reader over ours).
 """
 
@@ -131,12 +131,13 @@ def main() -> None:
             mcap_time = min(mcap_time, seconds)
     same = equal(own, first) and equal(own, second)
     messages = sum(len(stamps) for stamps, _ in own.values())
-    for name, seconds in (("pointing_analysis", own_time), ("rosbags", rosbags_time), ("mcap-ros2-support", mcap_time)):
-        print(f"{name:20s} {seconds:8.3f} s  {1e6 * seconds / messages:7.2f} us/message  x {seconds / own_time:.1f}")
-    print(f"{messages} messages, values {'equal' if same else 'DIFFERENT'}")
     if arguments.json:
         ratios = {"ratio_rosbags": rosbags_time / own_time, "ratio_mcap_ros2": mcap_time / own_time}
         print(json.dumps({**{k: round(v, 2) for k, v in ratios.items()}, "equal": same}))
+        return
+    for name, seconds in (("pointing_analysis", own_time), ("rosbags", rosbags_time), ("mcap-ros2-support", mcap_time)):
+        print(f"{name:20s} {seconds:8.3f} s  {1e6 * seconds / messages:7.2f} us/message  x {seconds / own_time:.1f}")
+    print(f"{messages} messages, values {'equal' if same else 'DIFFERENT'}")
 
 
 if __name__ == "__main__":
