@@ -17,7 +17,7 @@ from robust_design.exact_value import ExactValue
 from robust_design.gain_moves import gain_moves
 from robust_design.metric import Metric
 from robust_design.problem import Problem
-from robust_design.quasi_newton import quasi_newton
+from robust_design.quasi_newton import QuasiNewtonResult, quasi_newton
 from robust_design.single_start import StartResult, stabilise, unstable
 from robust_design.smooth_objective import SmoothObjective
 from robust_design.smooth_phase import NEGLIGIBLE, Point, point_at, smooth_phase
@@ -149,13 +149,12 @@ class _Direct:
         self._descend(SCREENING_STEPS, SCREENING_TOLERANCE, self._metric)
 
     def _descend(self, steps: int, tolerance: float, metric: Metric) -> None:
-        if not np.isfinite(self._value(self.point.x)[0]):
-            return
+        if np.isfinite(self._value(self.point.x)[0]):
+            self._take(point_at(self._problem, self._descended(self.point.x, steps, tolerance, metric).x))
+
+    def _descended(self, x: FloatArray, steps: int, tolerance: float, metric: Metric) -> QuasiNewtonResult:
         floor = float(np.log(max(self._limits.target, self._floor)))
-        found = quasi_newton(
-            self._value, self.point.x, metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late
-        )
-        self._take(point_at(self._problem, found.x))
+        return quasi_newton(self._value, x, metric, steps=steps, tolerance=tolerance, floor=floor, stop=self.late)
 
     def restart(self, rng: np.random.Generator) -> None:
         """Descents from perturbed copies of the best point.
@@ -165,7 +164,7 @@ class _Direct:
         for _ in range(MAX_ROUNDS):
             before, metric = self.point, self._gauss_newton()
             for _ in range(RESTARTS):
-                if self.late() or self.point.soft <= self._floor:
+                if self.late() or self.point.soft <= max(self._floor, self._limits.target):
                     return
                 step = 10.0 ** rng.uniform(*RESTART_SIZES) * rng.standard_normal(len(before.x))
                 x = self.point.x + metric.step(step)
@@ -179,7 +178,7 @@ class _Direct:
         return SmoothObjective(self._problem, point.x, point.found).metric(point.x, METRIC_FLOOR)
 
     def _restart_from(self, x: FloatArray, metric: Metric) -> None:
-        found = quasi_newton(self._value, x, metric, steps=RESTART_STEPS, tolerance=RESTART_TOLERANCE, stop=self.late)
+        found = self._descended(x, RESTART_STEPS, RESTART_TOLERANCE, metric)
         if np.exp(found.value) < self.point.soft:
             self._take(point_at(self._problem, found.x))
 
