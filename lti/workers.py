@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unus
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-LARGEST_KEPT = 31 << 20
+_LARGEST_KEPT = 31 << 20  # bytes; glibc's largest bound is 32 MB
 
 
 class Workers:
@@ -83,20 +83,20 @@ def _begin(stopped: connection.Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1, user_api="blas")
-    keep_freed_memory()
+    _keep_freed_memory()
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel, stopped), daemon=True).start()
 
 
-def keep_freed_memory() -> None:
-    """Let arrays of up to 32 MB reuse the memory of earlier ones, in a process that makes and drops many.
+def _keep_freed_memory() -> None:
+    """Let arrays of up to 31 MB reuse the memory of earlier ones, in a process that makes and drops many.
 
     A new process gives what it has freed back to the system as soon as that is some hundred kilobytes, and takes it
     anew, page by page: a fifth of the time of a proof's check. glibc raises this bound to twice the size of the
-    largest array that was ever dropped, up to 64 MB. With other C libraries nothing changes.
+    largest array that was ever dropped, here 62 MB. With other C libraries nothing changes.
     """
-    np.empty(LARGEST_KEPT, np.uint8)
+    np.empty(_LARGEST_KEPT, np.uint8)
 
 
 def _end_with(sentinel: int, stopped: connection.Connection) -> None:
