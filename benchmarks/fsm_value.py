@@ -73,9 +73,11 @@ def measure(seconds: float) -> dict[str, list[float]]:
     best, lowest, before = np.inf, x, 0
 
     def report(point: Point, evaluations: int) -> bool:
-        rows["cpu_seconds"].append(time.process_time() - begin)
-        rows["value"].append(min(point.soft, best) if point.feasible else best)
-        rows["evaluations"].append(before + evaluations)
+        value = min(point.soft, best) if point.feasible else best
+        if np.isfinite(value):  # JSON has no infinity
+            rows["cpu_seconds"].append(time.process_time() - begin)
+            rows["value"].append(value)
+            rows["evaluations"].append(before + evaluations)
         return time.process_time() - begin < seconds
 
     rng = np.random.default_rng(0)
