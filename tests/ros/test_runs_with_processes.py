@@ -5,11 +5,13 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+import simple_telescope
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
@@ -179,12 +181,24 @@ def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
     assert not (tmp_path / "second" / "bag").exists()
 
 
-def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path):
+DEAF = f"""
+import sys
+sys.path.insert(0, {str(Path(simple_telescope.__file__).parent)!r})
+import simple_telescope
+from los_testbed.nodes.support import handshake
+handshake.LISTEN_S = 0.0
+sys.exit(simple_telescope.main())
+"""
+"""A plant that does not listen before it sends, as where discovery takes longer than it listens."""
+
+
+@pytest.mark.parametrize("second", [PLANT, [sys.executable, "-c", DEAF]], ids=["at once", "discovered late"])
+def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, second):
     """Also from another machine, where no lock file helps."""
     config = config_for(tmp_path, duration=60.0)
     parameters = tmp_path / "run.yaml"
     parameter_file(config, parameters)
-    command = [*PLANT, "--ros-args", "--params-file", str(parameters)]
+    command = [*second, "--ros-args", "--params-file", str(parameters)]
     outcome = []
 
     def meanwhile(ticks):

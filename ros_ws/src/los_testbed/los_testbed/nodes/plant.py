@@ -24,7 +24,7 @@ from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
 from los_testbed.loop.tick_clock import TickClock
-from los_testbed.nodes.support.handshake import refuse_second_plant, wait_for_followers
+from los_testbed.nodes.support.handshake import OtherPlants, wait_for_followers
 from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        refuse_second_plant(context)
+        others = OtherPlants(context)
         context.event("alone")
         own, command = build is not build_plant, None
         plant = made_by(build, context.config, "plant") if own else build(context.config)
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
             context.event("warning", message=OWN_PLANT)
             context.warn_alone([OWN_PLANT])
         with one_thread():
-            return PlantLoop(context, plant, command).run()
+            return PlantLoop(context, plant, command).run(others)
 
     return run_node("plant", arguments, body)
 
@@ -116,12 +116,13 @@ class PlantLoop:
         self._faded = False
         self._second = ""
 
-    def run(self) -> int:
-        """Run, and once more after every reset."""
+    def run(self, others: OtherPlants) -> int:
+        """Run, unless another plant does, and once more after every reset."""
         context = self.context
         context.become_real_time()
+        wait_for_followers(context, self.io, lambda: self.services.may_begin, others.refuse_running)
+        others.close()
         while True:
-            wait_for_followers(context, self.io, lambda: self.services.may_begin)
             if context.stop:
                 context.event("done", statistics={})
                 return 0
@@ -134,6 +135,7 @@ class PlantLoop:
             self.changes.restore()
             self._begin_counts()
             self.io.forget()
+            wait_for_followers(context, self.io, lambda: self.services.may_begin)
         self.services.state = OVER
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if beyond(self._truth).any():

@@ -18,7 +18,7 @@ from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.config import NAMESPACE
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.loop.tick_clock import wait_until
-from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, refuse_second_plant
+from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.domains import domain_lock
@@ -98,8 +98,8 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
     with domain_lock(int(os.environ.get("ROS_DOMAIN_ID", "0")), NAMESPACE):
         context = NodeContext("replay", [])
         try:
-            refuse_second_plant(context)
-            return _Player(context, run).play(timeout, progress)
+            others = OtherPlants(context)
+            return _Player(context, run, others).play(timeout, progress)
         finally:
             context.close()
 
@@ -107,9 +107,10 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
 class _Player:
     """Publishers of the sensors, subscriptions of the answers."""
 
-    def __init__(self, context: NodeContext, run: Run) -> None:
+    def __init__(self, context: NodeContext, run: Run, others: OtherPlants) -> None:
         topics = [topic for topic in (*SENSORS, TRUTH_LOS) if topic.name in run]
         self.context = context
+        self._others = others
         self.sent = tuple(topic.name for topic in topics)
         self.stamps: NDArray[np.int64] = np.unique(np.concatenate([run[t.name].stamp for t in topics]))
         self._outputs = [self._output(topic, run) for topic in topics]
@@ -126,6 +127,7 @@ class _Player:
 
     def play(self, timeout: float, progress: Callable[[int, int], None]) -> Played:
         warnings = self._handshake(timeout)
+        self._others.close()
         late, total, first = 0, len(self.stamps), int(self.stamps[0])
         start_time = time.monotonic_ns() + 20_000_000
         done = 0
@@ -158,6 +160,7 @@ class _Player:
             for publisher, codec, _, values in self._outputs:
                 publisher.publish(codec.encode(HOLD_STAMP, np.zeros(values.shape[1])))
             time.sleep(HOLD_PERIOD_S)
+            self._others.refuse_running()
             for name, subscription in self._inputs.items():
                 while (taken := subscription.take()) is not None:
                     if len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:

@@ -29,38 +29,72 @@ LEASE_S = 11.0
 """A node that was killed has left the graph within this time."""
 
 
-def refuse_second_plant(context: NodeContext) -> None:
-    """Check for another plant before anything is sent.
+class OtherPlants:
+    """Refuses to be the second plant of a domain: before anything is sent, and until the run begins.
+
+    Where other programs have the processor, discovery takes longer than :data:`LISTEN_S`: a plant that has not been
+    heard by then is heard while this one waits for its followers, which the other's run keeps busy.
+
+    Parameters
+    ----------
+    context : NodeContext
+        The node.
 
     Raises
     ------
     ValueError
         Another plant sends on this domain.
     """
-    topic = ISOLATOR_ACCEL
-    listener = RawSubscription(context.node, topic.name, topic.type_name)
-    name = context.node.resolve_topic_name(topic.name)
-    start_time = time.monotonic()
-    try:
+
+    def __init__(self, context: NodeContext) -> None:
+        topic = ISOLATOR_ACCEL
+        self._listener = RawSubscription(context.node, topic.name, topic.type_name)
+        try:
+            self._listen(context)
+        except ValueError:
+            self.close()
+            raise
+
+    def _listen(self, context: NodeContext) -> None:
+        """Wait as long as discovery takes; any sample is another plant's, a hold tick too."""
+        start_time, name = time.monotonic(), self._listener.name
         while not context.stop:
-            if listener.take() is not None:
-                raise ValueError(f"ROS_DOMAIN_ID must be a domain without a plant, got one where {name} is sent")
-            # a plant that was killed stays in the graph for 20 s: only what is sent counts
+            if self._listener.take() is not None:
+                raise self._error()
+            # a plant that was killed stays in the graph until its lease ends: only what is sent counts
             patience = 2 * LISTEN_S if context.node.count_publishers(name) else LISTEN_S
             if time.monotonic() - start_time > patience:
                 return
             time.sleep(0.01)
-    finally:
-        listener.close()
+
+    def refuse_running(self) -> None:
+        """Look at what came since, while this node sends hold ticks only: another stamp is of a plant that runs."""
+        while (taken := self._listener.take()) is not None:
+            if len(taken[0]) >= 12 and stamp_of(taken[0]) != HOLD_STAMP:
+                raise self._error()
+
+    def _error(self) -> ValueError:
+        return ValueError(
+            f"ROS_DOMAIN_ID must be a domain without a plant, got one where {self._listener.name} is sent"
+        )
+
+    def close(self) -> None:
+        """Stop listening: from now on the samples are this node's own."""
+        self._listener.close()
 
 
-def wait_for_followers(context: NodeContext, io: PlantIo, may_begin: Callable[[], bool] = lambda: True) -> None:
+def wait_for_followers(
+    context: NodeContext,
+    io: PlantIo,
+    may_begin: Callable[[], bool] = lambda: True,
+    refuse_others: Callable[[], None] = lambda: None,
+) -> None:
     """Send hold ticks until estimator, controller and, if asked for, recorder answer and the run `may_begin`.
 
     Raises
     ------
     ValueError
-        One of them did not answer in time.
+        One of them did not answer in time, or `refuse_others` raised it.
     """
     waiting_for = {"fsm/command": io.fsm_input, "pma/command": io.pma_input}
     if context.config.wait_for_recorder:
@@ -69,6 +103,7 @@ def wait_for_followers(context: NodeContext, io: PlantIo, may_begin: Callable[[]
     while not context.stop:
         io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
         time.sleep(HOLD_PERIOD_S)
+        refuse_others()
         for name, subscription in list(waiting_for.items()):
             while (taken := subscription.take()) is not None:
                 ours = not subscription.sort(taken, time.monotonic_ns())
