@@ -7,7 +7,9 @@ import os
 import time
 from collections.abc import Sequence
 
+from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.nodes.support.middleware import (
     PROFILE_VARIABLES,
     TRANSPORT_VARIABLE,
@@ -88,6 +90,27 @@ class Bystander:
 
     def send(self, topic: Topic, data: bytes | bytearray) -> None:
         self._outputs[topic.name].publish(data)
+
+    def send_until_counted(self, topic: Topic, data: bytes | bytearray, node: str, count: str) -> int:
+        """Send a message again and again until the reports of a node of the run have this count; how often it was sent.
+
+        Readers of the loop are best effort: one that has not yet found this publisher gets nothing, and neither the
+        graph nor the publisher's own matches tell whether it has.
+        """
+        name = f"/telescope/{node}/diagnostics"
+        reports = RawSubscription(self.node, name, DiagnosticArray)
+        end, sent = time.monotonic() + 60.0, 0
+        try:
+            while time.monotonic() < end:
+                self.send(topic, data)
+                sent += 1
+                time.sleep(0.02)
+                while (taken := reports.take()) is not None:
+                    if any(int(status.values.get(count, 0)) for status in read_diagnostics(taken[0])[1]):
+                        return sent
+        finally:
+            reports.close()
+        raise TimeoutError(f"{node} reports no {count} within 60 s")
 
     def settle(self) -> None:
         """Wait until every reader has what was sent."""
