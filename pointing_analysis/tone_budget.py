@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointing_analysis import metrics, spectra
+from pointing_analysis.confidence import effective_number
 from pointing_analysis.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.recording import Recording
 
@@ -50,6 +52,7 @@ class ToneBudget:
     slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
     total : 99.7 % quantile of the rms in each window, both axes
     allowances : the same parts as they are allowed; empty where nothing is said
+    noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
     """
 
     noise: float
@@ -57,6 +60,7 @@ class ToneBudget:
     fast: float
     total: float
     allowances: Mapping[str, float]
+    noise_error: float = math.nan
 
     def __str__(self) -> str:
         texts = []
@@ -68,6 +72,7 @@ class ToneBudget:
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; NaN becomes None."""
         values = {part: float(getattr(self, part)) for part in PARTS}
+        values["noise_error"] = self.noise_error
         shown = {part: float(f"{x:.6g}") if math.isfinite(x) else None for part, x in values.items()}
         return {**shown, "allowances": dict(self.allowances)}
 
@@ -92,12 +97,25 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     edge = allowances.pop(EDGE, BAND_EDGE)
     found = spectra.lines(series.values, series.dt, omegas, window)
     rest = spectra.without_lines(series.values, series.dt, omegas)
-    noise = float(np.hypot(*metrics.rpe_rms(rest, series.dt, window))) / RAD_PER_MAS
+    power = metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2
+    noise, noise_error = _rms(power)
     slow, fast = (
         math.sqrt(2.0 * sum(line.rpe**2 for line in found if (line.omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
-    return ToneBudget(noise, slow, fast, total, {part: allowances[part] for part in PARTS if part in allowances})
+    allowed = {part: allowances[part] for part in PARTS if part in allowances}
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error)
+
+
+def _rms(power: NDArray[np.float64]) -> tuple[float, float]:
+    """Rms from the power of each window (m,), and its standard error."""
+    if not len(power):
+        return math.nan, math.nan
+    rms = math.sqrt(float(power.mean()))
+    if len(power) < 2 or rms == 0.0:
+        return rms, 0.0 if rms == 0.0 else math.nan
+    relative = float(power.std(ddof=1)) / float(power.mean()) / math.sqrt(effective_number(power))
+    return rms, 0.5 * rms * relative
 
 
 def _number(value: Any) -> bool:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pointing_analysis import metrics
 from pointing_analysis.errors import RAD_PER_MAS, ErrorSeries
@@ -53,3 +54,23 @@ def test_the_line_holds_every_part_beside_its_allowance() -> None:
     assert str(found) == f"budget of the RPE [mas]: {text}"
     assert found.as_dict()["allowances"] == {"noise": 12.0, "slow": 20.5, "fast": 27.0, "total": 40.0}
     assert ToneBudget(math.nan, 0.0, 0.0, 1.0, {}).as_dict()["noise"] is None
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.95])
+def test_the_noise_of_short_records_scatters_as_its_error_says(pole: float) -> None:
+    """White noise, and noise that is correlated over several windows."""
+    found = []
+    for seed in range(60):
+        white = np.random.default_rng(seed).standard_normal((6000, 2))
+        values = lfilter([1.0], [1.0, -pole], white, axis=0)[1000:]
+        found.append(tone_budget(run_with(tones_rad_s=[300.0]), series(values), 0.02, 1.0))
+    noise, errors = np.array([f.noise for f in found]), np.array([f.noise_error for f in found])
+    assert errors.mean() == pytest.approx(noise.std(ddof=1), rel=0.3)
+    below = np.mean(noise - 1.645 * errors > math.sqrt(np.mean(noise**2)))
+    assert below < 0.15, "5 % are expected"
+
+
+def test_the_error_of_what_cannot_be_known_is_not_a_number() -> None:
+    assert tone_budget(run_with(), series(np.ones((30, 2))), 0.02, 1.0).noise_error == 0.0
+    one = series(np.random.default_rng(1).standard_normal((30, 2)))
+    assert math.isnan(tone_budget(run_with(), one, 0.02, 1.0).noise_error), "one window"

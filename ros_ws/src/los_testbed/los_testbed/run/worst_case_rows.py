@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, special
 
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -28,6 +28,9 @@ from titop_plant.telescope.weights import rpe_weight
 
 WORST_INDICES = ("APE", "slow", "fast")
 """Indices whose worst tones are compared; the worst RPE is that of a slow or of a fast tone."""
+
+CONFIDENCE = 0.95
+"""Of the statement that a limit is broken."""
 
 
 @dataclass(frozen=True)
@@ -77,27 +80,38 @@ def worst_tone_of(run: Run) -> WorstTone | None:
     return WorstTone(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
 
 
-def level(summary: Summary, index: str) -> float:
-    """What the limits of an index are compared with: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas]."""
+def level(summary: Summary, index: str, errors: float = 0.0) -> float:
+    """What the limits of an index are compared with: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
+
+    `errors` standard errors of the record's noise are added to the noise of the RPE.
+    """
     if index == "APE" or summary.budget is None:
         return summary.ape_p997 if index == "APE" else summary.rpe_windows_p997
     budget = summary.budget
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
         return math.inf
-    return combined_level(max(budget.slow, budget.fast), budget.noise)
+    scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
+    return combined_level(max(budget.slow, budget.fast), max(0.0, budget.noise + scatter))
 
 
 def limits_kept(summary: Summary, index: str) -> str:
     """What a run keeps of the limits of its index: "keeps 100, breaks 40".
 
-    :func:`level` is compared with each limit.
+    :func:`level` is compared with each limit. The noise of a short record scatters: a limit is only broken if it is so
+    with the lower bound of the noise at :data:`CONFIDENCE`, one-sided; else a level above it is "within the scatter".
     """
-    found = level(summary, index)
+    found, least = level(summary, index), level(summary, index, -float(special.ndtri(CONFIDENCE)))
     name = "APE" if index == "APE" else "RPE"
     bounds = sorted({r.limit / r.scale for r in load() if r.index == name and not r.axis}, reverse=True)
-    kept, broken = ([f"{b:g}" for b in bounds if (found <= b) == keeps] for keeps in (True, False))
-    parts = (("keeps", kept), ("breaks", broken))
-    return ", ".join(f"{word} {' and '.join(texts)}" for word, texts in parts if texts)
+    kept = [f"{b:g}" for b in bounds if found <= b]
+    scattered = [f"{b:g}" for b in bounds if least <= b < found]
+    broken = [f"{b:g}" for b in bounds if b < least]
+    texts = (
+        f"keeps {' and '.join(kept)}",
+        f"{' and '.join(scattered)} within the scatter",
+        f"breaks {' and '.join(broken)}",
+    )
+    return ", ".join(text for text, names in zip(texts, (kept, scattered, broken)) if names)
 
 
 def figure(value: float) -> str:

@@ -1,0 +1,37 @@
+"""What a row of the stage comparison says of its limits."""
+
+from types import SimpleNamespace
+
+import pytest
+from los_testbed.run.worst_case_rows import level, limits_kept
+
+from pointing_analysis.tone_budget import ToneBudget
+from titop_plant.telescope.budget import combined_level
+
+
+def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
+    budget = ToneBudget(noise, 0.0, fast, 30.0, {}, noise_error)
+    return SimpleNamespace(budget=budget, ape_p997=11.0, rpe_windows_p997=30.0)
+
+
+@pytest.mark.parametrize(
+    ("fast", "noise", "noise_error", "text"),
+    [
+        (19.4, 11.2, 0.5, "keeps 100 and 40"),
+        (19.4, 12.4, 0.7, "keeps 100, 40 within the scatter"),
+        (19.4, 12.4, 0.1, "keeps 100, breaks 40"),
+        (19.4, 12.4, float("nan"), "keeps 100, breaks 40"),
+        (73.7, 11.2, 0.5, "keeps 100, breaks 40"),
+        (482.0, 11.2, 0.5, "breaks 100 and 40"),
+        (float("nan"), 11.2, 0.5, "breaks 100 and 40"),
+    ],
+)
+def test_a_limit_is_broken_only_beyond_the_scatter_of_the_noise(
+    fast: float, noise: float, noise_error: float, text: str
+) -> None:
+    assert limits_kept(summary(fast, noise, noise_error), "fast") == text
+
+
+def test_what_is_shown_is_the_level_of_the_record_itself() -> None:
+    assert level(summary(19.4, 12.4, 0.7), "fast") == pytest.approx(combined_level(19.4, 12.4))
+    assert limits_kept(summary(19.4, 12.4, 0.7), "APE") == "breaks 10"
