@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lti.progress import Progress
-from lti.threads import one_thread
+from lti.workers import Workers
 from robust_design.descent import DescentOptions
 from robust_design.direct_search import direct_polish, direct_restarts, direct_screen, negligible_value, perturbed
 from robust_design.exact_value import ExactValue
@@ -178,26 +177,19 @@ class _Runner:
         return results
 
     def _parallel(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
-        results: dict[int, StartResult] = {}
-        left = self._limits.deadline - time.monotonic()
-        pool = ProcessPoolExecutor(min(self._workers, len(starts)), mp_context=get_context("spawn"))
-        with pool:
-            futures = {
-                pool.submit(_remote, work, self._problem, start, self._limits, left, self._band): k
-                for k, start in enumerate(starts)
-            }
-            try:
-                for future in as_completed(futures):
-                    results[futures[future]] = future.result()
-                    best = min(r.soft for r in results.values())
-                    self._progress.report(len(results), len(starts), best=best)
-            except KeyboardInterrupt:
-                pool.shutdown(wait=False, cancel_futures=True)
-                found = list(results.values()) or [_interrupted(self._problem, starts[0])]
-                return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
-        ordered = [results[k] for k in sorted(results)]
-        ends = [k for k, r in enumerate(ordered) if _ended([r])]
-        return ordered[: ends[0] + 1] if ends else ordered  # those that one process would have run
+        results: list[StartResult] = []
+        remote = partial(_remote, work, self._problem, self._limits, self._band)
+        try:
+            with Workers(min(self._workers, len(starts))) as workers:
+                for result in workers.each(remote, list(enumerate(starts))):
+                    if result is not None:
+                        results.append(result)
+                    self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
+        except KeyboardInterrupt:
+            found = results or [_interrupted(self._problem, starts[0])]
+            return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
+        ends = [k for k, r in enumerate(results) if _ended([r])]
+        return results[: ends[0] + 1] if ends else results  # those that one process would have run
 
 
 def _ended(results: Sequence[StartResult]) -> bool:
@@ -214,10 +206,13 @@ def _screened(problem: Problem, start: Start, limits: DescentOptions, band: floa
 
 
 def _remote(
-    work: Work, problem: Problem, start: Start, limits: DescentOptions, left: float, band: float
-) -> StartResult:
-    with one_thread():
-        return work(problem, start, replace(limits, deadline=time.monotonic() + left), band)
+    work: Work, problem: Problem, limits: DescentOptions, band: float, item: tuple[int, Start]
+) -> StartResult | None:
+    """In another process, whose steady clock is this one's: nothing is begun after the deadline but the first start."""
+    number, start = item
+    if number and time.monotonic() > limits.deadline:
+        return None
+    return work(problem, start, limits, band)
 
 
 def _interrupted(problem: Problem, start: Start) -> StartResult:

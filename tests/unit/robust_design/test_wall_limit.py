@@ -67,3 +67,13 @@ def test_no_more_than_a_few_evaluations_after_the_limit(
     assert np.isfinite(result.soft)
     assert result.certificate is not None
     assert result.certificate.stable
+
+
+def test_no_start_is_begun_after_the_limit_in_other_processes() -> None:
+    """But the first: each of the others had the whole time that was left when the first was begun."""
+    plant, structure = structure_with_all_states_seen(2), state_space([("y", 3)], [("u", 3)], 0)
+    given = [0.01 * np.random.default_rng(k).standard_normal(structure.size) for k in range(4)]
+    options = TuningOptions(starts=0, wall_limit=1e-6, workers=2)
+    result = tune([plant], [HinfGain("w", "z")], structure, initial=given, options=options)
+    assert result.status == "out_of_time"
+    assert len(result.starts) == 1
