@@ -65,6 +65,9 @@ MODE_OFFSETS = (-5e-3, -2.5e-3, -1e-3, -3e-4, 3e-4, 1e-3, 2.5e-3, 5e-3)
 NOISE_FREQUENCIES = ((1e-2, 0.5, 60), (0.5, 20.0, 500), (20.0, 1000.0, 700), (1000.0, np.pi / DT, 120))
 
 
+LEAST_DECAY = 5e-4
+"""Of the controllers' own poles [rad/s]: they are stable without the loop, and no transient lasts for hours."""
+
 TUNED = 0.985
 """Part of the limits of APE, mirror and force that is tuned for."""
 
@@ -99,8 +102,8 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
     laws = np.full((ACTUATOR_ORDER + forces, ACTUATOR_ORDER + PLATFORM.stop - PLATFORM.start), ACTUATORS in tuned)
     return (
         ControllerBlock("K_FSM", OBSERVER_ORDER, slice(0, MEASUREMENTS), MIRROR, bilinear, sensors,
-                        lambda omega: mirror * delay(omega), free),
-        ControllerBlock("K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, platform, delay, laws),
+                        lambda omega: mirror * delay(omega), free, LEAST_DECAY),
+        ControllerBlock("K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, platform, delay, laws, LEAST_DECAY),
     )  # fmt: skip
 
 

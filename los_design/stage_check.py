@@ -37,6 +37,8 @@ ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK = 50
 """Parameter points that a process looks at together."""
+DRIFTS: FloatArray = np.asarray(np.geomspace(1e-5, 1e-2, 19)[:-1], dtype=float)
+"""Frequencies [rad/s] below the grid: a change that makes a slow pole of a controller unstable shows there."""
 NARROW, AROUND = 0.01, 3e-3
 """Damping ratio of the modes that are looked at one by one, and the relative half-width of their brackets."""
 
@@ -154,6 +156,8 @@ def _look(search: Search, chunk: _Chunk) -> _Part:
     metrics, omega = search.metrics, grid()
     doubt = np.zeros((len(cube), len(change_names(search.loop.stage))), dtype=bool)
     doubt[0] |= chunk.first  # one point is checked by eigenvalues, whatever its responses say
+    for w in DRIFTS:
+        doubt |= doubtful(search.loop.sensitivities(search.loop.at(float(w)), cube), float(w), search.loop.stage)
     peaks, envelope = _largest(search.loop, metrics, omega, cube, stable, doubt)
     narrow = _at_modes(search.loop, metrics, modes, cube, stable, doubt)
     unstable = [_lost(search, values, doubt[i]) if chunk.changes else [] for i, values in enumerate(chunk.points)]

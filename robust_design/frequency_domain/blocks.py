@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.intp]
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
+MOST_CONDITION = 1e8
+"""Of eigenvectors with which single poles are moved."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class ControllerBlock:
         Factor of all commands, shape (N,).
     free : ndarray of bool, shape (order + commands, order + measurements)
         Entries of the gain matrix that are tuned; the others stay.
+    least_decay : float, optional
+        Every pole of A has a real part of at most minus this; default: A is as the descent makes it.
     """
 
     name: str
@@ -51,6 +55,7 @@ class ControllerBlock:
     before: FrequencyFunction
     after: FrequencyFunction
     free: NDArray[np.bool_]
+    least_decay: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -82,6 +87,31 @@ def parameters_of(blocks: Sequence[ControllerBlock], matrices: Sequence[FloatArr
         if matrix.shape != block.shape:
             raise ValueError(f"gain matrix of {block.name} must have the shape {block.shape}, got {matrix.shape}")
     return np.concatenate([np.asarray(m, dtype=float).ravel() for m in matrices])
+
+
+def with_least_decay(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:
+    """The entries with the poles of each block that decay too slowly moved to its least decay; else `x` itself.
+
+    Poles are moved along the real axis, eigenvectors stay. Responses hardly feel a slow pole, so that a descent may
+    carry it across the imaginary axis; moved back it costs nothing visible.
+    """
+    moved = x
+    for block, M in zip(blocks, gain_matrices(blocks, x)):
+        n = block.order
+        if block.least_decay is None or n == 0 or not block.free[:n, :n].all():
+            continue
+        poles, vectors = np.linalg.eig(M[:n, :n])
+        if poles.real.max() <= -block.least_decay:
+            continue
+        if moved is x:
+            moved = x.copy()
+        place = next(at for own, at in zip(blocks, gain_matrices(blocks, moved)) if own is block)
+        if np.linalg.cond(vectors) < MOST_CONDITION:
+            decaying = np.minimum(poles.real, -block.least_decay) + 1j * poles.imag
+            place[:n, :n] = ((vectors * decaying) @ np.linalg.inv(vectors)).real
+        else:  # nearly a Jordan block: all poles alike
+            place[:n, :n] -= (poles.real.max() + block.least_decay) * np.eye(n)
+    return moved
 
 
 def entry_sizes(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:

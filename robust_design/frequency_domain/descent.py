@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from robust_design.frequency_domain.blocks import entry_sizes
+from robust_design.frequency_domain.blocks import entry_sizes, with_least_decay
 from robust_design.frequency_domain.problem import ResponseProblem
 from robust_design.simplex_qp import prox_direction
 
@@ -178,7 +178,10 @@ def descend(
     options = options or DescentOptions()
     if not stable(x):
         raise ValueError("start must be a stabilising controller, got one that is not")
-    state, best, begin = _State(np.array(x, dtype=float)), np.array(x, dtype=float), time.monotonic()
+    given, x = x, with_least_decay(problem.blocks, np.array(x, dtype=float))
+    if not np.array_equal(given, x) and not stable(x):
+        raise ValueError("start must be a stabilising controller, got one that is not with poles of the least decay")
+    state, best, begin = _State(x), x.copy(), time.monotonic()
     history: list[float] = []
     iteration, failures, status = 0, 0, "iterations"
     if goes_on is not None:
@@ -240,8 +243,9 @@ def _lower_point(
     for _ in range(RANDOM_DIRECTIONS):
         direction = sizes * rng.standard_normal(len(x))
         for length in STEP_LENGTHS:
-            if lower(x + length * direction):
-                return np.asarray(x + length * direction)
+            tried = with_least_decay(problem.blocks, np.asarray(x + length * direction))
+            if lower(tried):
+                return tried
     return None
 
 
@@ -308,6 +312,7 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
         direction, predicted, planes = prox_direction(f, G, state.factor, state.weight, planes)
         x = state.x.copy()
         x[free] += direction
+        x = with_least_decay(problem.blocks, x)
         reached = np.inf
         if predicted > 0.0:
             found = np.concatenate([_lifted(problem, problem.values(x, state.pairs), level).ravel(), problem.noise(x)])

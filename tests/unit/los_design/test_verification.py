@@ -27,6 +27,7 @@ from los_design.verification import (
 )
 from lti import SampledSystem, StateSpace
 from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.simulation import control_loop_plant, telescope
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import load_parameters, parameter_corners
@@ -145,6 +146,39 @@ def test_changes_that_make_a_loop_unstable_are_counted(parameters, monkeypatch) 
     assert found.lost_margins() == [f"{stage}: twice unstable at 3 points" for stage in ("fsm", "fsm+pma")]
     assert found.to_mapping()["margins"]["unstable_changes"] == found.lost_margins()
     assert set(found.lost_margins()) <= set(broken_requirements(found))
+
+
+def drifting_pair() -> tuple[SampledSystem, SampledSystem]:
+    """An observer that grows by itself, with a time constant of 1000 s, and that the camera holds back a little more.
+
+    The camera sees what the mirror does: with x' = p x + g c and c = -x (a command of -x / 0.1 through 0.1) the closed
+    loop has the pole p - g, with half of the gain p - g / 2.
+    """
+    p, g = 1e-3, 1.5e-3
+    B = np.zeros((2, 22))
+    B[:, 18:20] = 1e-3 * g * np.eye(2)
+    A = (1.0 + 1e-3 * p) * np.eye(2)
+    k_fsm = SampledSystem(
+        A,
+        B,
+        np.eye(2),
+        np.zeros((2, 22)),
+        K_FSM_INPUTS,
+        K_FSM_OUTPUTS,
+        DT,
+        "drifting",
+        design_basis={"los_sensitivity": 0.1},
+    )
+    return k_fsm, quiet_pair()[1]
+
+
+def test_a_change_that_lets_a_slow_pole_drift_is_found_at_every_point(parameters) -> None:
+    """Far below the frequencies of the figures; only the first point is looked at by eigenvalues in any case."""
+    found = check_implemented(small_family(), parameters, *drifting_pair(), POINTS)
+    assert found.alone.stable.all()
+    for name in ("gain x0.5", "gain x0.5 at mirror 1", "gain x0.5 at mirror 2"):
+        assert f"fsm: {name} unstable at 3 points" in found.lost_margins()
+    assert not [line for line in found.lost_margins() if line.startswith("fsm: gain x2")]
 
 
 def test_no_points_are_refused(parameters) -> None:

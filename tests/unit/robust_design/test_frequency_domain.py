@@ -23,7 +23,7 @@ from robust_design.frequency_domain import (
     gain_matrices,
     parameters_of,
 )
-from robust_design.frequency_domain.blocks import ControllerResponse, entry_sizes
+from robust_design.frequency_domain.blocks import ControllerResponse, entry_sizes, with_least_decay
 from robust_design.frequency_domain.metric import gram_sum
 from robust_design.frequency_domain.problem import CHUNK
 
@@ -298,3 +298,48 @@ def test_what_is_refused() -> None:
         ResponseNoise("n", (0,), samples(OMEGA), np.zeros((len(OMEGA), MEASURED)), OMEGA, 0.0)
     with pytest.raises(ValueError, match="density and step must have the shapes"):
         ResponseNoise("n", (0,), samples(OMEGA), np.zeros((2, MEASURED)), OMEGA, 1.0)
+
+
+@pytest.mark.parametrize(
+    "poles",
+    [
+        [[1e-3, 0.0], [0.0, -2.0]],
+        [[0.01, 3.0], [-3.0, 0.01]],
+        [[1e-3, 1.0], [0.0, 1e-3]],
+    ],
+    ids=["real", "pair", "Jordan block"],
+)
+def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) -> None:
+    change = np.array([[1.0, 0.4], [-0.3, 2.0]])
+    M = RNG.standard_normal(BLOCKS[0].shape)
+    M[:2, :2] = change @ np.array(poles) @ np.linalg.inv(change)
+    one = replace(BLOCKS[0], least_decay=0.1)
+    before, after = np.linalg.eigvals(M[:2, :2]), with_least_decay([one], M.ravel()).reshape(M.shape)
+    moved = np.linalg.eigvals(after[:2, :2])
+    assert moved.real.max() == pytest.approx(-0.1, abs=1e-6)
+    assert np.sort(moved.imag) == pytest.approx(np.sort(before.imag), abs=1e-5)
+    assert np.array_equal(after[2:], M[2:]) and np.array_equal(after[:, 2:], M[:, 2:])
+    if before.real.min() < -1.0:
+        assert moved.real.min() == pytest.approx(before.real.min())
+
+
+def test_poles_that_decay_stay_and_so_do_those_that_are_not_tuned() -> None:
+    M = np.vstack([np.hstack([-0.5 * np.eye(2), np.ones((2, 4))]), np.ones((2, 6))])
+    x = M.ravel()
+    assert with_least_decay([replace(BLOCKS[0], least_decay=0.1)], x) is x
+    assert with_least_decay([BLOCKS[0]], -x) is not None and np.array_equal(with_least_decay([BLOCKS[0]], -x), -x)
+    held = replace(BLOCKS[0], least_decay=0.1, free=np.zeros(BLOCKS[0].shape, dtype=bool))
+    assert np.array_equal(with_least_decay([held], -x), -x)
+
+
+def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
+    """Without it the same descent ends with a slower pole."""
+    gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
+    slowest = {}
+    for decay in (None, 1.2):
+        own = tuple(replace(b, least_decay=decay) for b in BLOCKS)
+        one = ResponseProblem(own, samples(np.geomspace(0.02, 50.0, 150)), gains)
+        found = descend(one, controller(1, 0.05), stable, DescentOptions(60, 1e-4))
+        poles = [np.linalg.eigvals(M[: b.order, : b.order]) for b, M in zip(own, gain_matrices(own, found.x))]
+        slowest[decay] = max(p.real.max() for p in poles)
+    assert slowest[None] > -1.1 and slowest[1.2] <= -1.2 + 1e-9
