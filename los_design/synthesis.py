@@ -47,10 +47,12 @@ design, not the wall limit: otherwise the result would depend on the speed of th
 WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
 """Effort of the worst-case search of the paper's problem, see :class:`robust_design.WorstCaseOptions`."""
 
-QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6)
-THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6)
+QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6, confirmed=0.8)
+THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6, confirmed=0.8)
 EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(QUICK, THOROUGH))
-SHORT_SEARCH = SearchOptions(frequencies=150, points=24, ascents=30, iterations=12, patience=1, several=6)
+SHORT_SEARCH = SearchOptions(
+    frequencies=150, points=24, ascents=30, iterations=12, patience=1, several=6, confirmed=0.8
+)
 SHORT_EFFORT = Effort(rounds=8, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
