@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from lti.batched_linalg import solve
@@ -20,6 +22,7 @@ from robust_design.structures import gain_sizes
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.intp]
+sl: Any = scipy.linalg
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
 MOST_CONDITION = 1e8
 """Of eigenvectors with which single poles are moved."""
@@ -96,21 +99,22 @@ def with_least_decay(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatA
     carry it across the imaginary axis; moved back it costs nothing visible.
     """
     moved = x
-    for block, M in zip(blocks, gain_matrices(blocks, x)):
+    for k, (block, M) in enumerate(zip(blocks, gain_matrices(blocks, x))):
         n = block.order
         if block.least_decay is None or n == 0 or not block.free[:n, :n].all():
             continue
-        poles, vectors = np.linalg.eig(M[:n, :n])
+        poles, vectors = sl.eig(M[:n, :n])
         if poles.real.max() <= -block.least_decay:
             continue
         if moved is x:
             moved = x.copy()
-        place = next(at for own, at in zip(blocks, gain_matrices(blocks, moved)) if own is block)
-        if np.linalg.cond(vectors) < MOST_CONDITION:
+        A = gain_matrices(blocks, moved)[k][:n, :n]
+        sizes = sl.svdvals(vectors)
+        if sizes[0] < MOST_CONDITION * sizes[-1]:
             decaying = np.minimum(poles.real, -block.least_decay) + 1j * poles.imag
-            place[:n, :n] = ((vectors * decaying) @ np.linalg.inv(vectors)).real
+            A[:] = ((vectors * decaying) @ sl.inv(vectors)).real
         else:  # nearly a Jordan block: all poles alike
-            place[:n, :n] -= (poles.real.max() + block.least_decay) * np.eye(n)
+            A -= (poles.real.max() + block.least_decay) * np.eye(n)
     return moved
 
 
