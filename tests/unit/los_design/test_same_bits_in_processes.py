@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from los_design import stage_check
 from los_design.implemented_loop import ImplementedLoop
 from los_design.open_loop import OpenLoop
 from los_design.pair_problem import ALONE, BOTH, Samples, pair_problem
-from los_design.stage_check import CHUNK, check_stage
+from los_design.stage_check import check_stage
 from los_design.store import continuous, load_designs
 from los_design.verification import verification_points
 from los_design.worst_case_search import Search, SearchOptions
@@ -20,10 +21,11 @@ from titop_plant.telescope.parameters import load_parameters
 SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)
 
 
-def test_a_search_and_a_check_in_two_processes() -> None:
+def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
+    monkeypatch.setattr(stage_check, "CHUNK", 2)
     parameters, pair = load_parameters(), load_designs("implemented")
     system = control_loop_plant(telescope(), parameters)
-    at = verification_points(parameters, system, 0)[: CHUNK + 3]
+    at = verification_points(parameters, system, 0)[:3]
     open_loop, found, checked = OpenLoop(system, parameters), [], []
     with one_thread(), Workers(2) as two:
         for workers in (Workers(), two):
