@@ -126,8 +126,9 @@ class _Player:
         return RawPublisher(self.context.node, topic.name, topic.type_name), codec_for(topic), rows, values
 
     def play(self, timeout: float, progress: Callable[[int, int], None]) -> Played:
-        warnings = self._handshake(timeout)
-        self._others.close()
+        answered = self._handshake(timeout)
+        self._others.close()  # its subscription is none of a node that listens
+        warnings = () if answered else self._without_answer(timeout)
         late, total, first = 0, len(self.stamps), int(self.stamps[0])
         start_time = time.monotonic_ns() + 20_000_000
         done = 0
@@ -152,8 +153,8 @@ class _Player:
         progress(total, total)
         return Played(self.sent, done, late, self._answers(), warnings)
 
-    def _handshake(self, timeout: float) -> tuple[str, ...]:
-        """Send hold ticks (stamp zero) until every answering node has answered; they reset the nodes."""
+    def _handshake(self, timeout: float) -> bool:
+        """Send hold ticks (stamp zero), which reset the nodes, until every answering one has answered; whether so."""
         node, start_time = self.context.node, time.monotonic()
         pending = {topic.name for topic in ANSWERS}
         while not self.context.stop:
@@ -170,14 +171,14 @@ class _Player:
             if not pending or (waited > DISCOVERY_S and len(pending) < len(ANSWERS) and not expected):
                 break
             if waited > timeout:
-                return self._gave_up(timeout)
+                return False
         time.sleep(HOLD_PERIOD_S)
         for subscription in self._inputs.values():
             while subscription.take() is not None:
                 pass
-        return ()
+        return True
 
-    def _gave_up(self, timeout: float) -> tuple[str, ...]:
+    def _without_answer(self, timeout: float) -> tuple[str, ...]:
         """Go on without an answer if a node subscribes to the sensors."""
         node = self.context.node
         if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
