@@ -30,7 +30,7 @@ WORST_INDICES = ("APE", "slow", "fast")
 """Indices whose worst tones are compared; the worst RPE is that of a slow or of a fast tone."""
 
 CONFIDENCE = 0.95
-"""Of the statement that a limit is broken."""
+"""Of the statement that a limit is kept, or that it is broken."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,16 @@ def level(summary: Summary, index: str, errors: float = 0.0) -> float:
 def limits_kept(summary: Summary, index: str) -> str:
     """What a run keeps of the limits of its index: "keeps 100, breaks 40".
 
-    :func:`level` is compared with each limit. The noise of a short record scatters: a limit is only broken if it is so
-    with the lower bound of the noise at :data:`CONFIDENCE`, one-sided; else a level above it is "within the scatter".
+    :func:`level` is compared with each limit. The noise of a short record scatters: a limit is kept, or broken, if it
+    is so with the upper, or the lower, bound of the noise at :data:`CONFIDENCE`, one-sided; else it is "within the
+    scatter".
     """
-    found, least = level(summary, index), level(summary, index, -float(special.ndtri(CONFIDENCE)))
+    errors = float(special.ndtri(CONFIDENCE))
+    least, most = level(summary, index, -errors), level(summary, index, errors)
     name = "APE" if index == "APE" else "RPE"
     bounds = sorted({r.limit / r.scale for r in load() if r.index == name and not r.axis}, reverse=True)
-    kept = [f"{b:g}" for b in bounds if found <= b]
-    scattered = [f"{b:g}" for b in bounds if least <= b < found]
+    kept = [f"{b:g}" for b in bounds if most <= b]
+    scattered = [f"{b:g}" for b in bounds if least <= b < most]
     broken = [f"{b:g}" for b in bounds if b < least]
     texts = (
         f"keeps {' and '.join(kept)}",
