@@ -25,6 +25,7 @@ from scipy import linalg
 from los_design.open_loop import OpenLoop
 from lti import SampledSystem
 from lti.batched_linalg import largest_gains, solve
+from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -34,6 +35,7 @@ from titop_plant.interface import (
     MEASUREMENTS,
     MIRROR_STAGES,
     PLATFORM,
+    TRUTH,
     DesignBasis,
 )
 from titop_plant.telescope.budget import BAND_EDGE, MAX_SENSITIVITY
@@ -46,6 +48,8 @@ LOS, MIRROR_OUT, FORCE_OUT = slice(0, 2), slice(2, 4), slice(4, 10)
 DISTURBANCE_IN, MIRROR_IN, FORCE_IN = slice(0, 22), slice(22, 24), slice(24, 30)
 HIGHEST = 3000.0
 """Highest frequency of a search [rad/s]: just below half of the sampling rate."""
+STEP = 1e-6
+"""Of log frequency, to both sides, for the slope of a gain."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +105,18 @@ def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
 
 @dataclass(frozen=True)
 class ClosedAt:
-    """The loop at one frequency as an LFT in Delta: matrix from (Delta, disturbances, commands added) to outputs."""
+    """The loop at one frequency as an LFT in Delta: matrix from (Delta, disturbances, commands added) to outputs.
+
+    `open` and `control` are what was closed: the LFT of the telescope, and commands by measurements.
+    """
 
     omega: float
     M: ComplexArray
     T12: ComplexArray
     T21: ComplexArray
     T11: ComplexArray
+    open: ComplexArray
+    control: ComplexArray
 
 
 class ImplementedLoop:
@@ -149,28 +158,24 @@ class ImplementedLoop:
 
     def control(self, omega: float) -> ComplexArray:
         """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
+        return np.asarray(self.controls(np.array([omega]))[0])
+
+    def controls(self, omega: FloatArray) -> ComplexArray:
+        """What :meth:`control` gives at N frequencies [rad/s], shape (N, 8, 22)."""
         z = np.exp(1j * omega * DT)
-        out = np.zeros((COMMANDS, MEASUREMENTS), complex)
+        out = np.zeros((len(omega), COMMANDS, MEASUREMENTS), complex)
         k_fsm, k_pma = self.pair
         mirror, forces = self.stage_gains
         if mirror:
-            out[:2] = mirror * _sampled_response(k_fsm, z)
-            out[:2, CAMERA] *= np.mean(z ** -np.arange(FRAME_TICKS))
+            out[:, :2] = mirror * _sampled_responses(k_fsm, z)
+            out[:, :2, CAMERA] *= np.mean(z[:, None] ** -np.arange(FRAME_TICKS), axis=1)[:, None, None]
         if forces:
-            out[2:, PLATFORM] = _sampled_response(k_pma, z)
-        return np.asarray(out / z)
+            out[:, 2:, PLATFORM] = _sampled_responses(k_pma, z)
+        return np.asarray(out / z[:, None, None])
 
     def at(self, omega: float) -> ClosedAt:
         """Close the loop at a frequency [rad/s]."""
-        return self._closed(omega, self.open.at(np.array([omega]))[0])
-
-    def with_neighbour(self, omega: float, step: float) -> tuple[ClosedAt, ClosedAt]:
-        """The loop at a frequency [rad/s] and at ``omega exp(step)``."""
-        both = np.array([omega, omega * np.exp(step)])
-        first, second = (self._closed(float(w), lft) for w, lft in zip(both, self.open.at(both)))
-        return first, second
-
-    def _closed(self, omega: float, lft: ComplexArray) -> ClosedAt:
+        lft = self.open.at(np.array([omega]))[0]
         q = self.open.channels
         y, u = q + MEASUREMENTS, lft.shape[1] - COMMANDS
         K, held, into = self.control(omega), lft[:, u:], lft[:, :u]
@@ -180,41 +185,71 @@ class ImplementedLoop:
         applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
         whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
         rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
-        return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:])
+        return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:], lft, K)
 
-    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray]:
-        """Normalised gain and its gradient over the unit cube, shape (7,)."""
-        value, left, right, delta = self._singular(closed, metric, point)
-        M = closed.M
+    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
+        """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency.
+
+        The slope is ``Re(l dP r)`` for the open loop P with its controllers: the signals r that the right singular
+        vector causes in the closed loop, and what reaches the left one from signals l added there. Only the numbers
+        ``l P r`` are computed at the two frequencies beside.
+        """
+        M, delta, scale = closed.M, self.delta(point), self.scale(metric, closed.omega)
+        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
         loop = linalg.lu_factor(np.eye(len(M)) - M * delta, check_finite=False)
-        z = linalg.lu_solve(loop, closed.T21[:, metric.columns] @ right)
-        # row vector l (I - Delta M)^-1 with l = u^H T12:  l + l Delta (I - M Delta)^-1 M
-        row = left.conj() @ closed.T12[metric.rows]
-        row = row + linalg.lu_solve(loop, row * delta, trans=1) @ M
-        slope = self.scale(metric, closed.omega) * np.real(row * z)
+        # T12 Delta (I - M Delta)^-1, and T12 (I - Delta M)^-1 = T12 + T12 Delta (I - M Delta)^-1 M
+        inner = linalg.lu_solve(loop, (T12 * delta).T, trans=1, check_finite=False).T
+        U, s, Vh = linalg.svd(T11 + inner @ T21, full_matrices=False, check_finite=False)
+        value, left, right = float(s[0]) * scale, U[:, 0].conj(), Vh[0].conj()
+        z = linalg.lu_solve(loop, T21 @ right, check_finite=False)
+        outer = left @ inner
+        row = left @ T12 + outer @ M
+        slope = scale * np.real(row * z)
         gradient = np.bincount(self.open.channel, slope, minlength=len(self.names)) * self.open.width
-        return value, np.asarray(gradient)
+        change = scale * self._change(closed, metric, (left, outer), (right, np.asarray(z * delta)))
+        weights = [self.scale(metric, closed.omega * float(np.exp(step))) for step in (STEP, -STEP)]
+        return value, np.asarray(gradient), (change + value * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
+
+    def _change(
+        self,
+        closed: ClosedAt,
+        metric: LoopMetric,
+        left: tuple[ComplexArray, ComplexArray],
+        right: tuple[ComplexArray, ComplexArray],
+    ) -> float:
+        """First-order change of a gain, not normalised, between the frequencies STEP below and above that of `closed`.
+
+        `left`, `right`: singular vector of the metric (left: conjugate), and signals at outputs and inputs of Delta.
+        """
+        added, measured = slice(CHANNELS, CHANNELS + COMMANDS), slice(len(closed.M), len(closed.M) + MEASUREMENTS)
+        inputs: ComplexArray = np.zeros(CHANNELS + COMMANDS, complex)
+        outputs: ComplexArray = np.zeros(TRUTH + COMMANDS, complex)
+        inputs[metric.columns], outputs[metric.rows] = right[0], left[0]
+        commands = closed.T12[TRUTH:] @ right[1] + closed.T11[TRUTH:] @ inputs
+        by_commands = outputs @ closed.T11[:, added] + left[1] @ closed.T21[:, added]
+        row = np.concatenate([left[1], by_commands @ closed.control, outputs[LOS]])
+        column = np.concatenate([right[1], inputs[:CHANNELS], commands])
+        both = closed.omega * np.exp([STEP, -STEP])
+        plant = self.open.between(both, row, column)
+        control = by_commands @ self.controls(both) @ (closed.open[measured] @ column)
+        return float((plant + control)[0].real - (plant + control)[1].real)
 
     def singular_vectors(
         self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
     ) -> tuple[float, ComplexArray, ComplexArray]:
         """Normalised gain with its left and right singular vectors."""
-        return self._singular(closed, metric, point)[:3]
-
-    def _singular(
-        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
-    ) -> tuple[float, ComplexArray, ComplexArray, FloatArray]:
-        delta = self.delta(point)
-        T = self.responses(closed, metric, delta[None])[0]
+        T = self.responses(closed, metric, self.delta(point)[None])[0]
         U, s, Vh = linalg.svd(T, full_matrices=False)
-        return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj(), delta
+        return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj()
 
     def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
         """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
         T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
-        loop = np.eye(len(closed.M)) - closed.M * delta[:, None, :]
-        z = solve(loop, np.broadcast_to(T21, (len(delta), *T21.shape)))
-        return np.asarray(T11 + (T12 * delta[:, None, :]) @ z)
+        # outputs are fewer than inputs: solutions with the transposed matrices, one beside the other in memory
+        loop, each = np.ascontiguousarray(closed.M.T) * -delta[:, :, None], np.arange(len(closed.M))
+        loop[:, each, each] += 1.0
+        z = solve(loop, T12.T * delta[:, :, None]).swapaxes(1, 2)
+        return np.asarray(T11 + z @ T21)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
@@ -234,8 +269,9 @@ class ImplementedLoop:
         return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
 
 
-def _sampled_response(system: SampledSystem, z: complex) -> ComplexArray:
+def _sampled_responses(system: SampledSystem, z: ComplexArray) -> ComplexArray:
     if system.order == 0:
-        return np.asarray(system.D, dtype=complex)
-    shifted = np.asarray(z * np.eye(system.order) - system.A, dtype=complex)
-    return np.asarray(system.D + system.C @ solve(shifted[None], system.B.astype(complex)[None])[0])
+        return np.asarray(np.broadcast_to(system.D, (len(z), *system.D.shape)), dtype=complex)
+    shifted = np.asarray(z[:, None, None] * np.eye(system.order) - system.A, dtype=complex)
+    entered = np.broadcast_to(system.B.astype(complex), (len(z), *system.B.shape))
+    return np.asarray(system.D + system.C @ solve(shifted, entered))

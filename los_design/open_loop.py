@@ -48,6 +48,7 @@ class OpenLoop:
         self._poles = values
         self._left = system.C[self.channels :] @ vectors
         self._right = linalg.solve(vectors, system.B[:, self._u])
+        self._flow, self._growth = _held(values)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -83,18 +84,38 @@ class OpenLoop:
         out = np.empty((len(omega), q + MEASUREMENTS + TRUTH, q + CHANNELS + COMMANDS), complex)
         size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
         D = self.system.D[q:, self._u]
-        for k, w in enumerate(omega):
-            s, z = 1j * w, np.exp(1j * w * DT)
-            hold = (1.0 - 1.0 / z) / (s * DT)
+        images, holds = self._images(omega), _hold(omega)
+        for k, hold in enumerate(holds):
             held = G[k][:, self._u] * hold
-            sampled = (self._left * _held_modes(self._poles, z)) @ self._right
-            continuous = (self._left / (s - self._poles)) @ self._right
             # images of the held command through the nominal telescope; the direct path is sampled as it is
-            held[q:] += sampled - hold * continuous + (1.0 - hold) * D
+            held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * D
             out[k, :, :q] = G[k][:, :q]
             out[k, :, q : q + CHANNELS] = G[k][:, self._u.stop :] * size[k]
             out[k, :, q + CHANNELS :] = held
         return out
+
+    def between(self, omega: FloatArray, row: ComplexArray, column: ComplexArray) -> ComplexArray:
+        """``row P(w) column`` for the matrices P of :meth:`at` at N frequencies [rad/s], without them: shape (N,).
+
+        Parameters
+        ----------
+        omega : ndarray, shape (N,)
+        row, column : ndarray, complex, shapes (channels + 24,) and (channels + 30,)
+        """
+        q, hold = self.channels, _hold(omega)
+        commands = column[q + CHANNELS :]
+        columns = np.empty((len(column), len(omega)), complex)
+        columns[:q] = column[:q, None]
+        columns[self._u] = commands[:, None] * hold
+        columns[self._u.stop :] = column[q : q + CHANNELS, None] * weight_amplitudes(self.parameters, omega).T
+        images = self._images(omega) @ (row[q:] @ self._left * (self._right @ commands))
+        direct = row[q:] @ self.system.D[q:, self._u] @ commands
+        return np.asarray(self._response.between(omega, row, columns) + images + (1.0 - hold) * direct)
+
+    def _images(self, omega: FloatArray) -> ComplexArray:
+        """Factors of the nominal telescope's modes in the images of held commands, shape (N, modes)."""
+        s = 1j * omega[:, None]
+        return np.asarray(self._growth / (np.exp(s * DT) - self._flow) - _hold(omega)[:, None] / (s - self._poles))
 
     def closed_over(self, lft: ComplexArray, points: FloatArray) -> ComplexArray:
         """Responses at one frequency for parameter points: Delta is closed.
@@ -116,8 +137,14 @@ class OpenLoop:
         return np.asarray(lft[q:, q:] + (lft[q:, :q] * delta[:, None, :]) @ inner)
 
 
-def _held_modes(poles: ComplexArray, z: complex) -> ComplexArray:
-    """Discrete response of modal coordinates to a held input: ``(e^(p dt) - 1) / p / (z - e^(p dt))``."""
+def _held(poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """What modal coordinates p keep over a tick, ``e^(p dt)``, and gain by a held input, ``(e^(p dt) - 1) / p``."""
     x = poles * DT
     growth = np.where(np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(poles == 0.0, 1.0, poles))
-    return np.asarray(growth / (z - np.exp(x)))
+    return np.exp(x), np.asarray(growth)
+
+
+def _hold(omega: FloatArray) -> ComplexArray:
+    """Factor of the fundamental of a held command."""
+    s = 1j * omega
+    return np.asarray((1.0 - np.exp(-s * DT)) / (s * DT))

@@ -24,6 +24,7 @@ from los_design.open_loop import OpenLoop
 from los_estimator.problem import ORDER as OBSERVER_ORDER
 from robust_design.frequency_domain import (
     ControllerBlock,
+    GrowingSamples,
     PlantSamples,
     ResponseGain,
     ResponseNoise,
@@ -206,18 +207,20 @@ class Samples:
         self.open_loop = open_loop
         nominal = open_loop.point({})
         low: FloatArray = np.asarray(np.geomspace(LOWEST, 0.02, 20), dtype=float)
-        self._parts = [sample(open_loop, low, nominal[None])]
-        self._parts.append(sample(open_loop, _near_modes(open_loop, nominal, FINE[0], HIGHEST), nominal[None]))
+        self._samples = GrowingSamples(sample(open_loop, low, nominal[None]))
+        near = _near_modes(open_loop, nominal, FINE[0], HIGHEST)
+        self._samples.append(sample(open_loop, near, nominal[None]))
 
     def add(self, points: FloatArray) -> None:
         """Parameter points (N, 7), each on the whole grid and at its slow modes."""
-        self._parts.append(sample(self.open_loop, grid(), points))
+        self._samples.append(sample(self.open_loop, grid(), points))
         for point in points:
-            self._parts.append(sample(self.open_loop, _near_modes(self.open_loop, point, 0.1, FINE[0]), point[None]))
+            near = _near_modes(self.open_loop, point, 0.1, FINE[0])
+            self._samples.append(sample(self.open_loop, near, point[None]))
 
     def add_around(self, omega: float, point: FloatArray) -> None:
         """A worst point with the frequencies close to it."""
-        self._parts.append(sample(self.open_loop, np.asarray(omega * (1.0 + AROUND), dtype=float), point[None]))
+        self._samples.append(sample(self.open_loop, np.asarray(omega * (1.0 + AROUND), dtype=float), point[None]))
 
     @cached_property
     def at_noise_frequencies(self) -> PlantSamples:
@@ -226,8 +229,7 @@ class Samples:
 
     def all(self) -> PlantSamples:
         """All samples."""
-        self._parts = [PlantSamples.joined(self._parts)]
-        return self._parts[0]
+        return self._samples.all()
 
 
 def _near_modes(open_loop: OpenLoop, point: FloatArray, low: float, high: float) -> FloatArray:

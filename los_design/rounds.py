@@ -263,7 +263,8 @@ def _stabilising(
     state.watched = state.watched or [{}]
 
     def stable(x: FloatArray) -> bool:
-        return all(task.stable(x, values) for values in state.watched)
+        with ThreadPoolExecutor(task.workers.count) as pool:
+            return all(pool.map(partial(task.stable, x), state.watched))
 
     def keep(inside: DescentState | None) -> None:
         state.inside = inside

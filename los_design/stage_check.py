@@ -33,6 +33,9 @@ SLOW_STEP, FAST_STEP = 0.03, 0.003
 FINE_FROM, FINE_TO = 60.0, 1000.0
 NEAR = 0.8
 """Peaks above this part of the largest one of their metric are refined."""
+RISE, SAME = 2.0, 1e-5
+"""Not those that stay below the largest one with this many times the slope at their value, up to the end of their
+bracket; peaks that differ by less than the last part are one."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK = 50
@@ -250,6 +253,8 @@ def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     for bracket in sorted(brackets, key=lambda b: -b.value):
         if bracket.value < NEAR * best[0]:
             break
+        if _reach(search, metric, bracket) <= (1.0 + SAME) * best[0]:
+            continue
         point = bracket.point[None]
 
         def lower(x: float, point: FloatArray = point) -> float:
@@ -261,3 +266,10 @@ def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
         if refined[0] > best[0]:
             best = (*refined, bracket.point)
     return search.confirmed(metric, *best[1:])
+
+
+def _reach(search: Search, metric: LoopMetric, bracket: Bracket) -> float:
+    """What the peak in a bracket may reach by the slope at its value; a resonance's rise is below its tangent."""
+    value, _, slope = search.loop.gain(search.loop.at(bracket.omega), metric, bracket.point)
+    end = bracket.ends[1] if slope > 0.0 else bracket.ends[0]
+    return float(value * np.exp(RISE * slope / value * np.log(end / bracket.omega)))

@@ -45,9 +45,6 @@ MODES, MODE_OFFSETS = (0.1, BAND_EDGE), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e
 """Band [rad/s] of the telescope's modes that a search starts at, whatever its grid, and the relative distances of the
 starts: the arrays' modes have a damping ratio of 0.1 %."""
 
-STEP = 1e-6
-"""Step of log frequency for the slope."""
-
 LEADING, VARIED, CLIMBS = 0.75, (7, 40), 3
 """Bands whose best value is above this part of the largest one are searched again around their best point: number of
 frequencies and of varied points at each, and ascents from the best of them."""
@@ -259,14 +256,10 @@ class Search:
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
             at, where = float(np.exp(x[0] * FREQUENCY_SCALE)), x[1:]
-            here, ahead = self.loop.with_neighbour(at, STEP)
-            value, slope = self.loop.gain(here, metric, where)
+            value, slope, by_frequency = self.loop.gain(self.loop.at(at), metric, where)
             if value > best[0]:
                 best = (value, at, where.copy())
-            by_frequency = (
-                np.log(float(self.loop.gains(ahead, metric, where[None])[0]) / value) / STEP * FREQUENCY_SCALE
-            )
-            return -np.log(value), -np.concatenate([[by_frequency], slope / value])
+            return -np.log(value), -np.concatenate([[by_frequency * FREQUENCY_SCALE], slope]) / value
 
         scipy.optimize.minimize(
             objective,

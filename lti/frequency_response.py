@@ -144,6 +144,24 @@ class FrequencyResponse:
             out[i] += self.left @ sl.solve_triangular(shifted, self.right, check_finite=False)
         return out
 
+    def between(self, omega: FloatArray, row: ComplexArray, columns: ComplexArray) -> ComplexArray:
+        """``row G(w) column`` at N finite frequencies [rad/s] without the responses G: shape (N,).
+
+        Parameters
+        ----------
+        omega : ndarray, shape (N,)
+        row : ndarray, shape (p,)
+        columns : ndarray, shape (m, N)
+            One for each frequency.
+        """
+        observed, excited = row @ self.left, self.right @ columns
+        direct: ComplexArray = np.asarray(row @ self.D @ columns, dtype=complex)
+        if self.triangular is None:
+            return np.asarray(direct + np.sum(observed[:, None] * excited / (1j * omega - self.poles[:, None]), axis=0))
+        shifted = (1j * w * np.eye(len(self.poles)) - self.triangular for w in omega)
+        solved = [sl.solve_triangular(s, x, check_finite=False) for s, x in zip(shifted, excited.T)]
+        return np.asarray(direct + np.array(solved).reshape(-1, len(self.poles)) @ observed)
+
     @cached_property
     def residues(self) -> ComplexArray:
         """Residue of each pole as a row, shape (n, p m), of the modal form."""

@@ -10,7 +10,7 @@ from robust_design.frequency_domain.blocks import ControllerBlock, ControllerRes
 from robust_design.frequency_domain.descent import Descent, DescentOptions, DescentState, descend
 from robust_design.frequency_domain.gains import ResponseGain, ResponseNoise
 from robust_design.frequency_domain.problem import ResponseProblem
-from robust_design.frequency_domain.samples import PlantSamples
+from robust_design.frequency_domain.samples import GrowingSamples, PlantSamples
 
 __all__ = [
     "ControllerBlock",
@@ -18,6 +18,7 @@ __all__ = [
     "Descent",
     "DescentOptions",
     "DescentState",
+    "GrowingSamples",
     "PlantSamples",
     "ResponseGain",
     "ResponseNoise",

@@ -242,6 +242,12 @@ class ActiveCommands:
         """Of the plant's commands: a slice if they follow each other, so that arrays are not copied."""
         return _slice_if_consecutive(self.commands)
 
+    def rows(self, active: Sequence[int]) -> slice | IntArray:
+        """Places of the commands of some of the blocks, one block after the other."""
+        return _slice_if_consecutive(
+            np.concatenate([np.arange(self.of_block[b].start, self.of_block[b].stop) for b in active])
+        )
+
     def positions(self, commands: slice) -> slice | IntArray:
         """Places of some commands of the plant among those of the loop.
 

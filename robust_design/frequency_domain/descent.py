@@ -183,6 +183,7 @@ def descend(
         raise ValueError("start must be a stabilising controller, got one that is not with poles of the least decay")
     state, best, begin = _State(x), x.copy(), time.monotonic()
     history: list[float] = []
+    at_best: tuple[FloatArray, FloatArray] | None = None
     iteration, failures, status = 0, 0, "iterations"
     if goes_on is not None:
         state = _State(goes_on.x.copy(), goes_on.weight, goes_on.plain, goes_on.pairs)
@@ -202,7 +203,7 @@ def descend(
             state.x, state.weight, state.factor = best.copy(), 4.0 * state.weight, None
         else:
             history.append(value)
-            best = state.x.copy()
+            best, at_best = state.x.copy(), (raw, noise)
             report(iteration, value)
         if history[-1] < options.target:
             status = "target"
@@ -222,7 +223,7 @@ def descend(
             elif iteration < options.iterations:
                 state, history, failures, status = _State(lower, pairs=state.pairs), [], 0, "iterations"
                 continue
-        return _result(problem, best, status, iteration)
+        return _result(best, *(at_best or (problem.values(best), problem.noise(best))), status, iteration)
 
 
 def _lower_point(
@@ -277,26 +278,29 @@ def _collect(state: _State, raw: FloatArray, value: float) -> None:
 
 def _several(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray], bool]) -> bool:
     """Steps until the next look at all pairs; whether the last one found a descent."""
+    near = problem.at(state.pairs)
     for k in range(REFRESH):
         if k % METRIC == 0:
             state.factor = None
-        if not _step(problem, state, stable):
+        if not _step(near, state, stable):
             state.weight = 1.0
             return k > 0
     return True
 
 
 def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray], bool]) -> bool:
-    """One step of the prox-linear method; False if no weight of the quadratic term gives a descent."""
+    """One step of the prox-linear method; False if no weight of the quadratic term gives a descent.
+
+    `problem` has the pairs of the state alone.
+    """
     free = problem.free
-    raw = problem.values(state.x, state.pairs)
+    raw = problem.values(state.x)
     noise, noise_gradients = problem.noise_slopes(state.x)
     level = _level(problem, raw, noise)
     lifted = _lifted(problem, raw, level)
     entries = np.argwhere(lifted > NEAR * lifted.max())
     order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
-    entries = entries[order]
-    values, gradients, owners = problem.slopes(state.x, np.column_stack([entries[:, 0], state.pairs[entries[:, 1]]]))
+    values, gradients, owners = problem.slopes(state.x, entries[order])
     lift = np.where(problem.hard[owners], max(level, 1.0), 1.0)
     f = np.concatenate([values * lift, noise])
     G = np.vstack([gradients * (lift / np.maximum(values * lift, 1e-12))[:, None], noise_gradients / noise[:, None]])
@@ -305,7 +309,7 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
         sizes = entry_sizes(problem.blocks, state.x)[free]
         metric: FloatArray = np.zeros((len(sizes), len(sizes)))
         if not state.plain:
-            metric = problem.metric(state.x, state.pairs, lifted, SHARPNESS)[free][:, free]
+            metric = problem.metric(state.x, lifted, SHARPNESS)[free][:, free]
         state.factor = _factor(metric, sizes)
     current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
     for _ in range(10):
@@ -315,7 +319,7 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
         x = with_least_decay(problem.blocks, x)
         reached = np.inf
         if predicted > 0.0:
-            found = np.concatenate([_lifted(problem, problem.values(x, state.pairs), level).ravel(), problem.noise(x)])
+            found = np.concatenate([_lifted(problem, problem.values(x), level).ravel(), problem.noise(x)])
             reached = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
         if reached < current - 0.1 * predicted and stable(x):
             ratio = (current - reached) / predicted
@@ -333,8 +337,7 @@ def _factor(H: FloatArray, sizes: FloatArray) -> tuple[FloatArray, bool]:
     return factor[0], bool(factor[1])
 
 
-def _result(problem: ResponseProblem, x: FloatArray, status: str, iterations: int) -> Descent:
-    raw, noise = problem.values(x), problem.noise(x)
+def _result(x: FloatArray, raw: FloatArray, noise: FloatArray, status: str, iterations: int) -> Descent:
     values, worst_pair = raw.max(axis=1), raw.argmax(axis=1)
     value = max(float(values.max()), float(noise.max(initial=0.0)))
     return Descent(x, value, values, noise, worst_pair, status, iterations)

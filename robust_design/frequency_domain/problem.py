@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -39,7 +39,7 @@ IntArray = NDArray[np.intp]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 CHUNK = 1000
-"""Pairs that a thread looks at together."""
+"""Pairs that are looked at together: arrays of larger ones take new memory, page by page, each time."""
 CLOSE = 0.85
 """Second singular values above this part of the first are looked at, too."""
 MIXTURES = ((0.0, 1.0), (1.0, 1.0), (1.0, -1.0), (1.0, 1.0j), (1.0, -1.0j))
@@ -81,12 +81,19 @@ class Closed:
 
 def close(samples: PlantSamples, K: ComplexArray, rows: ActiveCommands) -> Closed:
     """Close loops with the controllers K, shape (N, commands of the loop, measurements); other commands are zero."""
+    return close_with(samples, K @ samples.response[:, : samples.measurements], rows)
+
+
+def close_with(samples: PlantSamples, KP: ComplexArray, rows: ActiveCommands) -> Closed:
+    """As :func:`close`, with the product of K and the measurements' rows of the samples."""
     P, ny, nw = samples.response, samples.measurements, samples.disturbances
     held = P[:, :, nw:][:, :, rows.index]
     Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], held[:, :ny], P[:, ny:, :nw], held[:, ny:]
-    eye = np.eye(len(rows.commands))
-    S = solve(np.asarray(eye - K @ Pyu), np.broadcast_to(eye, (len(K), *eye.shape)).astype(complex))
-    C = S @ (K @ Pyw)
+    count = len(rows.commands)
+    given = np.empty((len(KP), count, count + nw), complex)
+    given[:, :, :count], given[:, :, count:] = np.eye(count), KP[:, :, :nw]
+    solved = solve(np.asarray(np.eye(count) - KP[:, :, nw:][:, :, rows.index]), given)
+    S, C = solved[:, :, :count], solved[:, :, count:]
     return Closed(S, C, Pew + Peu @ C, Pyw, Pyu, Peu, rows)
 
 
@@ -152,25 +159,32 @@ class ResponseProblem:
         factors = [own.chosen(at) for own in self._factors]
         return ControllerResponse(self.blocks, x, factors, self.samples.measurements), positions
 
-    def values(self, x: FloatArray, index: IntArray | None = None) -> FloatArray:
-        """Scaled gains, shape (gains, pairs), of all pairs or those at `index`; not finite where a loop is singular."""
-        chosen = np.arange(len(self.samples)) if index is None else index
-        response, positions = self.controllers(x, chosen)
-        response.compute(sorted({b for gain in self.gains for b in gain.active}))
-        found = np.zeros((len(self.gains), len(chosen)))
+    def at(self, pairs: IntArray) -> ResponseProblem:
+        """The problem with some of the pairs."""
+        return replace(self, samples=self.samples.chosen(pairs))
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Scaled gains, shape (gains, pairs); not finite where a loop is singular."""
+        count, loops = len(self.samples), self._active()
+        response, positions = self.controllers(x, np.arange(count))
+        asked = sorted({b for active in loops for b in active})
+        response.compute(asked)
+        joint = active_commands(self.blocks, asked)
+        found = np.zeros((len(self.gains), count))
 
         def fill(begin: int) -> None:
             own = slice(begin, begin + CHUNK)
-            samples = self.samples.chosen(chosen[own])
-            for active, rows in self._active().items():
-                closed = close(samples, response.matrix(active, positions[own]), rows)
+            samples = self.samples.chosen(own)
+            KP = response.matrix(asked, positions[own]) @ samples.response[:, : samples.measurements]
+            for active, rows in loops.items():
+                closed = close_with(samples, KP[:, joint.rows(active)], rows)
                 for g, gain in enumerate(self.gains):
                     if gain.active == active:
-                        counts = np.flatnonzero(self.scales[g, chosen[own]])
+                        counts = np.flatnonzero(self.scales[g, own])
                         gains = largest_gains(closed.part(gain)[counts])
-                        found[g, begin + counts] = gains * self.scales[g, chosen[own]][counts]
+                        found[g, begin + counts] = gains * self.scales[g, own][counts]
 
-        self._each(fill, range(0, len(chosen), CHUNK))
+        self._each(fill, range(0, count, CHUNK))
         return found
 
     def _each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -252,34 +266,29 @@ class ResponseProblem:
         K = response.matrix(noise.active, index)
         return response, index, close(noise.samples, K, active_commands(self.blocks, noise.active)), K
 
-    def metric(self, x: FloatArray, index: IntArray, values: FloatArray, sharpness: float) -> FloatArray:
+    def metric(self, x: FloatArray, values: FloatArray, sharpness: float) -> FloatArray:
         """Gauss-Newton matrix of the logarithms of errors and noise, shape (parameters, parameters).
 
         Parameters
         ----------
         x : ndarray
-        index : ndarray of int
-            Pairs.
-        values : ndarray, shape (gains, len(index))
-            Scaled gains there.
+        values : ndarray, shape (gains, pairs)
+            Scaled gains.
         sharpness : float
             A pair of the value f has the weight ``exp(sharpness (f / max - 1))``.
         """
         size, noise = len(x), self.noise(x)
         top = max(float(values.max()), float(noise.max(initial=0.0)))
         H, total = np.zeros((size, size)), 0.0
-        for g, gain in enumerate(self.gains):
-            near = np.flatnonzero(values[g] > 0.5 * top)
-            if gain.outputs is not None or len(near) == 0:
-                continue
-            pairs = index[near]
-            weight = np.exp(sharpness * (values[g, near] / top - 1.0))
-            response, positions = self.controllers(x, pairs)
-            matrix = response.matrix(gain.active, positions)
-            closed = close(self.samples.chosen(pairs), matrix, self._active()[gain.active])
-            each = weight * (self.scales[g, pairs] / values[g, near]) ** 2
-            H += gram_sum(response, gain.active, positions, each, closed.left(gain), closed.right(gain))
-            total += float(weight.sum())
+        for (active, inputs), each in self._error_weights(values, top, sharpness).items():
+            chosen = np.flatnonzero(each[0])
+            gain = ResponseGain("error", active, None, slice(*inputs) if inputs else None, np.ones_like)
+            for begin in range(0, len(chosen), CHUNK):
+                pairs = chosen[begin : begin + CHUNK]
+                response, positions = self.controllers(x, pairs)
+                closed = close(self.samples.chosen(pairs), response.matrix(active, positions), self._active()[active])
+                H += gram_sum(response, active, positions, each[1, pairs], closed.left(gain), closed.right(gain))
+            total += float(each[0].sum())
         H /= max(total, 1.0)
         for k, entry in enumerate(self.noises):
             at, indices, closed, K = self._noise_loop(x, k)
@@ -289,6 +298,21 @@ class ResponseProblem:
             each = entry.step * (weight / (entry.limit * noise[k]) ** 2)
             H += gram_sum(at, entry.active, indices, each, closed.Peu @ closed.S, R)
         return H
+
+    def _error_weights(
+        self, values: FloatArray, top: float, sharpness: float
+    ) -> dict[tuple[tuple[int, ...], tuple[int, int] | None], FloatArray]:
+        """For each loop and its inputs, sums over the gains of errors: their weights, and factors of the squares."""
+        found: dict[tuple[tuple[int, ...], tuple[int, int] | None], FloatArray] = {}
+        for g, gain in enumerate(self.gains):
+            near = values[g] > 0.5 * top
+            if gain.outputs is None and near.any():
+                inputs = None if gain.inputs is None else (gain.inputs.start, gain.inputs.stop)
+                each = found.setdefault((gain.active, inputs), np.zeros((2, len(near))))
+                weight = np.exp(sharpness * (values[g, near] / top - 1.0))
+                each[0, near] += weight
+                each[1, near] += weight * (self.scales[g, near] / values[g, near]) ** 2
+        return found
 
     def _active(self) -> dict[tuple[int, ...], ActiveCommands]:
         """The loops that are asked for, with their commands."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,8 @@ class PlantSamples:
     response : ndarray, complex, shape (N, measurements + errors, disturbances + commands)
         Rows: measurements, then errors. Columns: disturbances, then commands.
     measurements, commands : int
+    check : bool
+        Look for sizes that do not agree and values that are not finite; left out for parts of checked samples.
 
     Raises
     ------
@@ -35,8 +36,11 @@ class PlantSamples:
     response: ComplexArray
     measurements: int
     commands: int
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, check: bool) -> None:
+        if not check:
+            return
         if self.response.ndim != 3 or len(self.response) != len(self.omega):
             raise ValueError(
                 f"response must have one matrix for each of {len(self.omega)} frequencies, got {self.response.shape}"
@@ -59,17 +63,34 @@ class PlantSamples:
         """Number of disturbances."""
         return int(self.response.shape[2]) - self.commands
 
-    def chosen(self, index: IntArray) -> PlantSamples:
-        """The samples at `index`."""
-        return PlantSamples(self.omega[index], self.response[index], self.measurements, self.commands)
+    def chosen(self, index: IntArray | slice) -> PlantSamples:
+        """The samples at `index`; those of a slice share their memory with these."""
+        return PlantSamples(self.omega[index], self.response[index], self.measurements, self.commands, check=False)
 
-    @classmethod
-    def joined(cls, parts: Sequence[PlantSamples]) -> PlantSamples:
-        """All samples of several sets of the same plant."""
-        first = parts[0]
-        return cls(
-            np.concatenate([p.omega for p in parts]),
-            np.concatenate([p.response for p in parts]),
-            first.measurements,
-            first.commands,
-        )
+
+class GrowingSamples:
+    """Samples of one plant to which others are added; what is there is seldom copied.
+
+    Parameters
+    ----------
+    first : PlantSamples
+    """
+
+    def __init__(self, first: PlantSamples) -> None:
+        self._omega, self._response, self._count = [first.omega], first.response, len(first)
+        self._ports = first.measurements, first.commands
+
+    def append(self, part: PlantSamples) -> None:
+        """Add samples of the same plant."""
+        end = self._count + len(part)
+        if end > len(self._response):
+            longer = np.empty((max(end, 2 * self._count), *part.response.shape[1:]), complex)
+            longer[: self._count] = self._response[: self._count]
+            self._response = longer
+        self._response[self._count : end] = part.response
+        self._omega.append(part.omega)
+        self._count = end
+
+    def all(self) -> PlantSamples:
+        """All samples: a view that stays as it is when others are added."""
+        return PlantSamples(np.concatenate(self._omega), self._response[: self._count], *self._ports, check=False)

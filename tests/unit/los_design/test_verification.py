@@ -13,7 +13,9 @@ from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 
 from los_design import stage_check, verification
+from los_design.implemented_loop import ImplementedLoop
 from los_design.margins import change_names
+from los_design.open_loop import OpenLoop
 from los_design.sampled_loop import sampled_loop
 from los_design.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
 from los_design.store import load_designs
@@ -88,6 +90,20 @@ def test_refined_peaks_are_on_top(parameters) -> None:
             gains = np.linalg.norm(response[:, rows], 2, axis=(1, 2)) / p.limit
             assert gains[1] == pytest.approx(p.gamma, rel=1e-9)
             assert max(gains[0], gains[2]) <= gains[1] * (1.0 + 1e-6)
+
+
+def test_the_worst_of_many_points_is_the_largest_of_each_alone(parameters) -> None:
+    """Peaks of neighbouring points lie between the same frequencies of the grid, where they are looked at together."""
+    points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 9)]
+    loop = ImplementedLoop(OpenLoop(small_family(), parameters), *quiet_pair(), "fsm+pma")
+    alone = [stage_check.check_stage(loop, [point], changes=False).worst for point in points]
+    together = stage_check.check_stage(loop, points, changes=False).worst
+    for name, worst in together.items():
+        largest = max((one[name] for one in alone), key=lambda one: one.gamma)
+        assert worst.gamma == pytest.approx(largest.gamma, rel=1e-5), name
+        if name == "APE":
+            assert worst.omega == pytest.approx(largest.omega, rel=1e-3)
+            assert worst.parameters == largest.parameters
 
 
 def test_noise_is_that_of_the_nominal_point(parameters) -> None:

@@ -89,14 +89,25 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
     np.testing.assert_allclose(S, np.linalg.inv(np.eye(2) - K @ held), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("stage", "name"), [("fsm", "fast"), ("fsm+pma", "force"), ("fsm+pma", "sensitivity, forces")])
-def test_gradients_equal_differences(stage: str, name: str, system, parameters, pair) -> None:
+@pytest.mark.parametrize(
+    ("stage", "name", "omega"),
+    [
+        ("isolator", "APE", 0.7),
+        ("fsm", "fast", 683.9),
+        ("fsm", "mirror", 0.06),
+        ("fsm+pma", "slow", 7.97),
+        ("fsm+pma", "force", 683.9),
+        ("fsm+pma", "sensitivity, forces", 2588.0),
+    ],
+)
+def test_gradients_equal_differences(stage: str, name: str, omega: float, system, parameters, pair) -> None:
     loop, metric = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), loop_metrics(parameters, stage)[name]
-    closed, h = loop.at(683.9), 1e-5
-    point = np.clip(loop.point(known_values("fsm+pma")), 2.0 * h, 1.0 - 2.0 * h)
-    _, slope = loop.gain(closed, metric, point)
-    both = [loop.gains(closed, metric, point + sign * h * np.eye(7)) for sign in (1.0, -1.0)]
+    h, point = 1e-5, np.clip(loop.point(known_values("fsm+pma")), 2e-5, 1.0 - 2e-5)
+    value, slope, by_frequency = loop.gain(loop.at(omega), metric, point)
+    both = [loop.gains(loop.at(omega), metric, point + sign * h * np.eye(7)) for sign in (1.0, -1.0)]
     np.testing.assert_allclose(slope, (both[0] - both[1]) / (2.0 * h), atol=1e-4 * np.abs(slope).max())
+    beside = [float(loop.gains(loop.at(omega * np.exp(sign * h)), metric, point[None])[0]) for sign in (1.0, -1.0)]
+    assert by_frequency == pytest.approx((beside[0] - beside[1]) / (2.0 * h), rel=1e-3, abs=1e-4 * value)
 
 
 @pytest.mark.parametrize("stage", ["fsm+pma", "fsm"])

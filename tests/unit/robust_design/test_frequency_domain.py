@@ -15,6 +15,7 @@ from robust_design.frequency_domain import (
     ControllerBlock,
     DescentOptions,
     DescentState,
+    GrowingSamples,
     PlantSamples,
     ResponseGain,
     ResponseNoise,
@@ -23,9 +24,14 @@ from robust_design.frequency_domain import (
     gain_matrices,
     parameters_of,
 )
-from robust_design.frequency_domain.blocks import ControllerResponse, entry_sizes, with_least_decay
+from robust_design.frequency_domain.blocks import (
+    ControllerResponse,
+    active_commands,
+    entry_sizes,
+    with_least_decay,
+)
 from robust_design.frequency_domain.metric import gram_sum
-from robust_design.frequency_domain.problem import CHUNK
+from robust_design.frequency_domain.problem import CHUNK, close
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
 RNG = np.random.default_rng(4)
@@ -148,7 +154,7 @@ def test_threads_share_responses_that_are_computed_before(monkeypatch: pytest.Mo
     expected = one.values(x)
     monkeypatch.setattr(ControllerResponse, "matrix", watched)
     np.testing.assert_array_equal(replace(one, threads=2).values(x), expected)
-    assert len(computed) == 4  # two loops, two parts of the samples
+    assert len(computed) == 2  # two parts of the samples, each for both loops
     assert all(computed)
 
 
@@ -187,6 +193,49 @@ def test_noise_is_the_h2_norm() -> None:
     assert (closed.poles().real < 0.0).all()
     W = linalg.solve_continuous_lyapunov(closed.A, -closed.B @ closed.B.T)
     assert found[0] == pytest.approx(np.sqrt(np.trace(closed.C @ W @ closed.C.T)), rel=2e-3)
+
+
+def test_the_metric_weighs_the_changes_of_all_errors_near_the_largest_value() -> None:
+    """Differences of the closed loops' errors, over all gains of errors; others and small values do not count."""
+    x, rng, sharpness, h = controller(3), np.random.default_rng(6), 6.0, 1e-6
+    one = replace(problem(np.geomspace(0.05, 20.0, CHUNK + 50)), noises=())
+    values = one.values(x)
+    top, d = float(values.max()), rng.standard_normal(len(x))
+    expected, total = 0.0, 0.0
+    for g, gain in enumerate(GAINS):
+        if gain.outputs is not None:
+            continue
+        rows = active_commands(BLOCKS, gain.active)
+        parts = []
+        for sign in (1.0, -1.0):
+            response, positions = one.controllers(x + sign * h * d, np.arange(len(one.samples)))
+            parts.append(close(one.samples, response.matrix(gain.active, positions), rows).part(gain))
+        squares = np.sum(np.abs((parts[0] - parts[1]) / (2 * h)) ** 2, axis=(1, 2))
+        near = values[g] > 0.5 * top
+        weight = np.exp(sharpness * (values[g, near] / top - 1.0))
+        expected += float(np.sum(weight * (one.scales[g, near] / values[g, near]) ** 2 * squares[near]))
+        total += float(weight.sum())
+    assert total > 1.0
+    assert d @ one.metric(x, values, sharpness) @ d == pytest.approx(expected / total, rel=1e-6)
+
+
+def test_a_part_of_the_pairs_is_a_problem_of_its_own() -> None:
+    x, one = controller(5), problem(OMEGA)
+    chosen = np.array([7, 2, 5])
+    np.testing.assert_array_equal(one.at(chosen).values(x), one.values(x)[:, chosen])
+    np.testing.assert_array_equal(one.at(chosen).noise(x), one.noise(x))
+
+
+def test_samples_grow_and_what_was_asked_before_stays() -> None:
+    parts = [samples(OMEGA[k : k + 3]) for k in range(0, 9, 3)]
+    growing = GrowingSamples(parts[0])
+    first = growing.all()
+    for part in parts[1:]:
+        growing.append(part)
+    np.testing.assert_array_equal(growing.all().response, np.concatenate([p.response for p in parts]))
+    np.testing.assert_array_equal(growing.all().omega, np.concatenate([p.omega for p in parts]))
+    np.testing.assert_array_equal(first.response, parts[0].response)
+    assert (len(first), growing.all().measurements, growing.all().commands) == (3, MEASURED, COMMANDS)
 
 
 def test_the_metric_is_the_sum_of_squares_of_the_changes() -> None:
