@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from los_design.open_loop import OpenLoop
+from los_design.open_loop import OpenLoop, closed_lft
 from lti import SampledSystem
 from lti.batched_linalg import largest_gains, solve
 from titop_plant.disturbances import CHANNELS
@@ -245,11 +245,7 @@ class ImplementedLoop:
     def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
         """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
         T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
-        # outputs are fewer than inputs: solutions with the transposed matrices, one beside the other in memory
-        loop, each = np.ascontiguousarray(closed.M.T) * -delta[:, :, None], np.arange(len(closed.M))
-        loop[:, each, each] += 1.0
-        z = solve(loop, T12.T * delta[:, :, None]).swapaxes(1, 2)
-        return np.asarray(T11 + z @ T21)
+        return closed_lft(closed.M, T12, T21, T11, delta)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""

@@ -131,10 +131,19 @@ class OpenLoop:
         -------
         ndarray, complex, shape (N, 24, 30)
         """
-        q, delta = self.channels, self.delta(points)
-        loop = np.eye(q) - lft[:q, :q] * delta[:, None, :]
-        inner = solve(loop, np.broadcast_to(lft[:q, q:], (len(delta), *lft[:q, q:].shape)))
-        return np.asarray(lft[q:, q:] + (lft[q:, :q] * delta[:, None, :]) @ inner)
+        q = self.channels
+        return closed_lft(lft[:q, :q], lft[q:, :q], lft[:q, q:], lft[q:, q:], self.delta(points))
+
+
+def closed_lft(
+    M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: FloatArray
+) -> ComplexArray:
+    """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns)."""
+    # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory
+    loop, each = np.ascontiguousarray(M.T) * -delta[:, :, None], np.arange(len(M))
+    loop[:, each, each] += 1.0
+    z = solve(loop, T12.T * delta[:, :, None]).swapaxes(1, 2)
+    return np.asarray(T11 + z @ T21)
 
 
 def _held(poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

@@ -12,6 +12,7 @@ budget as limits. Those of the mirror alone have the suffix ``, alone``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import numpy as np
@@ -201,10 +202,12 @@ class Samples:
     Parameters
     ----------
     open_loop : OpenLoop
+    threads : int
+        The result does not depend on their number.
     """
 
-    def __init__(self, open_loop: OpenLoop) -> None:
-        self.open_loop = open_loop
+    def __init__(self, open_loop: OpenLoop, threads: int = 1) -> None:
+        self.open_loop, self._threads = open_loop, threads
         nominal = open_loop.point({})
         low: FloatArray = np.asarray(np.geomspace(LOWEST, 0.02, 20), dtype=float)
         self._samples = GrowingSamples(sample(open_loop, low, nominal[None]))
@@ -214,9 +217,13 @@ class Samples:
     def add(self, points: FloatArray) -> None:
         """Parameter points (N, 7), each on the whole grid and at its slow modes."""
         self._samples.append(sample(self.open_loop, grid(), points))
-        for point in points:
-            near = _near_modes(self.open_loop, point, 0.1, FINE[0])
-            self._samples.append(sample(self.open_loop, near, point[None]))
+
+        def at_modes(point: FloatArray) -> PlantSamples:
+            return sample(self.open_loop, _near_modes(self.open_loop, point, 0.1, FINE[0]), point[None])
+
+        with ThreadPoolExecutor(self._threads) as pool:
+            for part in pool.map(at_modes, points):
+                self._samples.append(part)
 
     def add_around(self, omega: float, point: FloatArray) -> None:
         """A worst point with the frequencies close to it."""

@@ -206,7 +206,7 @@ def _task(
         )
         return k_fsm, k_pma
 
-    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters))
+    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters), options.workers)
     known: tuple[WorstPoint, ...] = ()
     if not (options.nominal or is_reference(parameters)):
         names = [STAGE_NAMES[stage] for stage in stages]
