@@ -38,7 +38,7 @@ RISE, SAME = 2.0, 1e-5
 bracket; peaks that differ by less than the last part are one."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
-CHUNK = 50
+CHUNK = 75
 """Parameter points that a process looks at together."""
 DRIFTS: FloatArray = np.asarray(np.geomspace(1e-5, 1e-2, 19)[:-1], dtype=float)
 """Frequencies [rad/s] below the grid: a change that makes a slow pole of a controller unstable shows there."""
