@@ -2,9 +2,9 @@
 
     python benchmarks/lockstep.py --seconds 20 --json
 
-`run` is a lockstep run with its recorder, `messages` the same topics with the same sizes and the testbed's own
-publishers and readers, but without plant, observer, controller, checks and recorder: what three hops of the middleware
-leave. All figures are simulated seconds per second; `microseconds` is the time of a tick.
+`run` is a lockstep run with its recorder, `messages` the same topics with the same sizes, the testbed's own publishers
+and readers and the nodes' scheduling, but without plant, observer, controller, checks and recorder: what three hops of
+the middleware leave. All figures are simulated seconds per second; `microseconds` is the time of a tick.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.config import RunConfig
+from los_testbed.loop.scheduling import CPU_INDEX, PRIORITIES, become_real_time
 from los_testbed.run.node_launch import environment
 from los_testbed.run.runner import Runner
 from los_testbed.topics import (
@@ -112,6 +113,7 @@ def messages_of(role: str, ticks: int) -> float:
     readers = [RawSubscription(node, topic.name, topic.type_name, READER_DEPTH, True) for topic in inputs]
     writers = [(RawPublisher(node, t.name, t.type_name), codec_for(t), np.zeros(t.size)) for t in outputs]
     last = Waiter(node, readers[-1:])
+    become_real_time(PRIORITIES[role], CPU_INDEX[role])
 
     def answer(stamp: int) -> None:
         for publisher, codec, values in writers:
