@@ -2,9 +2,10 @@
 
     python benchmarks/lockstep.py --seconds 20 --json
 
-`run` is a lockstep run with its recorder, `messages` the same topics with the same sizes, the testbed's own publishers
-and readers and the nodes' scheduling, but without plant, observer, controller, checks and recorder: what three hops of
-the middleware leave. All figures are simulated seconds per second; `microseconds` is the time of a tick.
+`run` is a lockstep run with its recorder, `messages` the same topics with the same sizes and the testbed's own
+publishers and readers, but without plant, observer, controller, checks and recorder: what three hops of the middleware
+leave; `messages_real_time` are the same with the priorities and processors of a run in real time, which a lockstep run
+does not take. All figures are simulated seconds per second; `microseconds` is the time of a tick.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,12 +55,13 @@ def main() -> None:
     parser.add_argument("--domain", type=int, default=88, help="ROS domain (default 88)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--role", choices=ROLES, help=argparse.SUPPRESS)
+    parser.add_argument("--real-time", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.role:
-        print(json.dumps(messages_of(args.role, round(args.seconds * 1000))))
+        print(json.dumps(messages_of(args.role, round(args.seconds * 1000), args.real_time)))
         return
     config = RunConfig(mode="lockstep", duration=args.seconds, domain=args.domain, wait_for_recorder=True)
-    speeds = {"run": run(config), "messages": messages(config)}
+    speeds = {"run": run(config), "messages": messages(config), "messages_real_time": messages(config, ["--real-time"])}
     result = {
         name: {"times_real_time": round(speed, 3), "microseconds": round(1000.0 / speed, 1)}
         for name, speed in speeds.items()
@@ -67,7 +70,7 @@ def main() -> None:
         print(json.dumps(result))
     else:
         for name, found in result.items():
-            print(f"{name:12} {found['times_real_time']:6.2f} times real time, {found['microseconds']:6.1f} us a tick")
+            print(f"{name:18} {found['times_real_time']:6.2f} times real time, {found['microseconds']:6.1f} us a tick")
 
 
 def run(config: RunConfig) -> float:
@@ -80,12 +83,12 @@ def run(config: RunConfig) -> float:
     return 1e-3 * (last - first) / (end - begin)
 
 
-def messages(config: RunConfig) -> float:
+def messages(config: RunConfig, options: Sequence[str] = ()) -> float:
     """The same for the processes that only send and receive."""
     with tempfile.TemporaryDirectory(prefix="los_testbed_bench_") as folder:
         started = {
             role: subprocess.Popen(
-                [sys.executable, __file__, "--seconds", str(config.duration), "--role", role],
+                [sys.executable, __file__, "--seconds", str(config.duration), "--role", role, *options],
                 env=environment(config, Path(folder)),
                 stdout=subprocess.PIPE,
             )
@@ -98,7 +101,7 @@ def messages(config: RunConfig) -> float:
     return float(json.loads(answer))
 
 
-def messages_of(role: str, ticks: int) -> float:
+def messages_of(role: str, ticks: int, real_time: bool) -> float:
     """Send and receive as this node does; for the plant the simulated seconds per second."""
     from los_testbed.nodes.support.middleware import choose_middleware
 
@@ -113,7 +116,8 @@ def messages_of(role: str, ticks: int) -> float:
     readers = [RawSubscription(node, topic.name, topic.type_name, READER_DEPTH, True) for topic in inputs]
     writers = [(RawPublisher(node, t.name, t.type_name), codec_for(t), np.zeros(t.size)) for t in outputs]
     last = Waiter(node, readers[-1:])
-    become_real_time(PRIORITIES[role], CPU_INDEX[role])
+    if real_time:
+        become_real_time(PRIORITIES[role], CPU_INDEX[role])
 
     def answer(stamp: int) -> None:
         for publisher, codec, values in writers:
