@@ -24,7 +24,7 @@ from scipy import linalg
 
 from los_design.open_loop import OpenLoop, closed_lft
 from lti import SampledSystem
-from lti.batched_linalg import largest_gains, solve
+from lti.batched_linalg import largest_gains, singular_values, solve
 from titop_plant.disturbances import CHANNELS
 from titop_plant.interface import (
     CAMERA,
@@ -263,6 +263,11 @@ class ImplementedLoop:
         """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
         T = self.responses(closed, metric, self.delta(points))
         return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
+
+    def all_gains(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> FloatArray:
+        """All normalised singular values at a point of the unit cube, largest first."""
+        T = self.responses(closed, metric, self.delta(point)[None])
+        return np.asarray(singular_values(T)[0] * self.scale(metric, closed.omega))
 
 
 def _sampled_responses(system: SampledSystem, z: ComplexArray) -> ComplexArray:

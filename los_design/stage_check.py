@@ -35,7 +35,7 @@ NEAR = 0.8
 """Peaks above this part of the largest one of their metric are refined."""
 RISE, SAME = 2.0, 1e-5
 """Not those that stay below the largest one with this many times the slope at their value, up to the end of their
-bracket; peaks that differ by less than the last part are one."""
+bracket, unless a second singular value is near it, too; peaks that differ by less than the last part are one."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK = 75
@@ -253,7 +253,7 @@ def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     for bracket in sorted(brackets, key=lambda b: -b.value):
         if bracket.value < NEAR * best[0]:
             break
-        if _reach(search, metric, bracket) <= (1.0 + SAME) * best[0]:
+        if _reach(search, metric, bracket, best[0]) <= (1.0 + SAME) * best[0]:
             continue
         point = bracket.point[None]
 
@@ -268,8 +268,15 @@ def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     return search.confirmed(metric, *best[1:])
 
 
-def _reach(search: Search, metric: LoopMetric, bracket: Bracket) -> float:
-    """What the peak in a bracket may reach by the slope at its value; a resonance's rise is below its tangent."""
-    value, _, slope = search.loop.gain(search.loop.at(bracket.omega), metric, bracket.point)
+def _reach(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> float:
+    """What the peak in a bracket may reach by the slope at its value; a resonance's rise is below its tangent.
+
+    Infinite if a second singular value is near the largest peak: it may rise where the first one does not.
+    """
+    closed = search.loop.at(bracket.omega)
+    values = search.loop.all_gains(closed, metric, bracket.point)
+    if len(values) > 1 and values[1] >= NEAR * largest:
+        return np.inf
+    value, _, slope = search.loop.gain(closed, metric, bracket.point)
     end = bracket.ends[1] if slope > 0.0 else bracket.ends[0]
     return float(value * np.exp(RISE * slope / value * np.log(end / bracket.omega)))

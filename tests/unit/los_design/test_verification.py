@@ -93,7 +93,7 @@ def test_refined_peaks_are_on_top(parameters) -> None:
 
 
 def test_the_worst_of_many_points_is_the_largest_of_each_alone(parameters) -> None:
-    """Peaks of neighbouring points lie between the same frequencies of the grid, where they are looked at together."""
+    """Peaks that can't be the largest are not refined; those of a point alone always are."""
     points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 9)]
     loop = ImplementedLoop(OpenLoop(small_family(), parameters), *quiet_pair(), "fsm+pma")
     alone = [stage_check.check_stage(loop, [point], changes=False).worst for point in points]
@@ -104,6 +104,52 @@ def test_the_worst_of_many_points_is_the_largest_of_each_alone(parameters) -> No
         if name == "APE":
             assert worst.omega == pytest.approx(largest.omega, rel=1e-3)
             assert worst.parameters == largest.parameters
+
+
+class TwoBranches:
+    """Stands in for a loop: flat singular values, 0.95 at point 0, 0.96 at point 1, and a peak of 0.99 at 1.03 rad/s.
+
+    Points 0 and 2 have the peak.
+    """
+
+    def point(self, values: dict) -> np.ndarray:
+        return np.zeros(1)
+
+    def at(self, omega: float) -> float:
+        return omega
+
+    def all_gains(self, omega: float, metric: object, point: np.ndarray) -> np.ndarray:
+        flat = (0.95, 0.96, 0.1)[int(point[0])]
+        other = 0.99 - 40.0 * (omega - 1.03) ** 2 if point[0] != 1.0 else 0.1
+        return np.sort([flat, other])[::-1]
+
+    def gains(self, omega: float, metric: object, points: np.ndarray) -> np.ndarray:
+        return np.array([self.all_gains(omega, metric, point)[0] for point in points])
+
+    def gain(self, omega: float, metric: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
+        both = [float(self.gains(omega * np.exp(h), metric, point[None])[0]) for h in (1e-7, -1e-7)]
+        return float(self.gains(omega, metric, point[None])[0]), np.zeros(1), (both[0] - both[1]) / 2e-7
+
+
+@pytest.mark.parametrize(("point", "at_grid"), [(0.0, 0.998), (2.0, 0.98)])
+def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_value(
+    point: float, at_grid: float
+) -> None:
+    """Of a second singular value, below a flat one at the grid's frequency (point 0), and of the only one (point 2)."""
+    loop = TwoBranches()
+    search = SimpleNamespace(
+        loop=loop,
+        metrics={"m": SimpleNamespace(band=(0.1, 10.0))},
+        confirmed=lambda metric, omega, point: (float(loop.gains(omega, metric, point[None])[0]), omega),
+    )
+    brackets = [
+        stage_check.Bracket(float(loop.gains(at_grid, None, p[None])[0]), at_grid, (0.97, 1.06), p)
+        for p in (np.array([point]), np.ones(1))
+    ]
+    assert brackets[1].value > brackets[0].value
+    value, omega = stage_check._worst(search, ("m", brackets))
+    assert value == pytest.approx(0.99, abs=1e-6)
+    assert omega == pytest.approx(1.03, rel=1e-4)
 
 
 def test_noise_is_that_of_the_nominal_point(parameters) -> None:
