@@ -45,6 +45,20 @@ def test_a_jordan_block_falls_back_to_direct_solution() -> None:
     np.testing.assert_allclose(frequency_response(chain.data_at({}), omega)[:, 0, 0], expected, rtol=1e-9)
 
 
+@pytest.mark.parametrize("modal", [True, False])
+def test_between_is_the_response_times_a_row_and_columns(modal: bool) -> None:
+    rng = np.random.default_rng(3)
+    A = np.diag(np.full(5, -0.2)) + np.eye(5, k=1) if not modal else rng.standard_normal((5, 5)) - 3.0 * np.eye(5)
+    B, C, D = rng.standard_normal((5, 3)), rng.standard_normal((2, 5)), rng.standard_normal((2, 3))
+    form = FrequencyResponse.of(A, B, C, D)
+    assert form.modal is modal
+    omega = np.array([0.1, 0.9, 4.0])
+    row = rng.standard_normal(2) + 1j * rng.standard_normal(2)
+    columns = rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))
+    expected = [row @ (C @ np.linalg.solve(1j * w * np.eye(5) - A, B) + D) @ x for w, x in zip(omega, columns.T)]
+    np.testing.assert_allclose(form.between(omega, row, columns), expected, rtol=1e-9)
+
+
 def test_a_torque_held_back_by_a_spring_keeps_its_digits() -> None:
     """Between two masses on a spring an inner torque gives almost no slow motion: the modes cancel."""
     J1, J2, k, d = 1e3, 1.0, 1e6, 1.0
