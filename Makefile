@@ -4,7 +4,7 @@ BIN := .venv/bin
 MINUTES ?= 10
 READY := .venv/.ready
 SKIPPED := .venv/skipped-tests.txt
-PACKAGES := lti titop_plant robust_design los_estimator fsm_pma_controller los_design pointing_analysis
+PACKAGES := lftkit titop_plant los_estimator fsm_pma_controller los_loop los_design pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
@@ -104,7 +104,7 @@ designs: $(READY)
 	$(BIN)/los-testbed design all --output build/designs
 	cp build/designs/k_fsm.json los_estimator/designs/
 	cp build/designs/k_pma.json fsm_pma_controller/designs/
-	cp build/designs/worst_points.json los_design/
+	cp build/designs/worst_points.json los_design/search/
 	$(BIN)/los-testbed design all --nominal --effort short --output build/designs_nominal || true
 	cp build/designs_nominal/k_fsm.json los_estimator/designs/k_fsm_implemented_nominal.json
 	cp build/designs_nominal/k_pma.json fsm_pma_controller/designs/k_pma_implemented_nominal.json

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.message_types import COLUMNS
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.messages.message_types import COLUMNS
+from pointing_analysis.read.run import Run
 
 Arrays = dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
 

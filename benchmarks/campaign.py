@@ -35,9 +35,9 @@ from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
-from titop_plant import simulation
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from titop_plant.simulation import build as simulation
 
 CORES = (2, 32, 512)
 

@@ -36,12 +36,12 @@ from los_testbed.topics import (
     SENSORS,
     TRUTH_LOS,
     Topic,
-)  # fmt: skip
+)
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 
-from lti.threads import one_thread
-from pointing_analysis.message_types import HEADER
+from lftkit.support.threads import one_thread
+from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
 NS = 1_000_000_000
@@ -192,10 +192,13 @@ class PlantTimer:
 
     def finish(self) -> None:
         statistics = {
-            "ticks": str(self.k), "missed_ticks": str(self.held + self.skipped), "skipped_periods": str(self.skipped),
-            **self.latency.summary("latency"), **self.lateness.summary("lateness"),
+            "ticks": str(self.k),
+            "missed_ticks": str(self.held + self.skipped),
+            "skipped_periods": str(self.skipped),
+            **self.latency.summary("latency"),
+            **self.lateness.summary("lateness"),
             **self.execution.summary("execution"),
-        }  # fmt: skip
+        }
         self.context.event("done", statistics=statistics, latency=self.latency.histogram())
 
 

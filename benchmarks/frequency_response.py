@@ -25,11 +25,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from oracles.accurate_response import extended_response
 
-from lti.frequency_grid import frequency_grid
-from lti.frequency_response import frequency_response
-from lti.ports import port_slices
-from lti.state_space_model import StateSpace
-from titop_plant.simulation import telescope
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import frequency_response
+from lftkit.systems.ports import port_slices
+from lftkit.systems.state_space import StateSpace
+from titop_plant.simulation.build import telescope
 
 INPUTS = ("wheel_imbalance", "sadm_torque", "fsm_command", "pma_force")
 OUTPUTS = ("los_controlled",)

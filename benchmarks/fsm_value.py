@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from los_design.options import DesignOptions
+from lftkit.tuning.descent.smooth_phase import Point, smooth_phase
+from lftkit.tuning.problem import Problem
+from los_design.synthesis.options import DesignOptions
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
-from robust_design.problem import Problem
-from robust_design.smooth_phase import Point, smooth_phase
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameter_corners
 

@@ -18,7 +18,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lti.norms import hinf_norms
+from lftkit.analysis.norms import hinf_norms
 
 RTOL = 1e-6
 
@@ -41,11 +41,11 @@ def structure(sample: int, modes: int) -> tuple[np.ndarray, ...]:
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
     from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant, actuator_requirements
-    from los_design.options import DesignOptions
-    from los_design.store import continuous, load_designs
-    from lti import StateSpace
-    from robust_design.certificate import delayed_controller, weighted_loop
-    from titop_plant.simulation import telescope
+    from lftkit import StateSpace
+    from lftkit.tuning.certificate import delayed_controller, weighted_loop
+    from los_design.synthesis.options import DesignOptions
+    from los_design.synthesis.store import continuous, load_designs
+    from titop_plant.simulation.build import telescope
     from titop_plant.telescope.parameters import load_parameters
 
     parameters = load_parameters()

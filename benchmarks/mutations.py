@@ -1,6 +1,6 @@
 """Mutation score of one module: random small changes of its source, each of which the tests of its package must notice.
 
-    python benchmarks/mutations.py los_design/verification.py --count 20 --seed 1 --json
+    python benchmarks/mutations.py los_design/verification/verification.py --count 20 --seed 1 --json
 
 Kinds of change: comparison flipped, sign, arithmetic operator, numeric constant, off by one, condition negated,
 and/or exchanged. Docstrings, type hints, decorators, messages of exceptions and format strings are left alone. The
@@ -29,44 +29,50 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 ROS_PACKAGE = "ros_ws/src/los_testbed"
 TESTS: dict[str, tuple[str, ...]] = {
-    "lti": ("tests/unit/lti",),
-    "lti/interconnection.py": ("tests/unit/lti/test_interconnection.py", "tests/properties/test_lft_laws.py"),
-    "lti/norms.py": (
-        "tests/unit/lti/test_hinf_norm.py",
-        "tests/unit/lti/test_hinf_level_test.py",
-        "tests/unit/lti/test_norms_unit.py",
+    "lftkit": ("tests/unit/lftkit",),
+    "lftkit/systems/interconnection.py": (
+        "tests/unit/lftkit/systems/test_interconnection.py",
+        "tests/properties/test_lft_laws.py",
+    ),
+    "lftkit/analysis/norms.py": (
+        "tests/unit/lftkit/analysis/test_hinf_norm.py",
+        "tests/unit/lftkit/analysis/test_hinf_level_test.py",
+        "tests/unit/lftkit/analysis/test_norms_unit.py",
         "tests/published/test_norms.py",
     ),
-    "lti/small_norm.py": ("tests/unit/lti/test_small_norm.py",),
-    "lti/peak_search.py": ("tests/unit/lti/test_small_norm.py", "tests/unit/lti/test_hinf_norm.py"),
+    "lftkit/analysis/small_norm.py": ("tests/unit/lftkit/analysis/test_small_norm.py",),
+    "lftkit/analysis/peak_search.py": (
+        "tests/unit/lftkit/analysis/test_small_norm.py",
+        "tests/unit/lftkit/analysis/test_hinf_norm.py",
+    ),
     "titop_plant": ("tests/unit/titop_plant",),
-    "titop_plant/sampled_plant.py": (
+    "titop_plant/simulation/sampled_plant.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),
-    "titop_plant/disturbances.py": (
+    "titop_plant/simulation/disturbances.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),
     "titop_plant/blocks": ("tests/unit/titop_plant/test_blocks.py",),
-    "robust_design": ("tests/unit/robust_design",),
-    "robust_design/worst_case.py": (
-        "tests/unit/robust_design/test_worst_case.py",
-        "tests/unit/robust_design/test_worst_case_climbs.py",
+    "lftkit/tuning": ("tests/unit/lftkit/tuning",),
+    "lftkit/tuning/worst_case.py": (
+        "tests/unit/lftkit/tuning/test_worst_case.py",
+        "tests/unit/lftkit/tuning/test_worst_case_climbs.py",
     ),
     "los_estimator": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "fsm_pma_controller": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "los_design": ("tests/unit/los_design",),
-    "los_design/sampled_loop.py": ("tests/unit/los_design/test_sampled_loop.py",),
-    "los_design/sampled_loop_norms.py": ("tests/unit/los_design/test_sampled_loop_norms.py",),
-    "los_design/verification.py": ("tests/unit/los_design/test_verification.py",),
+    "los_loop/sampled_loop.py": ("tests/unit/los_loop/test_sampled_loop.py",),
+    "los_loop/sampled_loop_norms.py": ("tests/unit/los_loop/test_sampled_loop_norms.py",),
+    "los_design/verification/verification.py": ("tests/unit/los_design/test_verification.py",),
     "pointing_analysis": ("tests/unit/pointing_analysis",),
-    "pointing_analysis/confidence.py": (
+    "pointing_analysis/indices/confidence.py": (
         "tests/unit/pointing_analysis/test_confidence.py",
         "tests/published/test_ecss_sample_sizes.py",
         "tests/unit/pointing_analysis/test_pointing_requirements.py",
     ),
-    "pointing_analysis/requirements.py": ("tests/unit/pointing_analysis/test_pointing_requirements.py",),
+    "pointing_analysis/requirements/verdict.py": ("tests/unit/pointing_analysis/test_pointing_requirements.py",),
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
     f"{ROS_PACKAGE}/los_testbed/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
     f"{ROS_PACKAGE}/los_testbed/bags/repair.py": (
@@ -77,15 +83,30 @@ TESTS: dict[str, tuple[str, ...]] = {
 """Tests of a folder or file; the longest path that fits a module counts. Its doctests always run too."""
 
 COMPARISONS = {
-    ast.Lt: ">=", ast.GtE: "<", ast.Gt: "<=", ast.LtE: ">", ast.Eq: "!=", ast.NotEq: "==",
-    ast.Is: "is not", ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in",
-}  # fmt: skip
+    ast.Lt: ">=",
+    ast.GtE: "<",
+    ast.Gt: "<=",
+    ast.LtE: ">",
+    ast.Eq: "!=",
+    ast.NotEq: "==",
+    ast.Is: "is not",
+    ast.IsNot: "is",
+    ast.In: "not in",
+    ast.NotIn: "in",
+}
 BOUNDARIES = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">"}
 SIGNS = {ast.Add: "-", ast.Sub: "+"}
 OPERATORS = {
-    ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "/", ast.Mod: "*", ast.Pow: "*", ast.BitAnd: "|", ast.BitOr: "&",
-    ast.LShift: ">>", ast.RShift: "<<",
-}  # fmt: skip
+    ast.Mult: "/",
+    ast.Div: "*",
+    ast.FloorDiv: "/",
+    ast.Mod: "*",
+    ast.Pow: "*",
+    ast.BitAnd: "|",
+    ast.BitOr: "&",
+    ast.LShift: ">>",
+    ast.RShift: "<<",
+}
 KINDS = ("comparison", "boundary", "sign", "operator", "constant", "off by one", "condition", "and/or")
 
 
@@ -249,8 +270,19 @@ def run_tests(tree: Path, paths: list[str], limit: float) -> tuple[bool, float]:
     """Whether the tests pass in a tree within the limit [s], and the seconds they took."""
     env = {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     env["PYTHONPATH"] = f"{tree}:{tree / ROS_PACKAGE}"
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not slow",
-               "--doctest-modules", *paths]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-m",
+        "not slow",
+        "--doctest-modules",
+        *paths,
+    ]
     begin = time.monotonic()
     with (tree / "tests.log").open("w") as log:
         process = subprocess.Popen(command, cwd=tree, env=env, stdout=log, stderr=log, start_new_session=True)
@@ -281,7 +313,7 @@ def score(module: str, chosen: list[Mutation], paths: list[str], factor: float) 
 def main() -> int:
     """Command line; the exit code is 0 whatever the score."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("module", help="file of the project, for example lti/norms.py")
+    parser.add_argument("module", help="file of the project, for example lftkit/analysis/norms.py")
     parser.add_argument("--count", type=int, default=20, help="number of mutations (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the choice (default 0)")
     parser.add_argument("--tests", nargs="+", help="test paths instead of those of the module's package")
@@ -302,8 +334,14 @@ def main() -> int:
         text = f"{mutation.line}: {mutation.kind}: {' '.join(old.split())}  ->  {' '.join(mutation.new.split())}"
         if not args.json:
             print(f"{'killed  ' if killed else 'SURVIVED'} {module}:{text}", flush=True)
-    result = {"module": module, "seed": args.seed, "possible": len(everything), "mutations": len(chosen),
-              "killed": len(chosen) - len(survivors), "survivors": survivors}  # fmt: skip
+    result = {
+        "module": module,
+        "seed": args.seed,
+        "possible": len(everything),
+        "mutations": len(chosen),
+        "killed": len(chosen) - len(survivors),
+        "survivors": survivors,
+    }
     print(json.dumps(result) if args.json else f"{result['killed']} of {len(chosen)} killed")
     return 0
 

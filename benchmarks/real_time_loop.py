@@ -135,9 +135,12 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
     try:
         with tempfile.TemporaryDirectory(prefix="los_testbed_bench_") as folder:
             config = RunConfig(
-                duration=seconds, output=f"{folder}/bag", domain=domain, wait_for_recorder=True,
+                duration=seconds,
+                output=f"{folder}/bag",
+                domain=domain,
+                wait_for_recorder=True,
                 priority=name != "ours_ordinary",
-            )  # fmt: skip
+            )
             runner = Runner(config, progress, commands)
             results = runner.run()
     finally:
@@ -185,10 +188,14 @@ def machine() -> dict[str, Any]:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     kernel = platform.release().split("-")[0] + (" PREEMPT_RT" if "PREEMPT_RT" in platform.version() else "")
     return {
-        "processor": model, "processors": len(os.sched_getaffinity(0)), "virtual": virtual,
-        "memory_GiB": round(memory, 1), "kernel": f"{platform.system()} {kernel}",
-        "python": platform.python_version(), **versions,
-    }  # fmt: skip
+        "processor": model,
+        "processors": len(os.sched_getaffinity(0)),
+        "virtual": virtual,
+        "memory_GiB": round(memory, 1),
+        "kernel": f"{platform.system()} {kernel}",
+        "python": platform.python_version(),
+        **versions,
+    }
 
 
 def table(result: dict[str, Any]) -> str:

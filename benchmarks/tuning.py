@@ -37,9 +37,9 @@ import numpy as np
 import scipy.linalg as sl
 from threadpoolctl import threadpool_limits
 
-from lti import StateSpace, hinf_norm
-from robust_design import HinfGain, TuningOptions, state_space, tune
-from robust_design.published_plants import BEST_KNOWN, PLANTS
+from lftkit import StateSpace, hinf_norm
+from lftkit.tuning import HinfGain, TuningOptions, state_space, tune
+from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 
 try:
     from slycot import ab13dd
@@ -298,12 +298,15 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "worse_than_lower_order": [
             f"{name} {order}"
             for name, order in value
-            if any(value[name, k] * (1.0 + AGREEMENT) + FLOOR < value[name, order] for k in range(order)
-                   if (name, k) in value)
+            if any(
+                value[name, k] * (1.0 + AGREEMENT) + FLOOR < value[name, order]
+                for k in range(order)
+                if (name, k) in value
+            )
         ],
         "norm": "AB13DD" if ab13dd else "level iteration",
         "other_method": "PyGRANSO" if pygranso else None,
-    }  # fmt: skip
+    }
 
 
 def reached(row: dict[str, Any]) -> bool:

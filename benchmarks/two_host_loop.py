@@ -22,7 +22,7 @@ from los_testbed.config import RunConfig
 from los_testbed.run.runner import Runner
 from real_time_loop import DOCS, write_between
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 

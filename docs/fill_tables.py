@@ -100,8 +100,11 @@ def worst_case(text: str) -> str:
     | --- | ---: | ---: | ---: |
     | fsm | 9 mas, keeps 10 | 9 mas, keeps 10 | 9 mas, keeps 10 |
     """
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in parts(text, "**Scenario `worst_case`")[0]
-             .splitlines() if line.startswith("|")]  # fmt: skip
+    lines = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in parts(text, "**Scenario `worst_case`")[0].splitlines()
+        if line.startswith("|")
+    ]
     head, rows = lines[0], [dict(zip(lines[0], line)) for line in lines[2:]]
     found: dict[str, list[str]] = {}
     for row in rows:

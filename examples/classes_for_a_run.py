@@ -18,9 +18,9 @@ import numpy as np
 from los_testbed.config import RunConfig
 
 import fsm_pma_controller
-from lti.sampled_system import SampledSystem
-from titop_plant.driven_plant import DISTURBANCE_COLUMNS
+from lftkit.systems.sampled_system import SampledSystem
 from titop_plant.interface import CAMERA, DT, FSM_ANGLE
+from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS
 
 
 class ThrusterPulses:

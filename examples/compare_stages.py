@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.read import Run
-from pointing_analysis.report import write_report
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.report import write_report
+from pointing_analysis.requirements.summary import summarise
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("bags", nargs="*", type=Path)

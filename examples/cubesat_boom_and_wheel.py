@@ -9,7 +9,7 @@ that the imbalance of the wheel causes at speeds below, at and above the first r
 
 import numpy as np
 
-from lti import Port, RealParameter, UncertainSystem, connect, invert
+from lftkit import Port, RealParameter, UncertainSystem, connect, invert
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -41,20 +41,32 @@ def cubesat() -> UncertainSystem:
     )
     driven = connect(
         {"hub": hub, "boom": boom, "wheel": wheel},
-        [("accel_G", "hub.accel_G"), ("hub.accel_A", "boom.accel_A"), ("boom.wrench_A", "hub.wrench_A"),
-         ("hub.accel_W", "wheel.accel_W"), ("wheel.wrench_W", "hub.wrench_W"), ("rate_W", "wheel.rate_W"),
-         ("imbalance", "wheel.imbalance"), ("wheel_torque", "wheel.wheel_torque")],
+        [
+            ("accel_G", "hub.accel_G"),
+            ("hub.accel_A", "boom.accel_A"),
+            ("boom.wrench_A", "hub.wrench_A"),
+            ("hub.accel_W", "wheel.accel_W"),
+            ("wheel.wrench_W", "hub.wrench_W"),
+            ("rate_W", "wheel.rate_W"),
+            ("imbalance", "wheel.imbalance"),
+            ("wheel_torque", "wheel.wheel_torque"),
+        ],
         inputs=[ports.accel("G"), rate, imbalance, torque],
         outputs={"wrench_G": "hub.wrench_G", "wheel_accel": "wheel.wheel_accel"},
-    )  # fmt: skip
+    )
     free = invert(driven, {"accel_G": "wrench_G"})  # no wrench from outside: the input wrench_G stays zero
     return connect(
         {"free": free, "attitude": attitude("G")},
-        [("imbalance", "free.imbalance"), ("wheel_torque", "free.wheel_torque"), ("none", "free.wrench_G"),
-         ("free.accel_G", "attitude.accel_G"), ("attitude.rate_G", "free.rate_W")],
+        [
+            ("imbalance", "free.imbalance"),
+            ("wheel_torque", "free.wheel_torque"),
+            ("none", "free.wrench_G"),
+            ("free.accel_G", "attitude.accel_G"),
+            ("attitude.rate_G", "free.rate_W"),
+        ],
         inputs=[imbalance, torque, Port("none", 6, ports.wrench("G").unit)],
         outputs={"angle_G": "attitude.angle_G", "accel_G": "free.accel_G", "wheel_accel": "free.wheel_accel"},
-    )  # fmt: skip
+    )
 
 
 def main() -> UncertainSystem:

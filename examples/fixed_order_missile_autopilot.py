@@ -6,8 +6,8 @@ Riccati equations).
 
 from __future__ import annotations
 
-from robust_design import HinfGain, TuningOptions, TuningResult, state_space, tune
-from robust_design.published_plants import PLANTS
+from lftkit.tuning import HinfGain, TuningOptions, TuningResult, state_space, tune
+from lftkit.tuning.published_plants import PLANTS
 
 FULL_ORDER_OPTIMUM = 0.557291  # python-control 0.10.2, hinfsyn
 

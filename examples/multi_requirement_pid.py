@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lti import StateSpace, transfer
-from robust_design import ClosedLoopPoles, H2Gain, HinfGain, TuningOptions, TuningResult, pid, tune
+from lftkit import StateSpace, transfer
+from lftkit.tuning import ClosedLoopPoles, H2Gain, HinfGain, TuningOptions, TuningResult, pid, tune
 
 DELAY = 0.5  # s
 NOISE = 0.05  # standard deviation of the measurement's samples

@@ -5,7 +5,7 @@ python examples/pointing_budget.py
 
 import numpy as np
 
-from pointing_analysis.budget import combine, contribution, periodic, uniform
+from pointing_analysis.budget.lines import combine, contribution, periodic, uniform
 
 # arcsec, about x and y
 contributions = [

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointing_analysis import metrics, spectra, weights
-from pointing_analysis.errors import RAD_PER_MAS, performance_error
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices import metrics, weights
+from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.spectra import spectra
 
 WINDOW = 0.02
 with tempfile.TemporaryDirectory() as folder:

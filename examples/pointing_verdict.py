@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.read import Run
-from pointing_analysis.requirements import judge, parse
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.verdict import judge, parse
 
 REQUIREMENTS = [
     parse("prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"),

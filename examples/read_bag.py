@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
 
 with tempfile.TemporaryDirectory() as folder:
     if len(sys.argv) > 1:

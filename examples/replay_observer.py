@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointing_analysis import replay
-from pointing_analysis.errors import RAD_PER_MAS, knowledge_error, knowledge_error_of
-from pointing_analysis.metrics import radial
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import RAD_PER_MAS, knowledge_error, knowledge_error_of
+from pointing_analysis.indices.metrics import radial
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay import replay
 
 
 class CameraOnly:

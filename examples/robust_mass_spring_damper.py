@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lti import StateSpace, transfer
-from robust_design import ClosedLoopPoles, HinfGain, RobustResult, TuningOptions, WorstCaseOptions, pid, tune_robust
+from lftkit import StateSpace, transfer
+from lftkit.tuning import ClosedLoopPoles, HinfGain, RobustResult, TuningOptions, WorstCaseOptions, pid, tune_robust
 
 BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 

@@ -10,7 +10,7 @@ parameter: printed are the suspension modes, and where isolation begins and how 
 import numpy as np
 from scipy import linalg
 
-from lti import UncertainSystem
+from lftkit import UncertainSystem
 from titop_plant.blocks.isolator import Isolator, isolator
 from titop_plant.structures import from_inertia
 from titop_plant.structures.kinematics import FloatArray

@@ -30,10 +30,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lti import Connection, Port, StateSpace, UncertainSystem, connect, static_gain
-from lti.delay import delayed_port
-from robust_design import H2Gain, HinfGain, Requirement, state_space
-from robust_design.structures import AffineStructure
+from lftkit import Connection, Port, StateSpace, UncertainSystem, connect, static_gain
+from lftkit.systems.delay import delayed_port
+from lftkit.tuning import H2Gain, HinfGain, Requirement, state_space
+from lftkit.tuning.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, K_PMA_INPUTS, PLATFORM
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_FORCE_SENSITIVITY, band_error_weight, error_budget
@@ -54,7 +54,7 @@ FORCE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class ActuatorPlant:
-    """Generalised plant of K_PMA as a function of the parameter values (see :class:`robust_design.StateSpace`)."""
+    """Generalised plant of K_PMA as a function of the parameter values (see :class:`lftkit.tuning.StateSpace`)."""
 
     system: UncertainSystem
 
@@ -116,9 +116,13 @@ def actuator_plant(
         systems,
         wires,
         inputs=inputs,
-        outputs={"los_controlled": "plant.los_controlled", "accel_Ip": "plant.accel_Ip",
-                 "fsm_command": "law.fsm_command", APPLIED_COMMAND: "total.fsm_command"},
-    )  # fmt: skip
+        outputs={
+            "los_controlled": "plant.los_controlled",
+            "accel_Ip": "plant.accel_Ip",
+            "fsm_command": "law.fsm_command",
+            APPLIED_COMMAND: "total.fsm_command",
+        },
+    )
     return ActuatorPlant(_with_added_force(closed))
 
 
@@ -135,9 +139,12 @@ def _with_added_force(plant: UncertainSystem) -> UncertainSystem:
             (applied, f"plant.{FORCE.name}"),
         ],
         inputs=(*others, ADDED_FORCE, FORCE),
-        outputs={**{p.name: f"plant.{p.name}" for p in plant.outputs}, FORCE.name: f"own.{FORCE.name}",
-                 APPLIED_FORCE: applied},
-    )  # fmt: skip
+        outputs={
+            **{p.name: f"plant.{p.name}" for p in plant.outputs},
+            FORCE.name: f"own.{FORCE.name}",
+            APPLIED_FORCE: applied,
+        },
+    )
 
 
 def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple[Requirement, ...]:
@@ -148,9 +155,13 @@ def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple
     ape, los = weights["ape_limit"], ("los_controlled",)
     pointing = HinfGain(DISTURBANCES, los, ape, weight_in=expected, hard=implemented, name="APE")
     force = HinfGain(
-        DISTURBANCES, (FORCE.name,), FORCE_SHARE * parameters["pma"]["authority"], weight_in=expected, hard=True,
+        DISTURBANCES,
+        (FORCE.name,),
+        FORCE_SHARE * parameters["pma"]["authority"],
+        weight_in=expected,
+        hard=True,
         name="force",
-    )  # fmt: skip
+    )
     if not implemented:
         fine = weights["rpe_limit_fine"]
         return (

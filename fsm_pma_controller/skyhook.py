@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lti import SampledSystem, UncertainSystem, state_space
-from lti.filters import high_pass, with_input_filter
-from lti.sampling import sampled
+from lftkit import SampledSystem, UncertainSystem, state_space
+from lftkit.systems.filters import high_pass, with_input_filter
+from lftkit.systems.sampling import sampled
 from titop_plant.interface import DT, K_PMA_INPUTS, K_PMA_OUTPUTS, DesignBasis
 from titop_plant.structures.kinematics import FloatArray, tau
 from titop_plant.telescope.components import actuator_components

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lti import SampledSystem, UncertainSystem, state_space
-from lti.filters import high_pass, with_input_filter
-from lti.sampling import sampled
+from lftkit import SampledSystem, UncertainSystem, state_space
+from lftkit.systems.filters import high_pass, with_input_filter
+from lftkit.systems.sampling import sampled
 from titop_plant.interface import (
     ACCELERATIONS,
     ACCELEROMETERS,
@@ -57,7 +57,7 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
     --------
     A rigid rotation moves the line of sight with it:
 
-    >>> from titop_plant.simulation import telescope
+    >>> from titop_plant.simulation.build import telescope
     >>> from titop_plant.telescope.parameters import load_parameters
     >>> payload = telescope().bodies[1]
     >>> C_a = acceleration_sensitivity(load_parameters(), payload)

@@ -26,10 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lftkit import Port, StateSpace, UncertainSystem, connect, static_gain, transform
+from lftkit.tuning import H2Gain, HinfGain, Requirement, state_space
+from lftkit.tuning.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
-from lti import Port, StateSpace, UncertainSystem, connect, static_gain, transform
-from robust_design import H2Gain, HinfGain, Requirement, state_space
-from robust_design.structures import AffineStructure
 from titop_plant.interface import CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
@@ -50,7 +50,7 @@ APPLIED = "applied_estimate"
 class ObserverPlant:
     """Generalised plant of K_FSM as a function of the parameter values.
 
-    Calling it with values gives a :class:`robust_design.StateSpace` with the disturbance, noise and estimate
+    Calling it with values gives a :class:`lftkit.tuning.StateSpace` with the disturbance, noise and estimate
     ports in, line of sight, mirror command and measurements out.
     """
 
@@ -97,9 +97,12 @@ def observer_plant(
             (ESTIMATE.name, f"law.{ESTIMATE.name}"),
         ],
         inputs=(*others, ADDED, ESTIMATE),
-        outputs={**{p.name: f"plant.{p.name}" for p in driven.outputs}, command.name: "law.fsm_command",
-                 APPLIED: applied},
-    )  # fmt: skip
+        outputs={
+            **{p.name: f"plant.{p.name}" for p in driven.outputs},
+            command.name: "law.fsm_command",
+            APPLIED: applied,
+        },
+    )
     return ObserverPlant(system)
 
 
@@ -123,9 +126,10 @@ def observer_requirements(
     ape, rpe, los = weights["ape_limit"], weights["rpe_limit"], "los_controlled"
     common = (
         HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
-        HinfGain(DISTURBANCES, ("fsm_command",), parameters["fsm"]["authority"], weight_in=expected, hard=True,
-                 name="mirror"),
-    )  # fmt: skip
+        HinfGain(
+            DISTURBANCES, ("fsm_command",), parameters["fsm"]["authority"], weight_in=expected, hard=True, name="mirror"
+        ),
+    )
     if not implemented:
         paper = HinfGain(DISTURBANCES, (los,), rpe, weight_in=expected, weight_out=relative, name="RPE")
         return common[0], paper, common[1]
@@ -136,13 +140,19 @@ def observer_requirements(
     return (
         *common,
         *(
-            HinfGain(DISTURBANCES, (los,), bound, weight_in=expected, weight_out=band_error_weight(parameters, band),
-                     name=band)
+            HinfGain(
+                DISTURBANCES,
+                (los,),
+                bound,
+                weight_in=expected,
+                weight_out=band_error_weight(parameters, band),
+                name=band,
+            )
             for band, bound in (("slow", slow), ("fast", fast))
         ),
         H2Gain(NOISE, (los,), noise, weight_out=relative, name="noise -> RPE"),
         HinfGain((ADDED.name,), (APPLIED,), TUNED_SENSITIVITY, hard=True, name="sensitivity"),
-    )  # fmt: skip
+    )
 
 
 def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold: bool = False) -> AffineStructure:

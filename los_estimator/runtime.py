@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lti.sampled_system import SampledSystem
+from lftkit.systems.sampled_system import SampledSystem
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
 
 FloatArray = NDArray[np.float64]

@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from lti.ports import Port, port_slices, total_size
+from lftkit.systems.ports import Port, port_slices, total_size
 from titop_plant.ports import accel
 
 RATE = 1000
@@ -237,7 +237,7 @@ class DesignBasis:
 
 
 class Designed(Protocol):
-    """A controller that says what it was made for, such as a :class:`lti.SampledSystem`."""
+    """A controller that says what it was made for, such as a :class:`lftkit.SampledSystem`."""
 
     @property
     def name(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lti.ports import Port
+from lftkit.systems.ports import Port
 
 TWIST_UNIT = ",".join(["m/s2"] * 3 + ["rad/s2"] * 3)
 WRENCH_UNIT = ",".join(["N"] * 3 + ["Nm"] * 3)

@@ -21,9 +21,15 @@ OUTSIDE = {"README.md": "overview.md"} | {
 PACKAGES = {
     name: ROOT / name
     for name in (
-        "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
+        "lftkit",
+        "titop_plant",
+        "los_estimator",
+        "fsm_pma_controller",
+        "los_loop",
+        "los_design",
+        "pointing_analysis",
     )
-} | {"los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed"}  # fmt: skip
+} | {"los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed"}
 LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")

@@ -6,7 +6,7 @@ python examples/paper/figure_controllers.py [FOLDER]
 import sys
 from pathlib import Path
 
-from los_design.figures import draw
+from los_design.figures.figures import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
 for path in draw(folder, 0, names=["controllers"]):

@@ -8,7 +8,7 @@ SAMPLES random members of the family beside the worst ones of each stage; each t
 import sys
 from pathlib import Path
 
-from los_design.figures import draw
+from los_design.figures.figures import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
 for path in draw(folder, int(sys.argv[2]) if len(sys.argv) > 2 else 2, names=["stages_implemented_nominal"]):

@@ -10,19 +10,25 @@ from pathlib import Path
 import pytest
 from los_testbed.topics import TOPICS
 
-from pointing_analysis.replay import COMMAND, MEASUREMENT
-from pointing_analysis.telescope_values import DEFAULTS
+from pointing_analysis.indices.telescope_values import DEFAULTS
+from pointing_analysis.replay.replay import COMMAND, MEASUREMENT
 from titop_plant import interface
 from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = (
-    "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
+    "lftkit",
+    "titop_plant",
+    "los_estimator",
+    "fsm_pma_controller",
+    "los_loop",
+    "los_design",
+    "pointing_analysis",
     "ros_ws/src/los_testbed/los_testbed",
-)  # fmt: skip
+)
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 HOME = ROOT / "titop_plant/interface.py"
-OF_FOREIGN_BAGS = ROOT / "pointing_analysis/telescope_values.py"
+OF_FOREIGN_BAGS = ROOT / "pointing_analysis/indices/telescope_values.py"
 PERIOD = re.compile(r"^_?(DT|RATE|TICK(_?S|_?NS|_?US)?|SAMPLING|SAMPLE_(TIME|PERIOD)|NOMINAL_HZ|TICK_RATE)$")
 CAMERA = re.compile(r"^_?(CAMERA_PERIOD|HOLD_DELAY|LOOP_DELAY|(?i:CAMERA_RATE|FRAME_TICKS))$")
 SENSITIVITY = re.compile(r"sensitivity|mirror_gain|fsm_to_los", re.IGNORECASE)
@@ -86,10 +92,10 @@ def faults(source: str) -> list[str]:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None:
-    if path in (HOME, OF_FOREIGN_BAGS, ROOT / "pointing_analysis/replay.py"):
+    if path in (HOME, OF_FOREIGN_BAGS, ROOT / "pointing_analysis/replay/replay.py"):
         return
     found = faults(path.read_text("utf-8"))
-    if path == ROOT / "titop_plant/disturbances.py" or path.name == "disturbance_responses.py":
+    if path == ROOT / "titop_plant/simulation/disturbances.py" or path.name == "disturbance_responses.py":
         found = [fault for fault in found if not fault.startswith("slice(20, 22)")]  # channels of the disturbance
     assert not found
 
@@ -97,14 +103,27 @@ def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None
 @pytest.mark.parametrize(
     "line",
     [
-        "DT = 1e-3", "RATE = 1000", "TICK_NS = 1_000_000", "SAMPLING: float = 0.001", "CAMERA_PERIOD = 0.02",
-        "FRAME_TICKS = 20", "LOOP_DELAY = 1.5e-3", "def f(camera_rate: float = 50.0): pass",
-        "MIRROR_GAIN = 0.1", "def f(fsm_sensitivity=0.1): pass", "x = {'fsm_to_los': 0.1}",
-        "limit = -0.0053", "f(limit=31.6)", "S = ('none', 'isolator', 'fsm', 'fsm+pma')",
+        "DT = 1e-3",
+        "RATE = 1000",
+        "TICK_NS = 1_000_000",
+        "SAMPLING: float = 0.001",
+        "CAMERA_PERIOD = 0.02",
+        "FRAME_TICKS = 20",
+        "LOOP_DELAY = 1.5e-3",
+        "def f(camera_rate: float = 50.0): pass",
+        "MIRROR_GAIN = 0.1",
+        "def f(fsm_sensitivity=0.1): pass",
+        "x = {'fsm_to_los': 0.1}",
+        "limit = -0.0053",
+        "f(limit=31.6)",
+        "S = ('none', 'isolator', 'fsm', 'fsm+pma')",
         "S = ['worst_case', 'design', 'imbalance', 'ramp']",
-        "if loop in ('fsm', 'fsm+pma'): pass", "CAMERA = slice(18, 20)", "y[18:20] = 0.0", "y[:, 20:22] = 0.0",
+        "if loop in ('fsm', 'fsm+pma'): pass",
+        "CAMERA = slice(18, 20)",
+        "y[18:20] = 0.0",
+        "y[:, 20:22] = 0.0",
     ],
-)  # fmt: skip
+)
 def test_the_search_finds_what_it_is_for(line: str) -> None:
     assert len(faults(line)) == 1
 

@@ -20,17 +20,30 @@ PAGES = sorted(
 BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
-MADE = {"start.json",
-    "mine.json", "mine.toml", "my_body.toml", "my_law.json", "my_observer.json", "my_payload.toml", "my_telescope.toml",
-    "mission.toml", "my_module.py", "my_plant_node.py", "panel.toml", "rounds.json",
-}  # fmt: skip
+MADE = {
+    "start.json",
+    "mine.json",
+    "mine.toml",
+    "my_body.toml",
+    "my_law.json",
+    "my_observer.json",
+    "my_payload.toml",
+    "my_telescope.toml",
+    "mission.toml",
+    "my_module.py",
+    "my_plant_node.py",
+    "panel.toml",
+    "rounds.json",
+}
 """Example files of the user."""
 INSIDE_BAGS = {"k_fsm.json", "k_pma.json"}
 """Attachments of a bag."""
 REPLACED = {
-    "k_fsm_flown_nominal.json", "k_pma_flown_nominal.json", "k_fsm_implemented_nominal.json",
+    "k_fsm_flown_nominal.json",
+    "k_pma_flown_nominal.json",
+    "k_fsm_implemented_nominal.json",
     "k_pma_implemented_nominal.json",
-}  # fmt: skip
+}
 """Names of files in CHANGELOG.md, without folder."""
 
 
@@ -97,8 +110,15 @@ def named_objects(text: str, changelog: bool) -> set[str]:
     """Dotted names of this project in inline code; of CHANGELOG.md the right column of its table only."""
     if changelog:
         text = "\n".join(line.split("|")[-2] for line in text.splitlines() if line.startswith("  | `"))
-    return {span for span in code_spans(text) if re.fullmatch(r"(?:lti|titop_plant|robust_design|los_estimator|"
-            r"fsm_pma_controller|los_design|pointing_analysis|los_testbed)(?:\.\w+)+", span)}  # fmt: skip
+    return {
+        span
+        for span in code_spans(text)
+        if re.fullmatch(
+            r"(?:lftkit|titop_plant|los_loop|los_estimator|"
+            r"fsm_pma_controller|los_design|pointing_analysis|los_testbed)(?:\.\w+)+",
+            span,
+        )
+    }
 
 
 def is_object(name: str) -> bool:
@@ -181,9 +201,9 @@ def test_prose_lines_are_short(page: Path) -> None:
 
 def test_the_checks_find_mistakes() -> None:
     """A wrong path, a wrong command and a wrong option are found; shorthand and wildcards are resolved."""
-    assert named_files("see `lti/no_such.py` and `run x/y.toml now`") == {"lti/no_such.py", "x/y.toml"}
-    assert not exists("lti/no_such.py")
-    assert named_objects("`lti.no_such`", False) == {"lti.no_such"} and not is_object("lti.no_such")
+    assert named_files("see `lftkit/no_such.py` and `run x/y.toml now`") == {"lftkit/no_such.py", "x/y.toml"}
+    assert not exists("lftkit/no_such.py")
+    assert named_objects("`lftkit.no_such`", False) == {"lftkit.no_such"} and not is_object("lftkit.no_such")
     assert not is_test("test_no_such") and is_test("test_faults") and is_test("test_named_tests_exist")
     assert exists("los_testbed/config.py")
     assert exists("los_estimator/designs/*.json")

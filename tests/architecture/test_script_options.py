@@ -9,8 +9,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 CALL = re.compile(r"\b((?:benchmarks|docs|tests/fuzz)/[a-z_]+\.py)((?:[^\n|;`]|\\\n)*)")
-TEXTS = [ROOT / "Makefile", ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")),
-         *sorted((ROOT / "benchmarks").glob("*.py"))]  # fmt: skip
+TEXTS = [
+    ROOT / "Makefile",
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "benchmarks").glob("*.py")),
+]
 
 
 def calls() -> list[tuple[str, str, str]]:

@@ -12,8 +12,8 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from pointing_analysis.mcap_framing import Framing
-from pointing_analysis.mcap_records import MAGIC, RECORD
+from pointing_analysis.read.mcap.framing import Framing
+from pointing_analysis.read.mcap.records import MAGIC, RECORD
 
 Key = tuple[str, int]
 Content = tuple[int, int, bytes]
@@ -118,10 +118,19 @@ def _other_opcode(good: bytes, m: Mutation) -> bytes:
 
 
 KINDS: dict[str, Callable[[bytes, Mutation], bytes]] = {
-    "flip": _flip, "flip_head": _flip_head, "overwrite": _overwrite, "insert": _insert, "delete": _delete, "cut": _cut,
-    "zeros": _zeros, "remove_record": _remove_record, "repeat_record": _repeat_record, "swap_records": _swap_records,
-    "other_length": _other_length, "other_opcode": _other_opcode,
-}  # fmt: skip
+    "flip": _flip,
+    "flip_head": _flip_head,
+    "overwrite": _overwrite,
+    "insert": _insert,
+    "delete": _delete,
+    "cut": _cut,
+    "zeros": _zeros,
+    "remove_record": _remove_record,
+    "repeat_record": _repeat_record,
+    "swap_records": _swap_records,
+    "other_length": _other_length,
+    "other_opcode": _other_opcode,
+}
 
 SHARES = st.floats(0, 1, exclude_max=True)
 MUTATIONS = st.builds(

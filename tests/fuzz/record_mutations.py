@@ -17,8 +17,8 @@ import zstandard
 from fuzz.mutations import records
 from hypothesis import strategies as st
 
-from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME
-from pointing_analysis.mcap_records import (
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME
+from pointing_analysis.read.mcap.records import (
     INDEX_ENTRY,
     MAGIC,
     OP_ATTACHMENT,
@@ -41,9 +41,26 @@ from pointing_analysis.mcap_records import (
 
 Record = tuple[int, bytes]
 KINDS_OF_RECORDS = (
-    OP_HEADER, OP_FOOTER, OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK, OP_INDEX, OP_CHUNK_INDEX, OP_ATTACHMENT,
-    OP_ATTACHMENT_INDEX, OP_STATISTICS, OP_METADATA, OP_METADATA_INDEX, OP_DATA_END, OP_MANIFEST, 14, 0, 0x10, 0xFF,
-)  # fmt: skip
+    OP_HEADER,
+    OP_FOOTER,
+    OP_SCHEMA,
+    OP_CHANNEL,
+    OP_MESSAGE,
+    OP_CHUNK,
+    OP_INDEX,
+    OP_CHUNK_INDEX,
+    OP_ATTACHMENT,
+    OP_ATTACHMENT_INDEX,
+    OP_STATISTICS,
+    OP_METADATA,
+    OP_METADATA_INDEX,
+    OP_DATA_END,
+    OP_MANIFEST,
+    14,
+    0,
+    0x10,
+    0xFF,
+)
 ODD_NUMBERS = (0, 1, 30, 31, 1000, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)
 _CHUNK = struct.Struct("<QQQI")
 
@@ -261,14 +278,28 @@ def _forged_record(found: list[Record], m: RecordMutation, _: list[Record]) -> l
 FORGERIES = frozenset({"forged_content", "forged_record", "foreign_summary", "random", "summary_number", "beside"})
 """Kinds after which the file may say, with right checksums, what nobody recorded."""
 KINDS: dict[str, Callable[[list[Record], RecordMutation, list[Record]], list[Record]]] = {
-    "compression": _compression, "repacked": _repacked, "chunk_head": _chunk_head, "index": _index,
-    "exchange": _exchange, "repeat": _repeat, "remove": _remove, "summary_number": _summary_number,
-    "foreign_summary": _foreign_summary, "random": _random, "beside": _beside, "forged_content": _forged_content,
+    "compression": _compression,
+    "repacked": _repacked,
+    "chunk_head": _chunk_head,
+    "index": _index,
+    "exchange": _exchange,
+    "repeat": _repeat,
+    "remove": _remove,
+    "summary_number": _summary_number,
+    "foreign_summary": _foreign_summary,
+    "random": _random,
+    "beside": _beside,
+    "forged_content": _forged_content,
     "forged_record": _forged_record,
-}  # fmt: skip
+}
 
 INTEGERS = st.integers(0, 10_000)
 RECORD_MUTATIONS = st.builds(
-    RecordMutation, st.sampled_from(sorted(KINDS)), INTEGERS, INTEGERS,
-    st.sampled_from(ODD_NUMBERS) | st.integers(0, 2**64 - 1), st.text(max_size=20), st.binary(min_size=1, max_size=200),
-)  # fmt: skip
+    RecordMutation,
+    st.sampled_from(sorted(KINDS)),
+    INTEGERS,
+    INTEGERS,
+    st.sampled_from(ODD_NUMBERS) | st.integers(0, 2**64 - 1),
+    st.text(max_size=20),
+    st.binary(min_size=1, max_size=200),
+)

@@ -25,9 +25,9 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, McapRecord
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.bag_metadata import METADATA_NAME
-from pointing_analysis.mcap_records import OP_CHUNK, OP_MANIFEST
-from pointing_analysis.read import Run
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
+from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST
+from pointing_analysis.read.run import Run
 
 BAG = Path(__file__).parents[2] / "bags" / "reference"
 FLIPS, AT_HEADS, PART = 500, 100, 25

@@ -47,9 +47,12 @@ def started(folder: Path, minutes: float, body: str) -> subprocess.Popen[str]:
     script = Path(__file__).with_name("fuzz_for.py")
     return subprocess.Popen(
         [sys.executable, str(script), str(minutes), str(folder / "test_fuzz_one.py")],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=script.parents[2],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=script.parents[2],
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    )
 
 
 def examples_of(folder: Path, name: str) -> int:

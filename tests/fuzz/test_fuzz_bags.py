@@ -19,10 +19,10 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
-from pointing_analysis.requirements import parse
-from pointing_analysis.summary import Summary, summarise
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.requirements.verdict import parse
 
 LIMIT_S, LIMIT_MB = 20.0, 1000.0
 REQUIREMENTS = tuple(

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from los_testbed.cli import app as cli
 from support.simple_telescope import write_controllers
 
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
 from titop_plant.telescope.parameters import load_parameters
 
 CODES = {0, 1, 2, 3, 130}
@@ -30,9 +30,13 @@ LIMIT_S = 20.0
 QUICK = 5
 """A command line takes a fraction of the time of a damaged bag, so that there are more of them in a round."""
 ODD = st.one_of(
-    st.none(), st.booleans(), st.integers(-(10**400), 10**400), st.floats(), st.text(max_size=20),
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**400), 10**400),
+    st.floats(),
+    st.text(max_size=20),
     st.sampled_from(["[x]", "[/]", "\0", "../x", "nan", "1e999", "", " ", "\u202e", "x" * 400]),
-)  # fmt: skip
+)
 VALUES = st.recursive(
     ODD, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4)
 )
@@ -85,8 +89,22 @@ def check(code: int, err: str) -> None:
 
 
 OPTIONS = {
-    "run": ["--duration", "--camera-rate", "--seed", "--domain", "--theta", "--set", "--loop", "--case", "--sample",
-            "--config", "--k-fsm", "--parameters", "--omega-1", "--ramp-duration"],
+    "run": [
+        "--duration",
+        "--camera-rate",
+        "--seed",
+        "--domain",
+        "--theta",
+        "--set",
+        "--loop",
+        "--case",
+        "--sample",
+        "--config",
+        "--k-fsm",
+        "--parameters",
+        "--omega-1",
+        "--ramp-duration",
+    ],
     "report": ["--transient", "--start", "--stop", "--namespace", "--max-chunk", "--requirements"],
     "replay": ["--transient", "--timeout", "--domain", "--loop", "--k-fsm", "--max-chunk"],
     "bag repair": ["--max-chunk", "--output"],
@@ -97,13 +115,36 @@ OPTIONS = {
     "bag topics": ["--json"],
     "stages": ["--scenario", "--samples", "--duration", "--seed", "--mode", "--k-fsm", "--designs", "--camera-rate"],
     "campaign": ["--samples", "--seed", "--sampling", "--depth", "--loop", "--duration", "--workers", "--keep"],
-}  # fmt: skip
+}
 TEXTS = st.one_of(
-    st.sampled_from(["nan", "inf", "-inf", "1e308", "-1", "0", "9" * 400, "[x]", "[/red]", "a=b", "seed=[[", "../..",
-                     "\u0000", "", " ", "none", "seed=.inf", "x" * 300, "--", "wheel_speed={a: [1]}"]),
-    st.floats().map(str), st.integers().map(str),
+    st.sampled_from(
+        [
+            "nan",
+            "inf",
+            "-inf",
+            "1e308",
+            "-1",
+            "0",
+            "9" * 400,
+            "[x]",
+            "[/red]",
+            "a=b",
+            "seed=[[",
+            "../..",
+            "\u0000",
+            "",
+            " ",
+            "none",
+            "seed=.inf",
+            "x" * 300,
+            "--",
+            "wheel_speed={a: [1]}",
+        ]
+    ),
+    st.floats().map(str),
+    st.integers().map(str),
     st.text(max_size=30).filter(lambda text: "\0" not in text and text.isprintable()),
-)  # fmt: skip
+)
 
 
 @given(data=st.data())
@@ -220,10 +261,12 @@ def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, valu
 @examples(20, times=QUICK)
 def test_any_text_as_a_file(folder: Path, text: str) -> None:
     for name, arguments in (
-        ("t.toml", ["plant", "--parameters=FILE"]), ("t.toml", ["budget", "FILE", "--output=no/b.html"]),
+        ("t.toml", ["plant", "--parameters=FILE"]),
+        ("t.toml", ["budget", "FILE", "--output=no/b.html"]),
         ("t.yaml", ["run", "--mode=inprocess", "--config=FILE", f"--output={folder / 'bag'}"]),
         ("t.json", ["run", "--mode=inprocess", "--k-fsm=FILE", f"--output={folder / 'bag'}"]),
-        ("t.csv", ["analyse", "FILE", "--unit=rad", "--rate=100"]), ("t.mcap", ["analyse", "FILE"]),
-    ):  # fmt: skip
+        ("t.csv", ["analyse", "FILE", "--unit=rad", "--rate=100"]),
+        ("t.mcap", ["analyse", "FILE"]),
+    ):
         (folder / name).write_text(text, "utf-8")
         check(*called(folder, [a.replace("FILE", str(folder / name)) for a in arguments]))

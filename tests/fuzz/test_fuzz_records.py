@@ -19,9 +19,9 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.mcap_records import OP_ATTACHMENT_INDEX, OP_CHUNK_INDEX, OP_METADATA_INDEX, BagError
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
+from pointing_analysis.read.mcap.records import OP_ATTACHMENT_INDEX, OP_CHUNK_INDEX, OP_METADATA_INDEX, BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 
 LIMIT_S = 20.0
 

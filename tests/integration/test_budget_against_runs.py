@@ -10,11 +10,11 @@ from los_testbed.cli.app import main
 from los_testbed.run.budget_sources import testbed_sources as sources_of_the_testbed
 
 import pointing_analysis
-from pointing_analysis.budget_file import load_budget
-from pointing_analysis.budget_total import evaluate
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.read import Run
-from pointing_analysis.requirements import judge, parse
+from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.total import evaluate
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.verdict import judge, parse
 
 SHIPPED = Path(pointing_analysis.__file__).with_name("budget_testbed.toml")
 INDICES = [

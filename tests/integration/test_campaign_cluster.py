@@ -26,8 +26,20 @@ from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 
 BASE = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imbalance")
-OPTIONS = ["campaign", "--samples", "30", "--seed", "5", "--duration", "1.1", "--loop", "isolator",
-           "--scenario", "imbalance", "--json"]  # fmt: skip
+OPTIONS = [
+    "campaign",
+    "--samples",
+    "30",
+    "--seed",
+    "5",
+    "--duration",
+    "1.1",
+    "--loop",
+    "isolator",
+    "--scenario",
+    "imbalance",
+    "--json",
+]
 
 
 def asked(samples: int = 30) -> Campaign:

@@ -71,9 +71,12 @@ def test_another_campaign_in_the_folder_is_refused_without_a_cluster(temporary: 
     ResultFolder(output).open(Campaign.of(base, "uniform", 100, 1, "time", identity(base)), False)
     manifest = (output / "campaign.json").read_bytes()
     process = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}", "--resume"], capture_output=True, text=True,
-        env={**os.environ, "TMPDIR": str(temporary)}, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}", "--resume"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "TMPDIR": str(temporary)},
+        check=False,
+    )
     message = f"los-testbed: {output} holds another campaign: samples must be 100 as there, got 200\n"
     assert (process.returncode, process.stdout, process.stderr) == (2, "", message)
     assert list(temporary.iterdir()) == [] and (output / "campaign.json").read_bytes() == manifest
@@ -99,9 +102,13 @@ def test_after_a_signal(name: str, started: str, temporary: Path, tmp_path: Path
     """While the workers start, and while members are computed; a key of a terminal reaches workers, too."""
     output, variable = tmp_path / "c", f"TMPDIR={temporary}"
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "TMPDIR": str(temporary)}, text=True, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-c", PROGRAM, *OPTIONS, f"--output={output}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(temporary)},
+        text=True,
+        start_new_session=True,
+    )
     pattern = {"folder": (temporary, "los_testbed_campaign_*"), "rows": (output, "rows/part-*.parquet")}[started]
     while not list(pattern[0].glob(pattern[1])):
         assert process.poll() is None, process.stderr and process.stderr.read()

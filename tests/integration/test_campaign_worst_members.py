@@ -12,8 +12,8 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import COLUMNS, DELTA, members
 from los_testbed.config import RunConfig
 
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import weighted_gains
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import weighted_gains
 from titop_plant.interface import FRAME_TICKS
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"

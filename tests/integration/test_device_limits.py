@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from los_testbed.cli.app import main
 
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
-from titop_plant import nonlinear_plant
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from titop_plant.simulation.build import nonlinear_plant
 
 PAGE = Path(__file__).parents[2] / "docs" / "telescope.md"
 NO_QUANTISATION = {"acceleration_step": 0.0, "camera_step": 0.0, "gauge_step": 0.0}

@@ -75,13 +75,13 @@ def test_the_wheel_runs_outside_the_tree_without_ros(without_ros: Path, tmp_path
     assert (tmp_path / "bag" / "report.html").stat().st_size > 100_000
     missing = run(program, "run", "--duration", "1", folder=tmp_path)
     assert missing.returncode == 2 and "pip install 'los-testbed[ros]'" in missing.stderr
-    where = run(without_ros / "python", "-c", "import lti, los_testbed; print(lti.__file__)", folder=tmp_path)
+    where = run(without_ros / "python", "-c", "import lftkit, los_testbed; print(lftkit.__file__)", folder=tmp_path)
     assert str(without_ros.parent) in where.stdout
 
 
 def test_messages_about_a_missing_package_name_the_extra(without_ros: Path, tmp_path: Path) -> None:
     code = (
-        "from pointing_analysis.dataframes import to_pandas, to_xarray\n"
+        "from pointing_analysis.read.dataframes import to_pandas, to_xarray\n"
         "from titop_plant.structures import nastran\n"
         "open('a.bdf', 'w').close()\n"
         "def read(_): nastran.read_nastran('a.bdf', 'a.op2', name='a', parent=('a', 1), ports={})\n"

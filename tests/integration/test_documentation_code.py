@@ -56,7 +56,7 @@ def an_uncertain_system(_: Path, __: pytest.MonkeyPatch) -> Names:
 
 def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Names:
     """The design takes an hour: its call is checked against the signature, its result is empty."""
-    from los_design import redesign
+    from los_design.synthesis import redesign
 
     (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")
     check = SimpleNamespace(fsm={}, pma={})
@@ -67,15 +67,15 @@ def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def the_mass_and_spring(_: Path, __: pytest.MonkeyPatch) -> Names:
     names = runpy.run_path(str(ROOT / "examples/robust_mass_spring_damper.py"))
-    from robust_design import pid, tune_robust
+    from lftkit.tuning import pid, tune_robust
 
     return {**names, "pid": pid, "tune_robust": tune_robust}
 
 
 def requirements_of_the_observer(_: Path, __: pytest.MonkeyPatch) -> Names:
+    from lftkit import StateSpace
+    from lftkit.tuning import HinfGain
     from los_estimator.problem import DISTURBANCES
-    from lti import StateSpace
-    from robust_design import HinfGain
 
     unit = StateSpace.static(np.eye(1), [("a", 1)], [("b", 1)])
     return {"HinfGain": HinfGain, "DISTURBANCES": DISTURBANCES, "expected": unit, "relative": unit}

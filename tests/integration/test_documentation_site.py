@@ -67,7 +67,7 @@ def test_the_start_page_leads_to_every_page(hooks: ModuleType) -> None:
 def public_objects() -> set[str]:
     """Full names of the public functions and classes of all packages."""
     found = set()
-    packages = ("lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design")
+    packages = ("lftkit", "titop_plant", "los_estimator", "fsm_pma_controller", "los_loop", "los_design")
     folders = [ROOT / name for name in (*packages, "pointing_analysis", "ros_ws/src/los_testbed/los_testbed")]
     for folder in folders:
         for path in folder.rglob("*.py"):
@@ -84,7 +84,7 @@ def test_every_public_name_has_a_page_of_the_api(hooks: ModuleType) -> None:
     assert {name.rpartition(".")[0] for name in public_objects()} <= set(pages)
     listed = leaves(hooks.api_nav())
     assert sorted(listed) == sorted(f"api/{name}.md" for name in pages)
-    assert "[`hinf_norm`][lti.norms.hinf_norm]" in hooks.api_page("lti", pages["lti"])
+    assert "[`hinf_norm`][lftkit.analysis.norms.hinf_norm]" in hooks.api_page("lftkit", pages["lftkit"])
 
 
 def test_broken_links_and_outside_addresses_are_found(links: ModuleType, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_the_site_is_built_without_warnings(links: ModuleType, built: tuple[Path
 @pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 def test_no_finding_of_axe(built: tuple[Path, str]) -> None:
     """Pages with signatures, code of all kinds, tables, figures and mathematics, in both schemes and widths."""
-    api = ("lti.interconnection", "los_design.synthesis", "los_design.worst_case_search")
+    api = ("lftkit.systems.interconnection", "los_design.synthesis.synthesis", "los_design.search.worst_case_search")
     names = ("overview", "certificates", "results", "structures", *(f"api/{name}" for name in api))
     with headless_browser.Page() as browser:
         found = {

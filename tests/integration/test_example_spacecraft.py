@@ -72,7 +72,7 @@ def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFi
 
 def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The drawing itself is that of `plant figures` and `design figures`; here, that each asks for one that exists."""
-    from los_design import figures, plant_figures
+    from los_design.figures.figures import figures, plant_figures
 
     of_plant = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
     of_design = create_autospec(figures.draw, return_value=[tmp_path / "figure.png"])
@@ -91,7 +91,7 @@ def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
-    from los_design.figures import draw
+    from los_design.figures.figures import draw
 
     paths = draw(tmp_path, 0, names=["controllers", "stages_implemented"])
     assert [path.name for path in paths] == [
@@ -101,7 +101,7 @@ def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
 
 
 def test_a_figure_that_does_not_exist_is_refused(tmp_path: Path) -> None:
-    from los_design.figures import draw
+    from los_design.figures.figures import draw
 
     with pytest.raises(ValueError, match=r"names must be of stages_implemented, .* got 'stage'"):
         draw(tmp_path / "out", 0, names=["stage"])

@@ -13,7 +13,7 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulat
 from simple_telescope import SimpleTelescope, write_controllers
 from support.call_count import calls
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 
 @pytest.fixture

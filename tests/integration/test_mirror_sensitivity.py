@@ -18,16 +18,16 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.predictions import predictions
 from los_testbed.run.replay import controllers, drive
 
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import sampled_loop_metrics
-from los_design.store import load_designs
-from lti import SampledSystem
-from pointing_analysis.errors import knowledge_error
-from pointing_analysis.read import Run
-from pointing_analysis.replay import compare
-from pointing_analysis.telescope_values import telescope_value
+from lftkit import SampledSystem
+from los_design.synthesis.store import load_designs
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import sampled_loop_metrics
+from pointing_analysis.indices.errors import knowledge_error
+from pointing_analysis.indices.telescope_values import telescope_value
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay.replay import compare
 from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
 SENSITIVITY = 0.2

@@ -15,9 +15,9 @@ from los_testbed.run.predictions import predictions
 from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lti.sampled_system import SampledSystem
-from pointing_analysis.read import Run
-from pointing_analysis.report import render
+from lftkit.systems.sampled_system import SampledSystem
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.report import render
 
 LIMIT = 1e-4
 """Of the mirror [rad], small enough to be reached."""

@@ -11,7 +11,7 @@ from los_testbed.factories import build_controller, build_estimator, build_plant
 from los_testbed.loop.simulate import simulate
 from los_testbed.run_start import RunStart
 
-from pointing_analysis.metrics import radial, windows
+from pointing_analysis.indices.metrics import radial, windows
 from titop_plant.interface import DT, FRAME_TICKS, STAGES
 
 WHEELS = (300.0, -200.0, 150.0, -400.0)
@@ -23,9 +23,13 @@ def line_of_sight(config: RunConfig) -> np.ndarray:
     estimator.reset()
     controller.reset()
     simulate(
-        build_plant(config), estimator, controller, config.ticks,
-        lambda block, rows: found.append(block.truth[:rows].copy()), run_start(config).command,
-    )  # fmt: skip
+        build_plant(config),
+        estimator,
+        controller,
+        config.ticks,
+        lambda block, rows: found.append(block.truth[:rows].copy()),
+        run_start(config).command,
+    )
     return np.concatenate(found)
 
 

@@ -7,14 +7,14 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import assemble_controller, controller_files
 
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import disturbance_response, sampled_loop_metrics
+from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator
-from lti import SampledSystem
-from titop_plant.disturbances import Tones, no_tones
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from titop_plant.interface import DT, MEASURED
-from titop_plant.sampled_plant import SampledPlant, SensorModel
-from titop_plant.simulation import DISTURBANCES, sample, telescope
+from titop_plant.simulation.build import DISTURBANCES, sample, telescope
+from titop_plant.simulation.disturbances import Tones, no_tones
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.control_plant import with_camera
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
@@ -36,8 +36,9 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     _, data, k_fsm, k_pma = case
     sensors = SensorModel(np.zeros(22) if sigma is None else sigma, np.zeros(22), frame_ticks, 0.0, 3)
     limits = np.full(8, 1e6)
-    plant = SampledPlant([sample(data, tones, 10**9)], state, sensors, limits, dt=DT, tones=tones.frequency,
-                         parameters_hash="test")  # fmt: skip
+    plant = SampledPlant(
+        [sample(data, tones, 10**9)], state, sensors, limits, dt=DT, tones=tones.frequency, parameters_hash="test"
+    )
     estimator, controller = (
         LosEstimator(k_fsm),
         assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, design_basis(load_parameters()), "fsm+pma"),
@@ -76,8 +77,9 @@ def test_noise_has_the_predicted_variance(case) -> None:
     """Sensor noise alone, frames at 50 Hz: rms over a long run against the Lyapunov equation."""
     parameters, data, k_fsm, k_pma = case
     sensors = parameters["sensors"]
-    sigma = np.r_[np.tile(sensors["accelerometer_noise"], 3), [sensors["camera_noise"]] * 2,
-                  [sensors["strain_gauge_noise"]] * 2]  # fmt: skip
+    sigma = np.r_[
+        np.tile(sensors["accelerometer_noise"], 3), [sensors["camera_noise"]] * 2, [sensors["strain_gauge_noise"]] * 2
+    ]
     los = simulate(case, no_tones(), np.zeros(len(data.A)), 60000, 20, sigma)[5000:]
     metrics = sampled_loop_metrics(data, k_fsm, k_pma, parameters, loop="fsm+pma", frame_ticks=20)
     windows = los[: len(los) // 20 * 20].reshape(-1, 20, 2)

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from los_design.certify import NYQUIST, box_of, figures_of, nominal_stable, telescope_model
-from los_design.implemented_loop import ImplementedLoop
-from los_design.open_loop import OpenLoop
-from los_design.store import load_designs
-from los_design.worst_points import load_worst_points
-from robust_design.certified_loop import LoopProof, check_loop_proof
-from robust_design.certified_loop.build import modal
-from robust_design.certified_loop.checker import windows_of
-from titop_plant.simulation import control_loop_plant, telescope
+from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+from lftkit.proofs.sampled_loop.build import modal
+from lftkit.proofs.sampled_loop.checker import windows_of
+from los_design.search.worst_points import load_worst_points
+from los_design.synthesis.store import load_designs
+from los_design.verification.certify import NYQUIST, box_of, figures_of, nominal_stable, telescope_model
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import load_parameters
 

@@ -11,7 +11,7 @@ from los_testbed.run.screen import Screen
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 from titop_plant.interface import STAGES
 
 

@@ -21,8 +21,8 @@ from scipy import linalg
 
 import fsm_pma_controller
 import los_estimator
-from pointing_analysis.read import Run
-from titop_plant.simulation import telescope
+from pointing_analysis.read.run import Run
+from titop_plant.simulation.build import telescope
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 

@@ -12,9 +12,9 @@ import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 
-from pointing_analysis.read import Run
-from titop_plant.driven_plant import DISTURBANCE_SIZE
+from pointing_analysis.read.run import Run
 from titop_plant.interface import CAMERA, MEASUREMENTS
+from titop_plant.simulation.driven_plant import DISTURBANCE_SIZE
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FILE = EXAMPLES / "classes_for_a_run.py"

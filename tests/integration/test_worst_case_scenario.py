@@ -10,12 +10,12 @@ from los_testbed.factories import plant_config as physical_settings
 from los_testbed.loop.simulate import simulate
 from los_testbed.variants import of_scenario
 
-from los_design.sampled_loop import sampled_loop
-from los_design.worst_tone import INDICES, WorstTone, worst_tone
-from titop_plant.disturbances import Tones, weight_amplitudes
+from los_loop.sampled_loop import sampled_loop
+from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
-from titop_plant.sampled_plant import SampledPlant, SensorModel
-from titop_plant.simulation import plant_and_tones, sample
+from titop_plant.simulation.build import plant_and_tones, sample
+from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.parameters import load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -26,9 +26,13 @@ def measured(config: RunConfig, omega: float) -> float:
     estimator.reset()
     controller.reset()
     simulate(
-        build_plant(config), estimator, controller, config.ticks,
-        lambda block, rows: found.append(block.truth[:rows].copy()), run_start(config).command,
-    )  # fmt: skip
+        build_plant(config),
+        estimator,
+        controller,
+        config.ticks,
+        lambda block, rows: found.append(block.truth[:rows].copy()),
+        run_start(config).command,
+    )
     t = DT * np.arange(config.ticks)
     basis = np.column_stack([np.cos(omega * t), np.sin(omega * t)])
     fit = np.linalg.lstsq(basis, np.concatenate(found), rcond=None)[0]
@@ -73,7 +77,7 @@ def test_no_other_tone_of_unit_norm_is_worse() -> None:
 
 def loop_response(loop, plant, omega: float, amplitude: np.ndarray) -> np.ndarray:
     """Phasor of the line of sight by the periodic solve of the tone model, which shares no code with the search."""
-    from los_design.tone_model import LoopModel
+    from los_loop.tone_model import LoopModel
 
     model = LoopModel(loop, plant, np.array([omega]), amplitude[:, None], np.full(COMMANDS, 1.0))
     return model.settled()[:, 0]
@@ -103,8 +107,15 @@ def test_imbalance_begins_at_structural_modes() -> None:
             1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0]
         )
         sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
-        run = SampledPlant([sample(plant, tones, 10**9)], at_rest.imag, sensors, np.ones(8), dt=DT,
-                           tones=tones.frequency, parameters_hash="test")  # fmt: skip
+        run = SampledPlant(
+            [sample(plant, tones, 10**9)],
+            at_rest.imag,
+            sensors,
+            np.ones(8),
+            dt=DT,
+            tones=tones.frequency,
+            parameters_hash="test",
+        )
         y, truth, los = np.zeros(22), np.zeros(2), np.zeros((400, 2))
         for row in los:
             run.step(np.zeros(8), y, truth)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from lti.state_space_model import StateSpace
+from lftkit.systems.state_space import StateSpace
 
 
 def full_order_bound(plant: StateSpace, rtol: float = 1e-6) -> float:

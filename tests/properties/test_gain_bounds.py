@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, tangent_crossing
 
-from lti import Port, RealParameter, UncertainSystem
-from robust_design.certified import check_proof, robust_stability, worst_case_gain
+from lftkit import Port, RealParameter, UncertainSystem
+from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
 
 LONG = 3600.0
 
@@ -85,9 +85,15 @@ def test_a_narrow_interval_with_the_largest_loss_is_not_bisected_for_ever() -> N
 
 def test_an_unstable_member_is_named_at_once() -> None:
     system = UncertainSystem(
-        [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), (Port("u", 1),), (Port("y", 1),), ("p",),
+        [[-1.0]],
+        [[1.0, 1.0]],
+        [[1.0], [1.0]],
+        np.zeros((2, 2)),
+        (Port("u", 1),),
+        (Port("y", 1),),
+        ("p",),
         (RealParameter("p", 0.0, -0.5, 1.5),),
-    )  # fmt: skip
+    )
     bounds = worst_case_gain(system)
     assert bounds.status == "unstable" and bounds.upper == np.inf and bounds.proof is None
     assert bounds.point["p"] >= 1.0

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-import lti as us
-from lti import Port, RealParameter, UncertainSystem, filters, interconnection, minimal
-from lti import uncertain_system as system_module
+import lftkit as us
+from lftkit import Port, RealParameter, UncertainSystem
+from lftkit.systems import filters, interconnection, minimal
+from lftkit.systems import uncertain_system as system_module
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel
 from titop_plant.blocks.rotation import rotation, rotation_matrix
@@ -168,9 +169,7 @@ def test_the_same_name_moves_together(one: int, two: int, nu_k: float, nu_m: flo
     close_to(transfer(both, values), transfer(a, values) - transfer(b, values))
     assert both.occurrences() == {"k": 4, "m": 2} and len(both.parameters) == 2
     apart = us.parallel(a, b.renamed(parameters={"k": "k2"}))
-    close_to(
-        transfer(apart, {**values, "k2": 0.9}), transfer(a, values) + transfer(b, {**values, "k": 0.9})
-    )  # fmt: skip
+    close_to(transfer(apart, {**values, "k2": 0.9}), transfer(a, values) + transfer(b, {**values, "k": 0.9}))
 
 
 @given(seeds, inside, inside)
@@ -192,8 +191,12 @@ OPERATIONS: dict[str, Operation] = {
         us.static_gain(np.eye(2), [Port("u", 2, "N")], [Port("v", 2, "N")]), s, {"upper.v": "lower.u"}
     ),
     "close": lambda s: us.close(
-        us.connect({"s": s}, [(("u", "c"), "s.u"), ("w", "s.w")], inputs=[*s.inputs, Port("c", 2, "N")],
-                   outputs={"y": "s.y", "z": "s.z", "seen": "s.y"}),
+        us.connect(
+            {"s": s},
+            [(("u", "c"), "s.u"), ("w", "s.w")],
+            inputs=[*s.inputs, Port("c", 2, "N")],
+            outputs={"y": "s.y", "z": "s.z", "seen": "s.y"},
+        ),
         us.static_gain(np.zeros((2, 2)), [Port("seen", 2, "m")], [Port("c", 2, "N")]),
         {"seen": "seen", "c": "c"},
     ),
@@ -208,7 +211,7 @@ OPERATIONS: dict[str, Operation] = {
     "with_input_filter": lambda s: filters.with_input_filter(
         s, {"w": us.static_gain(np.eye(1), s.inputs[1:], s.inputs[1:])}
     ),
-}  # fmt: skip
+}
 MAKERS = {"static_gain", "state_space", "from_control", "high_pass"}
 """Functions that make a system from something that has no names."""
 
@@ -240,6 +243,7 @@ def test_every_operation_keeps_names_units_parameters_and_values(name: str) -> N
     close_to(transfer(order, at), transfer(system, values))
     if name != "normalised":
         assert {p.name: (p.lower, p.upper, p.unit) for p in result.parameters} == {
-            "k": (0.2, 1.4, "N/m"), "m": (0.2, 1.4, "kg")
-        }  # fmt: skip
+            "k": (0.2, 1.4, "N/m"),
+            "m": (0.2, 1.4, "kg"),
+        }
     assert result.nominal().input_labels == [s for p in result.inputs for s in p.signals]

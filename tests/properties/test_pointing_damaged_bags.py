@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
 
 N = 400
 

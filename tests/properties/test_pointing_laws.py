@@ -7,7 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pointing_analysis import confidence, metrics, spectra
+from pointing_analysis.indices import confidence, metrics
+from pointing_analysis.spectra import spectra
 
 DT = 1e-3
 signals = arrays(

@@ -6,14 +6,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lti.delay import pade_delay
-from lti.feedback import cascade, close_loop
-from lti.frequency_response import FrequencyResponse, direct_response
-from lti.norms import h2_norm, hinf_norm, spectral_abscissa
-from lti.state_space_model import StateSpace
-from robust_design.problem import Problem
-from robust_design.requirements import H2Gain, HinfGain
-from robust_design.structures import controller, state_space
+from lftkit.analysis.frequency_response import FrequencyResponse, direct_response
+from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
+from lftkit.systems.delay import pade_delay
+from lftkit.systems.feedback import cascade, close_loop
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.requirements import H2Gain, HinfGain
+from lftkit.tuning.structures import controller, state_space
 
 SEEDS = st.integers(0, 10_000)
 

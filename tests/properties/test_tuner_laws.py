@@ -7,10 +7,10 @@ import scipy.linalg as sl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lti.state_space_model import StateSpace
-from robust_design.requirements import HinfGain
-from robust_design.structures import state_space
-from robust_design.tuner import TuningOptions, tune
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.structures import state_space
+from lftkit.tuning.tuner import TuningOptions, tune
 
 BLOCKS = {
     "undamped mode": lambda w: np.array([[0.0, w], [-w, 0.0]]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis.budget import combine, contribution, periodic, uniform
+from pointing_analysis.budget.lines import combine, contribution, periodic, uniform
 
 # About x, y, z. The example prints 10/5/5, 6.67/3.33/3.33, 3.16, 1.63, 2.89, 3.54/0.71/3.54, 2.12/3.54/2.12.
 CONTRIBUTIONS = [
@@ -21,8 +21,14 @@ CONTRIBUTIONS = [
 
 def test_contributions_are_the_printed_ones() -> None:
     printed = [
-        [10, 5, 5], [6.67, 3.33, 3.33], [3.16] * 3, [1.63] * 3, [2.89] * 3, [3.54, 0.71, 3.54], [2.12, 3.54, 2.12]
-    ]  # fmt: skip
+        [10, 5, 5],
+        [6.67, 3.33, 3.33],
+        [3.16] * 3,
+        [1.63] * 3,
+        [2.89] * 3,
+        [3.54, 0.71, 3.54],
+        [2.12, 3.54, 2.12],
+    ]
     assert [np.round(c.sigma, 2).tolist() for c in CONTRIBUTIONS] == printed
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pointing_analysis import confidence
+from pointing_analysis.indices import confidence
 
 
 @pytest.mark.parametrize(

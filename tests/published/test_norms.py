@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from lti.norms import h2_norm, hinf_norm
+from lftkit.analysis.norms import h2_norm, hinf_norm
 
 
 @pytest.mark.parametrize("certificate", ["interval", "hamiltonian"])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
-from robust_design.certified import check_proof, robust_stability, worst_case_gain
-from robust_design.certified.barrier import FULL, REAL, Block, find_scalings
+from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
+from lftkit.proofs.state_space.barrier import FULL, REAL, Block, find_scalings
 
 LONG = 3600.0
 """Wall limit [s] that no machine reaches; the number of cells ends a computation."""

@@ -1,6 +1,6 @@
 """Static output feedback on published plants: our values beside the best published ones, each certified.
 
-Plants and values: ``robust_design/published_plants.json``, which names their sources. A bound is the published value
+Plants and values: ``lftkit/tuning/published_plants.json``, which names their sources. A bound is the published value
 plus 0.1 %; a run ends when it is half of that above the value. Most plants have several local minima: the number of
 random starts is several times what the processors tried so far needed.
 """
@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from oracles.full_order_bound import full_order_bound
 
-from lti.batched_linalg import eigenvalues, largest_gains, solve
-from lti.norms import hinf_norm
-from lti.state_space_model import StateSpace
-from robust_design.published_plants import BEST_KNOWN, PLANTS
-from robust_design.requirements import HinfGain
-from robust_design.structures import gain, state_space
-from robust_design.tuner import TuningOptions, TuningResult, tune
+from lftkit.analysis.batched_linalg import eigenvalues, largest_gains, solve
+from lftkit.analysis.norms import hinf_norm
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
+from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.structures import gain, state_space
+from lftkit.tuning.tuner import TuningOptions, TuningResult, tune
 
 STARTS = {"AC2": 3, "AC4": 3, "AC6": 3, "AC16": 6, "AC17": 3, "HE1": 6, "REA2": 6}
 SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24, "HE2": 24, "NN4": 24, "NN8": 24}

@@ -15,7 +15,7 @@ from los_testbed.run.node_launch import node_command
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, assert_gaps_are_counted, config_for, keeps_pace, lost_samples, span_of
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000

@@ -15,8 +15,8 @@ from los_testbed.nodes.support.raw_topics import MESSAGES
 from los_testbed.topics import TOPICS
 from rclpy.serialization import deserialize_message, serialize_message
 
-from pointing_analysis.cdr import Encoder
-from pointing_analysis.message_types import ACCEL, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.cdr import Encoder
+from pointing_analysis.read.messages.message_types import ACCEL, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
 
 pytestmark = pytest.mark.ros
 RNG = np.random.default_rng(11)

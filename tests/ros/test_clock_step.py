@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 SOURCE = Path(__file__).parents[1] / "support" / "clock_step.c"

@@ -19,7 +19,7 @@ from ros_faults import run_with_fault
 from ros_runs import PLANT, config_for, topic_hashes
 from user_node import UserNode
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros

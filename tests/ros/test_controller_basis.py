@@ -14,7 +14,7 @@ from los_testbed.run.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from ros_runs import config_for
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 
@@ -30,8 +30,11 @@ def test_a_node_refuses_a_controller_for_another_mirror(name: str, tmp_path: Pat
     variables = {k: v for k, v in environment(config_for(tmp_path), tmp_path).items() if k != "LOS_TESTBED_EVENTS"}
     done = subprocess.run(
         [*node_command(name), "--ros-args", "-p", f"parameters:={user}", "-p", "priority:=false"],
-        capture_output=True, text=True, timeout=60, env={**os.environ, **variables},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, **variables},
+    )
     assert done.returncode == 2
     assert f"los_testbed {name}: K_FSM, implemented: fsm.los_sensitivity of its design must be 0.2, got 0.1" in (
         done.stderr

@@ -16,8 +16,8 @@ import pytest
 from los_testbed.bags.repair import repair_bag
 from los_testbed.run.domains import free_domain
 
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
 
 pytest.importorskip("rclpy")
 TIMES = int(os.environ.get("SIGNAL_TRIALS", "25"))
@@ -69,9 +69,14 @@ def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
     command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
     variables = {**os.environ, "BAG_OF_TEST": str(bag), "TMPDIR": str(folder / "temporary")}
     process = subprocess.Popen(
-        command, cwd=folder, env=variables, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        command,
+        cwd=folder,
+        env=variables,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
     assert process.stderr is not None and process.stderr.readline() == "begun\n"
     return process
 

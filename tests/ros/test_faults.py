@@ -32,8 +32,8 @@ from ros_runs import (
     span_of,
 )
 
-from pointing_analysis.read import Run
-from pointing_analysis.replay import compare
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay.replay import compare
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000

@@ -20,8 +20,8 @@ from los_testbed.run.runner import Live, Runner
 from ros_runs import PLANT, config_for
 from support import headless_browser
 
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.read import Run
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = [

@@ -23,8 +23,8 @@ from mcap.reader import make_reader
 from ros_faults import diagnostics
 from ros_runs import PLANT, config_for, span_of
 
-from pointing_analysis.errors import RAD_PER_ARCSEC
-from pointing_analysis.read import Run
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 SEEDS = {"/foo": 3, "/foo/bar": 4}

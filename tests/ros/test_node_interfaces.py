@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for
 from std_msgs.msg import Float64MultiArray
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 

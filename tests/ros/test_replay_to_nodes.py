@@ -13,7 +13,7 @@ from los_testbed.run.node_launch import environment, node_command, parameter_fil
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_runs import PLANT as PLANT_COMMAND
 from ros_runs import config_for
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}

@@ -18,7 +18,7 @@ from ros_faults import run_with_fault
 from ros_runs import keeps_pace
 from user_node import UserNode
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 TURNS, STORM, FORGED = 20, 2000, 50

@@ -16,7 +16,7 @@ from ros_runs import PLANT, config_for, topic_hashes
 from std_srvs.srv import Trigger
 from user_node import UserNode
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros

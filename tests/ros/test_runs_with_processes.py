@@ -19,7 +19,7 @@ from los_testbed.run.runner import Runner
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of, topic_hashes
 from simple_telescope import SimpleTelescope
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 
@@ -281,10 +281,19 @@ def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp
 def test_lockstep_of_a_ramp_gives_the_bytes_of_the_run_in_one_process(tmp_path):
     (tmp_path / "lockstep").mkdir()
     config = config_for(
-        tmp_path / "lockstep", mode="lockstep", duration=3.0, seed=3, loop="fsm+pma", start="steady", scenario="ramp",
-        wheel_speed=(390.0, -50.0, 20.0, 200.0), wheel_acceleration=(8.0, 40.0, -20.0, 0.0), theta_rate=0.1,
-        ramp_duration=2.0, profile="trapezoidal",
-    )  # fmt: skip
+        tmp_path / "lockstep",
+        mode="lockstep",
+        duration=3.0,
+        seed=3,
+        loop="fsm+pma",
+        start="steady",
+        scenario="ramp",
+        wheel_speed=(390.0, -50.0, 20.0, 200.0),
+        wheel_acceleration=(8.0, 40.0, -20.0, 0.0),
+        theta_rate=0.1,
+        ramp_duration=2.0,
+        profile="trapezoidal",
+    )
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")

@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from ros_faults import diagnostics, run_with_fault
 from ros_runs import PLANT, assert_plant_is_recorded, config_for, span_of
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros

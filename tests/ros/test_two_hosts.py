@@ -8,7 +8,7 @@ from lossy_link import LOST_OUTWARD, LOST_RETURNING
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of
 from two_hosts import NotPermittedError, lossy_link, veth_pair
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000

@@ -14,14 +14,14 @@ from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for, topic_hashes
 from user_code import STORED_LAW
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 
 MODULE = """
 import numpy as np
 from los_estimator.runtime import LosEstimator
-from lti.sampled_system import SampledSystem
+from lftkit.systems.sampled_system import SampledSystem
 """
 MODULE += STORED_LAW
 MODULE += """
@@ -106,12 +106,22 @@ def test_a_value_that_is_not_finite_ends_the_run_and_names_tick_and_port(tmp_pat
 @pytest.mark.parametrize(
     ("setting", "name", "ticks", "words"),
     [
-        ("k_pma", "Raising", 300, r"controller: k_pma {module}:Raising failed at tick 30\d: KeyError: 'no such key' "
-         r"\(Raising.step, {module}.py:{line}\)"),
-        ("plant", "Plant", 700, r"plant: failed at tick 700: LinAlgError: Singular matrix "
-         r"\(Plant.step, {module}.py:{line}\)"),
+        (
+            "k_pma",
+            "Raising",
+            300,
+            r"controller: k_pma {module}:Raising failed at tick 30\d: KeyError: 'no such key' "
+            r"\(Raising.step, {module}.py:{line}\)",
+        ),
+        (
+            "plant",
+            "Plant",
+            700,
+            r"plant: failed at tick 700: LinAlgError: Singular matrix "
+            r"\(Plant.step, {module}.py:{line}\)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_any_exception_of_the_user_ends_the_run_with_one_line_and_a_whole_bag(
     tmp_path: Path, module: str, mode: str, setting: str, name: str, ticks: int, words: str
 ) -> None:

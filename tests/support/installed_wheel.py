@@ -14,9 +14,21 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 NAME = "los-testbed"
 PARTS = (
-    "lti", "titop_plant", "robust_design", "los_estimator", "fsm_pma_controller", "los_design", "pointing_analysis",
-    "ros_ws", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CITATION.cff", "CHANGELOG.md",
-)  # fmt: skip
+    "lftkit",
+    "titop_plant",
+    "los_estimator",
+    "fsm_pma_controller",
+    "los_loop",
+    "los_design",
+    "pointing_analysis",
+    "ros_ws",
+    "pyproject.toml",
+    "MANIFEST.in",
+    "README.md",
+    "LICENSE",
+    "CITATION.cff",
+    "CHANGELOG.md",
+)
 IGNORED = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "install", "log", ".*")
 
 

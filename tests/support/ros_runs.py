@@ -12,7 +12,7 @@ from los_testbed.config import RunConfig
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 PLANT_TOPICS = ("truth/los", "isolator/accel", "m1/accel", "m2/accel", "fsm/strain_gauge")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg
 
-from lti import Port, RealParameter, SampledSystem, StateSpace, UncertainSystem
+from lftkit import Port, RealParameter, SampledSystem, StateSpace, UncertainSystem
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 FREQUENCIES = (12.0, 60.0, 180.0, 420.0)
@@ -54,12 +54,27 @@ def small_controllers() -> tuple[SampledSystem, SampledSystem]:
     D[:, CAMERA] = [[0.6, 0.1], [-0.15, 0.5]]
     D[:, 20:] = -0.05 * np.eye(2)
     A = np.diag([0.95, 0.8, 0.4])
-    k_fsm = SampledSystem(A, B, 1e-2 * rng.standard_normal((2, 3)), D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT, "observer",
-                          design_basis={"los_sensitivity": 0.1})  # fmt: skip
+    k_fsm = SampledSystem(
+        A,
+        B,
+        1e-2 * rng.standard_normal((2, 3)),
+        D,
+        K_FSM_INPUTS,
+        K_FSM_OUTPUTS,
+        DT,
+        "observer",
+        design_basis={"los_sensitivity": 0.1},
+    )
     k_pma = SampledSystem(
-        np.diag([0.9, 0.5]), rng.standard_normal((2, 6)), rng.standard_normal((6, 2)), rng.standard_normal((6, 6)),
-        K_PMA_INPUTS, K_PMA_OUTPUTS, DT, "force law",
-    )  # fmt: skip
+        np.diag([0.9, 0.5]),
+        rng.standard_normal((2, 6)),
+        rng.standard_normal((6, 2)),
+        rng.standard_normal((6, 6)),
+        K_PMA_INPUTS,
+        K_PMA_OUTPUTS,
+        DT,
+        "force law",
+    )
     return k_fsm, k_pma
 
 

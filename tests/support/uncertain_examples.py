@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lti import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, UncertainSystem
 
 
 def de_gaston_safonov() -> UncertainSystem:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lti.state_space_model import StateSpace
-from robust_design.requirements import HinfGain
-from robust_design.worst_case import WorstCaseOptions, worst_case
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
 
-worst_case_module = importlib.import_module("robust_design.worst_case")
+worst_case_module = importlib.import_module("lftkit.tuning.worst_case")
 
 OPEN = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lti import Port, UncertainSystem, state_space, static_gain
+from lftkit import Port, UncertainSystem, state_space, static_gain
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray
 

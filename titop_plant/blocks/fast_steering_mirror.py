@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lti import Port, UncertainSystem, connect, static_gain
+from lftkit import Port, UncertainSystem, connect, static_gain
 from titop_plant import ports
 from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import on_revolute_joint, position_commanded

@@ -32,7 +32,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from lti import RealParameter, UncertainSystem
+from lftkit import RealParameter, UncertainSystem
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData

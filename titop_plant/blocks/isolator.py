@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lti import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator

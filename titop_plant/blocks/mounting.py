@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from lti import UncertainSystem, transform
+from lftkit import UncertainSystem, transform
 from titop_plant import ports
 from titop_plant.structures.kinematics import check_rotation, rotate_twist, tau
 

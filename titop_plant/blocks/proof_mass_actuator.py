@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lti import Port, UncertainSystem, state_space
+from lftkit import Port, UncertainSystem, state_space
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray, tau
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lti import Connection, Port, RealParameter, UncertainSystem, connect, static_gain
+from lftkit import Connection, Port, RealParameter, UncertainSystem, connect, static_gain
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.rotation import _unit

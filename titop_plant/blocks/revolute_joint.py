@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lti import Port, UncertainSystem, connect, invert, state_space, transform
+from lftkit import Port, UncertainSystem, connect, invert, state_space, transform
 from titop_plant import ports
 from titop_plant.blocks.rotation import _unit
 

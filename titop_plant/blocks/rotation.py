@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lti import Port, RealParameter, UncertainSystem, connect
+from lftkit import Port, RealParameter, UncertainSystem, connect
 from titop_plant import ports
 from titop_plant.structures.kinematics import FloatArray, skew
 

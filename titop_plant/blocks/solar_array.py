@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lti import RealParameter, UncertainSystem
+from lftkit import RealParameter, UncertainSystem
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.revolute_joint import on_revolute_joint

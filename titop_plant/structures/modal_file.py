@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lti.ordinary_file import read_ordinary_file
+from lftkit.support.ordinary_file import read_ordinary_file
 from titop_plant.structures.kinematics import FloatArray, read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass

@@ -43,7 +43,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lti import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
+from lftkit import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
 from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, signal, stats
 
-from lti import Port, StateSpace, UncertainSystem, cascade, state_space
+from lftkit import Port, StateSpace, UncertainSystem, cascade, state_space
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 

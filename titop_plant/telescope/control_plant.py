@@ -26,9 +26,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lti import Connection, Port, UncertainSystem, connect, state_space, static_gain
-from lti.delay import delayed_port
-from lti.filters import high_pass
+from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lftkit.systems.delay import delayed_port
+from lftkit.systems.filters import high_pass
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
 

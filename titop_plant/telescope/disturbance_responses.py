@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lti import Port, StateSpace, UncertainSystem
-from lti.batched_linalg import largest_gains
-from lti.frequency_grid import frequency_grid
-from lti.frequency_response import frequency_response
-from titop_plant.disturbances import weight_amplitudes
-from titop_plant.simulation import telescope
+from lftkit import Port, StateSpace, UncertainSystem
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import frequency_response
+from titop_plant.simulation.build import telescope
+from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
 

@@ -11,17 +11,54 @@ from typing import Any
 from titop_plant.ports import AXES
 
 POSITIVE = {
-    "mass", "moving_mass", "casing_mass", "axial_inertia", "radial_inertia", "stiffness", "frequencies", "frequency",
-    "maximum_speed", "authority", "bandwidth", "los_sensitivity", "primary_focal_length", "mirror_distance",
-    "back_focal_distance", "step_frequency", "ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window", "washout",
-    "E", "G", "density", "size", "diameter", "thickness", "height", "width", "share",
-}  # fmt: skip
+    "mass",
+    "moving_mass",
+    "casing_mass",
+    "axial_inertia",
+    "radial_inertia",
+    "stiffness",
+    "frequencies",
+    "frequency",
+    "maximum_speed",
+    "authority",
+    "bandwidth",
+    "los_sensitivity",
+    "primary_focal_length",
+    "mirror_distance",
+    "back_focal_distance",
+    "step_frequency",
+    "ape_limit",
+    "rpe_limit",
+    "rpe_limit_fine",
+    "rpe_window",
+    "washout",
+    "E",
+    "G",
+    "density",
+    "size",
+    "diameter",
+    "thickness",
+    "height",
+    "width",
+    "share",
+}
 """Keys whose numbers must be above zero, in whatever table they stand."""
 
 NOT_NEGATIVE = {
-    "damping", "gearbox_stiffness", "gearbox_damping", "torque_bound", "accelerometer_noise", "camera_noise",
-    "strain_gauge_noise", "radial_force", "axial_force", "radial_torque", "modes", "tones", "wheel_imbalance",
-}  # fmt: skip
+    "damping",
+    "gearbox_stiffness",
+    "gearbox_damping",
+    "torque_bound",
+    "accelerometer_noise",
+    "camera_noise",
+    "strain_gauge_noise",
+    "radial_force",
+    "axial_force",
+    "radial_torque",
+    "modes",
+    "tones",
+    "wheel_imbalance",
+}
 
 FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99}
 """Keys between 0 and this."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lti.ordinary_file import read_ordinary_file
-from lti.parameters import RealParameter
+from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.parameter_check import ParameterFile
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lti import RealParameter
+from lftkit import RealParameter
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import Telescope
@@ -96,7 +96,7 @@ def summarise(telescope: Telescope) -> PlantSummary:
 
     Examples
     --------
-    >>> from titop_plant.simulation import telescope
+    >>> from titop_plant.simulation.build import telescope
     >>> found = summarise(telescope())
     >>> found.order, found.occurrences["solar_array.tau"], found.hurwitz
     (204, 32, True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lti import Port, UncertainSystem, state_space
+from lftkit import Port, UncertainSystem, state_space
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
 

@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from los_design.certify import (
+from lftkit import SampledSystem
+from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+from lftkit.proofs.sampled_loop.bounds import member_gains
+from lftkit.proofs.state_space import ProofError
+from lftkit.support.workers import Workers
+from los_design.search.worst_points import WorstPoint
+from los_design.synthesis.store import load_designs
+from los_design.verification.certify import (
     NYQUIST,
     Part,
     box_of,
@@ -21,16 +28,9 @@ from los_design.certify import (
     prove_part,
     telescope_model,
 )
-from los_design.implemented_loop import ImplementedLoop
-from los_design.open_loop import OpenLoop
-from los_design.store import load_designs
-from los_design.worst_points import WorstPoint
-from lti import SampledSystem
-from lti.workers import Workers
-from robust_design.certified import ProofError
-from robust_design.certified_loop import LoopProof, check_loop_proof
-from robust_design.certified_loop.bounds import member_gains
-from titop_plant.simulation import control_loop_plant, telescope
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import load_parameters
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -142,7 +142,8 @@ def test_no_part_is_proven_below_a_gain_that_is_reached(part: Part, tmp_path: Pa
     rng = np.random.default_rng(0)
     members = np.array(part.box)[:, 0] + rng.uniform(size=(40, 7)) * np.ptp(np.array(part.box), axis=1)
     reached = max(float(member_gains(part.model, omega, members).max()) for omega in np.linspace(200.5, 201.5, 7))
-    low = dataclasses.replace(part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz",
-                              until=time.monotonic() + 20.0)  # fmt: skip
+    low = dataclasses.replace(
+        part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz", until=time.monotonic() + 20.0
+    )
     found = prove_part(low)
     assert found.uncovered

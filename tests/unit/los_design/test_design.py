@@ -9,16 +9,16 @@ import pytest
 from los_testbed.cli.app import main
 
 from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
-from los_design.options import DesignOptions
-from los_design.sampled_loop_norms import sampled_loop_metrics
-from los_design.starts import random_start
-from los_design.store import continuous, design_file, load_designs
+from lftkit import SampledSystem
+from lftkit.tuning import H2Gain
+from lftkit.tuning.problem import Problem
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.starts import random_start
+from los_design.synthesis.store import continuous, design_file, load_designs
 from los_estimator.problem import NOISE, kalman_start, observer_plant, observer_requirements, observer_structure
-from lti import SampledSystem
-from robust_design import H2Gain
-from robust_design.problem import Problem
+from los_loop.sampled_loop_norms import sampled_loop_metrics
 from titop_plant.interface import LOOP_DELAY
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
 IMPLEMENTED = DesignOptions()

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from los_design.implemented_loop import ImplementedLoop, loop_metrics
-from los_design.open_loop import OpenLoop
-from los_design.pair_problem import (
+from lftkit.tuning.frequency_domain import ResponseProblem, parameters_of
+from los_design.synthesis.pair_problem import (
     ACTUATORS,
     ALONE,
     BOTH,
@@ -21,11 +20,12 @@ from los_design.pair_problem import (
     pair_problem,
     sample,
 )
-from los_design.sampled_loop_norms import noise_metrics
-from los_design.store import continuous, load_designs
-from robust_design.frequency_domain import ResponseProblem, parameters_of
+from los_design.synthesis.store import continuous, load_designs
+from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop_norms import noise_metrics
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.budget import combined_level, error_budget
 from titop_plant.telescope.parameters import load_parameters
 
@@ -67,9 +67,11 @@ def test_every_gain_is_that_of_the_implemented_loop(parameters, open_loop, pair,
             share = limits(parameters, stage)[metric.name]
             expected = [
                 float(loop.gains(loop.at(w), metric, point[None])[0]) * metric.limit / share
-                if metric.band[0] <= w < metric.band[1] else 0.0
-                for w in omega for point in points
-            ]  # fmt: skip
+                if metric.band[0] <= w < metric.band[1]
+                else 0.0
+                for w in omega
+                for point in points
+            ]
             np.testing.assert_allclose(found[named(metric.name, stage)], expected, rtol=1e-7, atol=1e-12)
 
 

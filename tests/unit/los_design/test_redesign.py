@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from los_design import redesign
-from los_design.implemented_loop import ImplementedLoop
-from los_design.open_loop import OpenLoop
-from los_design.redesign import design_all, digest
-from los_design.store import load_designs
-from los_design.verification import check_implemented, verification_points
-from los_design.worst_case_search import Search
-from los_design.worst_points import load_adversarial, load_worst_points
-from titop_plant.simulation import control_loop_plant
+from los_design.search.worst_case_search import Search
+from los_design.search.worst_points import load_adversarial, load_worst_points
+from los_design.synthesis import redesign
+from los_design.synthesis.redesign import design_all, digest
+from los_design.synthesis.store import load_designs
+from los_design.verification.verification import check_implemented, verification_points
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
@@ -64,9 +64,7 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, param
     lines: list[str] = []
     found = design_all(parameters, tmp_path / "new" / "soft", effort="short", report=lines.append)
     folder = tmp_path / "new" / "soft"
-    assert {p.name for p in folder.iterdir()} == {
-        "k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"
-    }  # fmt: skip
+    assert {p.name for p in folder.iterdir()} == {"k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"}
     tuned_at = len({tuple(v.values()) for k in load_designs("implemented") for v in k.provenance["active_models"] if v})
     assert stand_ins == ["pair, seed 0, short", "begins", f"check at {1 + 16 + 20 + tuned_at + 2}"]
     assert not found.met and found.not_met == ["fsm: APE 1.200 of its limit"]
@@ -185,6 +183,12 @@ def load(folder, name: str):
 
 def excess(check, table: Mapping[str, Any]) -> float:
     """Largest ratio of a requirement of both stages to its limit."""
-    gammas = [check.gamma(stage, name) for stage, names in (("fsm", ("APE", "RPE", "mirror", "sensitivity, mirror")),
-              ("fsm+pma", ("APE", "RPE", "sensitivity, forces"))) for name in names]  # fmt: skip
+    gammas = [
+        check.gamma(stage, name)
+        for stage, names in (
+            ("fsm", ("APE", "RPE", "mirror", "sensitivity, mirror")),
+            ("fsm+pma", ("APE", "RPE", "sensitivity, forces")),
+        )
+        for name in names
+    ]
     return max(*gammas, check.total("fsm+pma") / 40.0)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from los_design import stage_check
-from los_design.implemented_loop import ImplementedLoop
-from los_design.open_loop import OpenLoop
-from los_design.pair_problem import ALONE, BOTH, Samples, pair_problem
-from los_design.stage_check import check_stage
-from los_design.store import continuous, load_designs
-from los_design.verification import verification_points
-from los_design.worst_case_search import Search, SearchOptions
-from lti.threads import one_thread
-from lti.workers import Workers
-from robust_design.frequency_domain import parameters_of
-from titop_plant.simulation import control_loop_plant, telescope
+from lftkit.support.threads import one_thread
+from lftkit.support.workers import Workers
+from lftkit.tuning.frequency_domain import parameters_of
+from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, pair_problem
+from los_design.synthesis.store import continuous, load_designs
+from los_design.verification.stage_check import check_stage
+from los_design.verification.verification import stage_check, verification_points
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import load_parameters
 
 SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)

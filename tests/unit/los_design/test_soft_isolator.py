@@ -6,9 +6,9 @@ import copy
 
 import pytest
 
+from lftkit.tuning.problem import Problem, worst_values
+from lftkit.tuning.tuner import TuningOptions, tune
 from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
-from robust_design.problem import Problem, worst_values
-from robust_design.tuner import TuningOptions, tune
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
 

@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from los_design import start_choice, synthesis
-from los_design.options import LOOP_DELAY, DesignOptions
-from los_design.pair_problem import BOTH, blocks
-from los_design.start_choice import gain_matrix
-from los_design.starts import stored_start
-from los_design.store import continuous, load_designs
+from lftkit.tuning.frequency_domain import gain_matrices
+from los_design.synthesis.options import LOOP_DELAY, DesignOptions
+from los_design.synthesis.pair_problem import BOTH, blocks
+from los_design.synthesis.start_choice import gain_matrix
+from los_design.synthesis.starts import stored_start
+from los_design.synthesis.store import continuous, load_designs
+from los_design.synthesis.synthesis import start_choice, synthesis
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from robust_design.frequency_domain import gain_matrices
-from titop_plant.simulation import telescope
+from titop_plant.simulation.build import telescope
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from small_loop import SmallFamily, small_controllers, small_plant
 
-from los_design import starts, synthesis
-from los_design.implemented_loop import ImplementedLoop, loop_metrics
-from los_design.open_loop import OpenLoop
-from los_design.options import LOOP_DELAY, DesignOptions
-from los_design.pair_problem import ALONE, BOTH, grid, limits, named
-from los_design.rounds import Effort
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import weighted_response
-from los_design.starts import screened, zero_controller
-from los_design.store import continuous, load_designs
-from los_design.worst_case_search import SearchOptions
+from los_design.search.worst_case_search import SearchOptions
+from los_design.synthesis.options import LOOP_DELAY, DesignOptions
+from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
+from los_design.synthesis.rounds import Effort
+from los_design.synthesis.starts import screened, zero_controller
+from los_design.synthesis.store import continuous, load_designs
+from los_design.synthesis.synthesis import starts, synthesis
+from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import weighted_response
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
 
 PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}

@@ -12,25 +12,26 @@ from los_testbed.cli.app import main
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 
-from los_design import stage_check, verification
-from los_design.implemented_loop import ImplementedLoop
-from los_design.margins import change_names
-from los_design.open_loop import OpenLoop
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
-from los_design.store import load_designs
-from los_design.verification import (
+from lftkit import SampledSystem, StateSpace
+from los_design.synthesis.store import load_designs
+from los_design.verification.verification import (
     ImplementedCheck,
     broken_requirements,
     check_implemented,
     check_paper,
     failures,
+    stage_check,
+    verification,
     verification_points,
 )
-from lti import SampledSystem, StateSpace
-from titop_plant.disturbances import rpe_weight, weight_amplitudes
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.margins import change_names
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
-from titop_plant.simulation import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.simulation.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
@@ -351,13 +352,21 @@ def check(stable: int, count: int, value: float) -> SimpleNamespace:
     [
         ([(5, 5), (1, 1), (2, 2)], 0.5, 0, ""),
         ([(4, 5), (1, 1), (2, 2)], 0.5, 1, "verification failed: robust design: unstable at 1 of 5 points\n"),
-        ([(5, 5), (0, 1), (2, 2)], 0.5, 1,
-         "verification failed: nominal design, nominal model: unstable at 1 of 1 points\n"),
-        ([(5, 5), (1, 1), (1, 2)], 0.5, 1,
-         "verification failed: nominal design, uncertain model: unstable at 1 of 2 points\n"),
+        (
+            [(5, 5), (0, 1), (2, 2)],
+            0.5,
+            1,
+            "verification failed: nominal design, nominal model: unstable at 1 of 1 points\n",
+        ),
+        (
+            [(5, 5), (1, 1), (1, 2)],
+            0.5,
+            1,
+            "verification failed: nominal design, uncertain model: unstable at 1 of 2 points\n",
+        ),
         ([(5, 5), (1, 1), (2, 2)], np.inf, 1, "verification failed: the paper's problem, fsm: unstable\n"),
     ],
-)  # fmt: skip
+)
 def test_the_command_exits_with_1_and_says_what_is_unstable(
     results, gamma: float, code: int, message: str, monkeypatch, capsys
 ) -> None:

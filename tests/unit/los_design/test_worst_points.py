@@ -12,21 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from los_design.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
-from los_design.open_loop import OpenLoop
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import tone_response, weighted_gains
-from los_design.worst_case_search import Search, SearchOptions
-from los_design.worst_points import (
+from lftkit import SampledSystem
+from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.search.worst_points import (
     WorstPoint,
     load_worst_points,
     store_worst_points,
     worst_of,
 )
-from lti import SampledSystem
-from titop_plant.disturbances import no_tones, weight_amplitudes
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation import control_loop_plant, sample, telescope
+from titop_plant.simulation.build import control_loop_plant, sample, telescope
+from titop_plant.simulation.disturbances import no_tones, weight_amplitudes
 from titop_plant.telescope.parameters import load_parameters, parameter_box
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"

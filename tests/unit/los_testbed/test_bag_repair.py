@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.read import Run
+from pointing_analysis.read.run import Run
 
 
 @pytest.fixture

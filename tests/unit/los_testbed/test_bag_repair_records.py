@@ -103,8 +103,15 @@ def test_a_table_repeated_later_replaces_the_earlier_one(tmp_path: Path) -> None
 
 def test_messages_keep_times_bytes_and_order_whatever_their_lengths(tmp_path: Path) -> None:
     """Three lengths in runs of one, two and three, of two topics, interleaved."""
-    rows = [(10, 12, b"a"), (20, 19, b"bb"), (30, 31, b"cc"), (40, 40, b"ddd"), (45, 46, b"eee"), (50, 52, b"fff"),
-            (60, 61, b"g")]  # fmt: skip
+    rows = [
+        (10, 12, b"a"),
+        (20, 19, b"bb"),
+        (30, 31, b"cc"),
+        (40, 40, b"ddd"),
+        (45, 46, b"eee"),
+        (50, 52, b"fff"),
+        (60, 61, b"g"),
+    ]
     content = channel(3, FIRST) + channel(300, SECOND)
     for log, publish, data in rows:
         content += message(3, log, data, publish) + message(300, log + 1, data * 2, publish)

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from pointing_analysis.bag_metadata import has_right_hash
+from pointing_analysis.read.mcap.bag_metadata import has_right_hash
 
 MS = 1_000_000
 

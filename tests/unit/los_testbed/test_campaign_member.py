@@ -16,8 +16,8 @@ from los_testbed.factories import assemble_controller, run_start
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
 from los_estimator.runtime import LosEstimator
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 
 BASE = RunConfig(mode="inprocess", duration=2.0)
 

@@ -15,11 +15,11 @@ from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files
 
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import sampled_loop_metrics, weighted_gains
-from lti import SampledSystem
-from lti.batched_linalg import determinants
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from lftkit import SampledSystem
+from lftkit.analysis.batched_linalg import determinants
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import combined_level
 
@@ -53,8 +53,12 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
     plant, parameters = evaluator.family.control_loop.data_at(point(index)), evaluator.family.parameters
     pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
     exact = sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS)
-    pairs = ((exact.ape, "ape_gain"), (exact.rpe_fine, "rpe_fine_gain"), (exact.mirror, "mirror_gain"),
-             (exact.force, "force_gain"))  # fmt: skip
+    pairs = (
+        (exact.ape, "ape_gain"),
+        (exact.rpe_fine, "rpe_fine_gain"),
+        (exact.mirror, "mirror_gain"),
+        (exact.force, "force_gain"),
+    )
     for value, name in pairs:  # the grid of the periodic solution is the coarser one: its peaks are lower bounds
         assert 0.997 * value < found[name] < 1.06 * value, name
     closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)

@@ -47,8 +47,10 @@ def test_interpretations_differ_as_ecss_says() -> None:
     """Each member is above the limit for 0.1 % of its windows: good in time, bad in every worst instant."""
     found = by_name(verdicts(columns(1000, largest=60.0, share=1e-3), ["ok"] * 1000, "fsm+pma"), "RPE, finest")
     assert [found[name].status for name in ("ensemble", "temporal", "mixed")] == [
-        "not compliant", "compliant", "compliant",
-    ]  # fmt: skip
+        "not compliant",
+        "compliant",
+        "compliant",
+    ]
     assert found["ensemble"].exceeding == 1.0 and found["mixed"].exceeding == pytest.approx(1e-3)
 
 

@@ -12,8 +12,8 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 
-from pointing_analysis.cdr import Encoder
-from pointing_analysis.message_types import ACCEL, DEFINITIONS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.cdr import Encoder
+from pointing_analysis.read.messages.message_types import ACCEL, DEFINITIONS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAX_STAMP = 2**31 * 10**9 - 1

@@ -9,7 +9,7 @@ from los_testbed.factories import build_controller
 from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, Fade, parse_change
 
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
-from titop_plant.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
 
 
 def recording():
@@ -65,12 +65,23 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(name, value, at, reaso
 
 @pytest.mark.parametrize(
     "text",
-    ["", "fsm", "[]", "{}", '{"name": "loop"}', '{"name": "loop", "value": "fsm", "when": 1}',
-     '{"name": 3, "value": 1}',
-     '{"name": "loop", "value": "fsm", "at": -1}', '{"name": "loop", "value": "fsm", "at": "soon"}',
-     '{"name": "loop", "value": "fsm", "at": NaN}', "[" * 100_000, 7, '{"name": "loop", "value": ' + "9" * 5000 + "}"],
+    [
+        "",
+        "fsm",
+        "[]",
+        "{}",
+        '{"name": "loop"}',
+        '{"name": "loop", "value": "fsm", "when": 1}',
+        '{"name": 3, "value": 1}',
+        '{"name": "loop", "value": "fsm", "at": -1}',
+        '{"name": "loop", "value": "fsm", "at": "soon"}',
+        '{"name": "loop", "value": "fsm", "at": NaN}',
+        "[" * 100_000,
+        7,
+        '{"name": "loop", "value": ' + "9" * 5000 + "}",
+    ],
     ids=range(13),
-)  # fmt: skip
+)
 def test_a_fault_that_is_no_change_is_refused(text):
     with pytest.raises(ValueError, match="must be"):
         parse_change(text)

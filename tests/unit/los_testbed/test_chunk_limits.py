@@ -15,10 +15,12 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis import chunk_manifest, mcap_chunks, mcap_walk
-from pointing_analysis.chunk_manifest import decode_manifest, encode_manifest, salvage
-from pointing_analysis.mcap_records import MAX_NOTES, OP_CHUNK, OP_DATA_END, OP_SCHEMA, RECORD, FileInfo
-from pointing_analysis.read import Run
+from pointing_analysis.read.mcap import chunks as mcap_chunks
+from pointing_analysis.read.mcap import manifest as chunk_manifest
+from pointing_analysis.read.mcap import walk as mcap_walk
+from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest, salvage
+from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_DATA_END, OP_SCHEMA, RECORD, FileInfo
+from pointing_analysis.read.run import Run
 
 EIGHT_GB = 8 << 30
 

@@ -5,7 +5,7 @@ import pytest
 from los_testbed.bags.cdr import Codec
 from los_testbed.loop.command_gate import CommandGate
 
-from pointing_analysis.message_types import VECTOR3
+from pointing_analysis.read.messages.message_types import VECTOR3
 
 MS = 1_000_000
 LIMIT = 5.3e-3

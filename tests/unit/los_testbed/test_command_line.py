@@ -12,8 +12,8 @@ from command_line import call_command
 from los_testbed.cli.run import configure
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lti.ports import Port
-from lti.sampled_system import SampledSystem
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled_system import SampledSystem
 
 
 @pytest.fixture

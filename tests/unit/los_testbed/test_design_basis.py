@@ -23,9 +23,9 @@ from los_testbed.factories import (
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
 
-from los_design.store import VARIANTS, load_designs
-from lti import SampledSystem
-from pointing_analysis.read import Run
+from lftkit import SampledSystem
+from los_design.synthesis.store import VARIANTS, load_designs
+from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
@@ -192,7 +192,7 @@ def test_the_commands_refuse_in_one_line(
 
 
 def test_design_verify_compares_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from los_design import store
+    from los_design.synthesis.synthesis import store
 
     def others(variant: str) -> tuple[SampledSystem, ...]:
         return tuple(replace(k, design_basis={"los_sensitivity": 0.2}) for k in load_designs(variant))

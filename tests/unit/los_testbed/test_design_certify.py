@@ -112,9 +112,12 @@ def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "chosen"),
-    [(["--figure=slow"], {("fsm", "slow"), ("fsm+pma", "slow")}), (["--figure=force"], {("fsm+pma", "force")}),
-     (["--stage=fsm", "--figure=APE"], {("fsm", "APE")})],
-)  # fmt: skip
+    [
+        (["--figure=slow"], {("fsm", "slow"), ("fsm+pma", "slow")}),
+        (["--figure=force"], {("fsm+pma", "force")}),
+        (["--stage=fsm", "--figure=APE"], {("fsm", "APE")}),
+    ],
+)
 def test_one_figure_is_chosen(tmp_path: Path, options: list[str], chosen: set[tuple[str, str]]) -> None:
     """Below a value that is known the answer needs no proof."""
     with pytest.raises(SystemExit) as stopped:
@@ -170,7 +173,7 @@ def test_folders_without_the_controllers_are_refused(capsys: pytest.CaptureFixtu
 
 def test_controllers_of_another_size_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The two files exchanged: K_FSM has not the ports of K_PMA."""
-    from los_design.store import design_file
+    from los_design.synthesis.store import design_file
 
     folder = tmp_path / "designs"
     folder.mkdir()
@@ -181,7 +184,7 @@ def test_controllers_of_another_size_are_refused(capsys: pytest.CaptureFixture[s
 
 def test_controllers_of_another_telescope_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Another sensitivity of the mirror than that of their design."""
-    from los_design.store import design_file
+    from los_design.synthesis.store import design_file
 
     for kind, name in (("k-fsm", "k_fsm.json"), ("k-pma", "k_pma.json")):
         shutil.copyfile(design_file(kind), tmp_path / name)

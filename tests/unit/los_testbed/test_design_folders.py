@@ -12,7 +12,7 @@ from los_testbed.cli.run import configure
 from los_testbed.run.control_effect import ControlEffect
 from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS, of_designs, worst_member
 
-from los_design.store import design_file
+from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
 

@@ -13,9 +13,9 @@ import pytest
 
 COMMAND = """
 import sys
-from los_design import synthesis
-from los_design.rounds import Effort
-from los_design.worst_case_search import SearchOptions
+from los_design.synthesis.synthesis import synthesis
+from los_design.synthesis.rounds import Effort
+from los_design.search.worst_case_search import SearchOptions
 from los_testbed.cli.app import main
 
 search = SearchOptions(frequencies=40, points=8, ascents=4, iterations=2, patience=0)
@@ -28,9 +28,12 @@ sys.exit(main(["design", "all", "--effort", "short", "--workers", "2", "--output
 def started(folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, str(folder)],
-        text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    )
 
 
 def until_line(process: subprocess.Popen[str], text: str) -> None:

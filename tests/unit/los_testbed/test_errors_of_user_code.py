@@ -11,8 +11,8 @@ from los_testbed.plugins import in_one_line
 from simple_telescope import write_controllers
 from user_code import STORED_LAW
 
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -20,7 +20,7 @@ HEAD = """
 import sys
 import numpy as np
 from numpy.linalg import LinAlgError
-from lti.sampled_system import SampledSystem
+from lftkit.systems.sampled_system import SampledSystem
 from simple_telescope import SimpleTelescope
 
 FAULTS = {
@@ -132,8 +132,12 @@ def test_an_exception_while_it_is_made_names_its_place(
     assert fault in err and place.format(name=name) in err
 
 
-ODD_ATTRIBUTES = ['tones = ["a"]', "tones = object()", "parameters_hash = property(lambda self: 1 / 0)",
-                  "frame_ticks = property(lambda self: {}[3], lambda self, value: None)"]  # fmt: skip
+ODD_ATTRIBUTES = [
+    'tones = ["a"]',
+    "tones = object()",
+    "parameters_hash = property(lambda self: 1 / 0)",
+    "frame_ticks = property(lambda self: {}[3], lambda self, value: None)",
+]
 
 
 @pytest.mark.parametrize("attribute", ODD_ATTRIBUTES)

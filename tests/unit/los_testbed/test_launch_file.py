@@ -49,16 +49,28 @@ def actions(launched, **given):
     defaults = {name: value for name, (value, _) in launched.ARGUMENTS.items()}
     found = launched.start(SimpleNamespace(arguments={**defaults, **given}))
     nodes = {action.executable: action for action in found if hasattr(action, "executable")}
-    ends = {action.positional[0].target_action.executable: action.positional[0].on_exit
-            for action in found if action.positional}  # fmt: skip
+    ends = {
+        action.positional[0].target_action.executable: action.positional[0].on_exit
+        for action in found
+        if action.positional
+    }
     return nodes, ends
 
 
 def test_every_argument_is_declared_with_a_description(launched):
     declared = {a.positional[0]: a for a in launched.generate_launch_description().positional[0][:-1]}
     assert set(declared) == {
-        "params", "namespace", "mode", "duration", "loop", "scenario", "output", "record", "live", "respawn",
-    }  # fmt: skip
+        "params",
+        "namespace",
+        "mode",
+        "duration",
+        "loop",
+        "scenario",
+        "output",
+        "record",
+        "live",
+        "respawn",
+    }
     assert all(argument.description for argument in declared.values())
     assert declared["namespace"].default_value == RunConfig().namespace
 

@@ -11,7 +11,7 @@ from los_testbed.config import NAMESPACE
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, TOPICS
 
-from pointing_analysis.message_types import JOINT_NAMES, JOINT_STATE
+from pointing_analysis.read.messages.message_types import JOINT_NAMES, JOINT_STATE
 
 FOLDER = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed" / "layouts"
 BY_PATH = {topic.path: topic for topic in TOPICS}

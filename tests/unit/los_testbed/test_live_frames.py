@@ -12,8 +12,8 @@ from los_testbed.live.frames import Frames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices, limits
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
 
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.metrics import rpe_rms
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.indices.metrics import rpe_rms
 from titop_plant.interface import TICK_NS
 
 START = 1_700_000_000 * 10**9

@@ -7,9 +7,12 @@ import pytest
 from los_testbed.nodes.support.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
 
 TRANSPORT = (
-    "transport_descriptors", "userTransports", "useBuiltinTransports", "metatrafficUnicastLocatorList",
+    "transport_descriptors",
+    "userTransports",
+    "useBuiltinTransports",
+    "metatrafficUnicastLocatorList",
     "initialPeersList",
-)  # fmt: skip
+)
 """Settings of the transport: the profile for this machine alone has one of its own."""
 
 

@@ -11,9 +11,9 @@ import los_testbed
 import pytest
 import yaml
 
-from pointing_analysis.bag_metadata import METADATA_NAME
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
+from pointing_analysis.read.run import Run
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -27,15 +27,27 @@ def one_line(err: str) -> bool:
 @pytest.mark.parametrize(
     "info",
     [
-        None, [], "text", {"relative_file_paths": None}, {"relative_file_paths": [None]}, {"relative_file_paths": [3]},
-        {"relative_file_paths": [["bag_0.mcap"]]}, {"relative_file_paths": {"a": 1}}, {"compression_mode": [1]},
-        {"topics_with_message_count": 7}, {"topics_with_message_count": [{"topic_metadata": None}]},
-        {"relative_file_paths": ["../outside.mcap"]}, {"relative_file_paths": ["/etc/passwd"]},
-        {"relative_file_paths": ["a\0b"]}, {"relative_file_paths": ["x" * 300]}, {"relative_file_paths": ["\ud800"]},
-        {"relative_file_paths": ["bag_0.mcap", "bag_0.mcap"]}, {"relative_file_paths": ["."]},
+        None,
+        [],
+        "text",
+        {"relative_file_paths": None},
+        {"relative_file_paths": [None]},
+        {"relative_file_paths": [3]},
+        {"relative_file_paths": [["bag_0.mcap"]]},
+        {"relative_file_paths": {"a": 1}},
+        {"compression_mode": [1]},
+        {"topics_with_message_count": 7},
+        {"topics_with_message_count": [{"topic_metadata": None}]},
+        {"relative_file_paths": ["../outside.mcap"]},
+        {"relative_file_paths": ["/etc/passwd"]},
+        {"relative_file_paths": ["a\0b"]},
+        {"relative_file_paths": ["x" * 300]},
+        {"relative_file_paths": ["\ud800"]},
+        {"relative_file_paths": ["bag_0.mcap", "bag_0.mcap"]},
+        {"relative_file_paths": ["."]},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_an_odd_metadata_yaml_is_told_and_the_file_beside_it_read(bag: Path, info: object) -> None:
     text = yaml.safe_dump({"rosbag2_bagfile_information": info})
     (bag / "metadata.yaml").write_text(text)
@@ -66,9 +78,15 @@ def parameters(path: Path, **values: object) -> Path:
 
 
 ODD_STATISTICS = [
-    7, "text", [1], {"plant": 3}, {"plant": {"ticks": "many"}}, {"plant": {"ticks": []}}, {"recorder": None},
+    7,
+    "text",
+    [1],
+    {"plant": 3},
+    {"plant": {"ticks": "many"}},
+    {"plant": {"ticks": []}},
+    {"recorder": None},
     {"plant": {"ticks": "1e999", "missed_ticks": "nan"}},
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("value", ODD_STATISTICS, ids=str)
@@ -170,7 +188,7 @@ def test_no_command_has_a_console_of_its_own() -> None:
         (["design", "figures", "--samples=-1"], ["--samples", "-1"]),
     ],
     ids=lambda value: " ".join(value)[:60],
-)  # fmt: skip
+)
 def test_a_mistake_is_told_before_any_work(call: Call, bag: Path, arguments: list[str], words: list[str]) -> None:
     before = sorted(path for path in bag.parent.rglob("*"))
     code, out, err = call(*(a.format(bag=bag) if "{bag}" in a else a for a in arguments))
@@ -230,7 +248,7 @@ def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Pa
 
 
 def test_a_failed_report_leaves_nothing_and_the_old_one(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pointing_analysis import report
+    from pointing_analysis.report import report
 
     (bag / "report.html").write_text("old")
     before = sorted(bag.iterdir())
@@ -285,14 +303,29 @@ LONG, DEEP = "x" * 300, "d/" * 2500 + "x"
 @pytest.mark.parametrize(
     "line",
     [
-        "analyse {}", "analyse {}.csv --unit=rad --rate=10", "report {}", "replay {}", "bag repair {}", "bag topics {}",
-        "replay bag --k-fsm={}", "report bag --requirements={}", "budget {}", "plant --parameters={}",
-        "design check-proof {}", "design verify {}", "stages --mode=inprocess --k-fsm={}", "campaign --designs={}",
-        "campaign --sampling={}", "run --mode=inprocess --k-fsm={}", "run --mode=inprocess --designs={}",
-        "run --mode=inprocess --config={}", "run --mode=inprocess --parameters={}",
-        "run --mode=inprocess --cases={} --case=a", "run --mode=inprocess --set=profile={}",
+        "analyse {}",
+        "analyse {}.csv --unit=rad --rate=10",
+        "report {}",
+        "replay {}",
+        "bag repair {}",
+        "bag topics {}",
+        "replay bag --k-fsm={}",
+        "report bag --requirements={}",
+        "budget {}",
+        "plant --parameters={}",
+        "design check-proof {}",
+        "design verify {}",
+        "stages --mode=inprocess --k-fsm={}",
+        "campaign --designs={}",
+        "campaign --sampling={}",
+        "run --mode=inprocess --k-fsm={}",
+        "run --mode=inprocess --designs={}",
+        "run --mode=inprocess --config={}",
+        "run --mode=inprocess --parameters={}",
+        "run --mode=inprocess --cases={} --case=a",
+        "run --mode=inprocess --set=profile={}",
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("name", [LONG, DEEP], ids=["long name", "long path"])
 def test_a_path_that_cannot_exist_is_a_mistake(call: Call, bag: Path, line: str, name: str) -> None:
     before = sorted(bag.parent.rglob("*"))

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis.errors import LARGEST
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
-from pointing_analysis.report import write_report
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import LARGEST
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.report import write_report
+from pointing_analysis.requirements.summary import summarise
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -133,7 +133,7 @@ def test_certify_names_a_mistake_before_the_work(call: Call, tmp_path: Path, opt
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"stages": {"fsm": {"APE": 3}}}', '{"stages": []}'])
 def test_worst_points_of_another_form_name_the_file(tmp_path: Path, text: str) -> None:
-    from los_design.worst_points import load_worst_points
+    from los_design.search.worst_points import load_worst_points
 
     (tmp_path / "worst_points.json").write_text(text)
     with pytest.raises(ValueError, match=r"worst_points\.json must hold"):
@@ -164,7 +164,7 @@ def test_a_parameter_file_that_is_none_is_told_before_a_folder_is_made(call: Cal
 def test_an_interrupted_picture_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
-    from los_design.figures import save_figure
+    from los_design.figures.figures import save_figure
 
     def interrupted(self: Figure, path: Path, **_: object) -> None:
         path.write_text("half")

@@ -14,8 +14,8 @@ from los_testbed.loop.contract import ContractError, RunFailedError, check_plant
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.read import Run
-from pointing_analysis.summary import scenario_of, summarise
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import scenario_of, summarise
 
 
 class Own(SimpleTelescope):
@@ -152,8 +152,9 @@ def test_a_plant_is_named_on_the_command_line(plant: str, module: str) -> None:
     run_in_process(RunConfig(duration=2.0, loop="fsm", mode="inprocess", **files), Path("direct"), plant=direct)
     np.testing.assert_array_equal(run["truth/los"].values, Run.open("direct")["truth/los"].values)
     assert [scenario_of(r) for r in (run, Run.open("direct"))] == [
-        f"{module}:{plant}", f"{SimpleTelescope.__module__}:SimpleTelescope"
-    ]  # fmt: skip
+        f"{module}:{plant}",
+        f"{SimpleTelescope.__module__}:SimpleTelescope",
+    ]
 
 
 @pytest.mark.parametrize(

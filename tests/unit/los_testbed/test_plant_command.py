@@ -14,8 +14,8 @@ from los_testbed.cli.run import configure
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
-from los_design import plant_figures
-from titop_plant.simulation import PlantConfig, parameter_values, telescope
+from los_design.figures.figures import plant_figures
+from titop_plant.simulation.build import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
@@ -42,9 +42,14 @@ def test_json_says_what_the_model_is(run) -> None:
     assert (code, err, out.count("\n")) == (0, "", 1)
     assert found["order"] == 204 and found["hurwitz"] is True
     assert found["occurrences"] == {
-        "wheel_1.speed": 2, "wheel_2.speed": 2, "wheel_3.speed": 2, "wheel_4.speed": 2,
-        "solar_array.omega_1": 4, "solar_array.omega_2": 4, "solar_array.tau": 32,
-    }  # fmt: skip
+        "wheel_1.speed": 2,
+        "wheel_2.speed": 2,
+        "wheel_3.speed": 2,
+        "wheel_4.speed": 2,
+        "solar_array.omega_1": 4,
+        "solar_array.omega_2": 4,
+        "solar_array.tau": 32,
+    }
     assert found["slowest_pole"] > 1e-3 and found["largest_real_part"] < 0.0
     assert np.linalg.eigvalsh(found["total_inertia_matrix"])[0] > 1e3
     np.testing.assert_array_equal(np.diag(found["total_inertia_matrix"]), found["total_inertia"])
@@ -224,9 +229,22 @@ def test_a_run_of_a_named_case_of_ones_own_is_recorded_as_such(run) -> None:
     mine = run.files / "mine.yaml"
     mine.write_text("turning:\n  description: d\n  theta: 0.2\n  theta_rate: 0.1\n  ramp_duration: 1.0\n")
     code, out, err = run(
-        "run", "--mode=inprocess", "--duration=2", "--loop=isolator", "--no-report", "--json", "--output=bag",
-        "--cases", mine, "--case=turning", "--wheel-speed", "100", "-100", "100", "-100",
-    )  # fmt: skip
+        "run",
+        "--mode=inprocess",
+        "--duration=2",
+        "--loop=isolator",
+        "--no-report",
+        "--json",
+        "--output=bag",
+        "--cases",
+        mine,
+        "--case=turning",
+        "--wheel-speed",
+        "100",
+        "-100",
+        "100",
+        "-100",
+    )
     assert code == 0, err
     assert json.loads(out.splitlines()[-1])["ticks"] == 2000
     from mcap.reader import make_reader

@@ -6,8 +6,8 @@ import numpy as np
 from los_testbed.run import replay
 from los_testbed.topics import TOPICS
 
-from pointing_analysis.read import Run
-from pointing_analysis.replay import compare
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay.replay import compare
 
 BAG = Path(__file__).parents[3] / "bags" / "reference"
 

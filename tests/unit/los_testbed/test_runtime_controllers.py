@@ -6,9 +6,9 @@ from scipy.signal import dlsim
 from simple_telescope import write_controllers
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from lti.ports import Port
-from lti.sampled_system import SampledSystem
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -31,9 +31,14 @@ def random_system(inputs, outputs, order):
     A = RNG.standard_normal((order, order))
     A *= 0.9 / np.max(np.abs(np.linalg.eigvals(A)))
     return SampledSystem(
-        A, RNG.standard_normal((order, m)), RNG.standard_normal((p, order)), RNG.standard_normal((p, m)),
-        inputs, outputs, DT,
-    )  # fmt: skip
+        A,
+        RNG.standard_normal((order, m)),
+        RNG.standard_normal((p, order)),
+        RNG.standard_normal((p, m)),
+        inputs,
+        outputs,
+        DT,
+    )
 
 
 def test_the_observer_is_its_system_with_the_camera_held():

@@ -3,7 +3,7 @@
 import pytest
 from los_testbed.loop.source_guard import FOREIGN, OURS, UNMATCHED, Endpoint, SourceGuard
 
-from pointing_analysis.cdr import STAMP
+from pointing_analysis.read.messages.cdr import STAMP
 from titop_plant.interface import TICK_NS
 
 MS = 1_000_000

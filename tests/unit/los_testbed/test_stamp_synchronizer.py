@@ -7,7 +7,7 @@ import pytest
 from los_testbed.bags.cdr import Codec
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
 
-from pointing_analysis.message_types import VECTOR3
+from pointing_analysis.read.messages.message_types import VECTOR3
 
 MS = 1_000_000
 

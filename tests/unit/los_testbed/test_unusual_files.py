@@ -11,23 +11,37 @@ import pytest
 from fuzz.mutations import messages, records
 from los_testbed.bags.repair import repair_bag
 
-from pointing_analysis.atomic_output import write_text
-from pointing_analysis.mcap_records import OP_CHUNK, OP_DATA_END, OP_FOOTER, BagError
-from pointing_analysis.read import Run
+from pointing_analysis.files.atomic_output import write_text
+from pointing_analysis.read.mcap.records import OP_CHUNK, OP_DATA_END, OP_FOOTER, BagError
+from pointing_analysis.read.run import Run
 
 Call = Callable[..., tuple[int, str, str]]
 
 
 INPUTS = [
-    "analyse pipe", "analyse pipe.mcap", "analyse pipe.csv --unit=rad --rate=100", "analyse pipe.npy --unit=rad",
-    "analyse pipe.mcap --los=/x --unit=rad", "bag repair pipe.mcap", "bag topics pipe.mcap", "replay pipe.mcap",
-    "report pipe.mcap", "budget pipe", "report bag --requirements=pipe", "replay bag --k-fsm=pipe",
+    "analyse pipe",
+    "analyse pipe.mcap",
+    "analyse pipe.csv --unit=rad --rate=100",
+    "analyse pipe.npy --unit=rad",
+    "analyse pipe.mcap --los=/x --unit=rad",
+    "bag repair pipe.mcap",
+    "bag topics pipe.mcap",
+    "replay pipe.mcap",
+    "report pipe.mcap",
+    "budget pipe",
+    "report bag --requirements=pipe",
+    "replay bag --k-fsm=pipe",
     "plant --parameters=pipe",
-    "run --mode=inprocess --config=pipe", "run --mode=inprocess --k-fsm=pipe", "run --mode=inprocess --k-pma=pipe",
-    "run --mode=inprocess --parameters=pipe", "run --mode=inprocess --set=profile=pipe",
-    "run --mode=inprocess --cases=pipe --case=x", "campaign --sampling=pipe --samples=2",
-    "bag repair loop", "analyse loop",
-]  # fmt: skip
+    "run --mode=inprocess --config=pipe",
+    "run --mode=inprocess --k-fsm=pipe",
+    "run --mode=inprocess --k-pma=pipe",
+    "run --mode=inprocess --parameters=pipe",
+    "run --mode=inprocess --set=profile=pipe",
+    "run --mode=inprocess --cases=pipe --case=x",
+    "campaign --sampling=pipe --samples=2",
+    "bag repair loop",
+    "analyse loop",
+]
 
 
 @pytest.mark.parametrize("line", INPUTS)

@@ -18,15 +18,15 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.user_blocks import BlockFailedError, UserBlock
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lti.ports import Port
-from lti.sampled_system import SampledSystem
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled_system import SampledSystem
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 MODULE = '''
 import numpy as np
-from lti.sampled_system import SampledSystem
+from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 
 class Observer(LosEstimator):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from los_testbed.run.worst_case_rows import level, limits_kept
 
-from pointing_analysis.tone_budget import ToneBudget
+from pointing_analysis.budget.tone_budget import ToneBudget
 from titop_plant.telescope.budget import combined_level
 
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 
-from pointing_analysis.errors import RAD_PER_ARCSEC
-from pointing_analysis.los_source import open_los
-from pointing_analysis.read import Run
-from pointing_analysis.report import render
-from pointing_analysis.requirements import load, parse
-from pointing_analysis.series import judge_series, series
-from pointing_analysis.summary import Summary, summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.los_source import open_los
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.series import judge_series, series
+from pointing_analysis.report.report import render
+from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.requirements.verdict import load, parse
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
 
@@ -243,8 +243,10 @@ def test_an_empty_cell_is_a_missing_sample(tmp_path: Path) -> None:
     rows = [f"{i / 100},{i}.5,1" for i in range(300)]
     rows[200] = "2.0,,1"
     (tmp_path / "a.csv").write_text("# measured on the bench\nt,x,y\n" + "\n".join(rows))
-    found = summarise(open_los(tmp_path / "a.csv", unit="mas"), requirements=[parse(
-        "prob(|RPE(20 ms)| < 1 mas) >= 0.9 at 90 % confidence")])  # fmt: skip
+    found = summarise(
+        open_los(tmp_path / "a.csv", unit="mas"),
+        requirements=[parse("prob(|RPE(20 ms)| < 1 mas) >= 0.9 at 90 % confidence")],
+    )
     assert found.windows_skipped == 1 and found.ticks == 300
 
 
@@ -316,7 +318,7 @@ def test_a_decimal_comma(tmp_path: Path) -> None:
 
 
 def test_a_message_that_lies_about_its_length_is_left_out(tmp_path: Path) -> None:
-    from pointing_analysis import ros_definitions
+    from pointing_analysis.read.messages import ros_definitions
 
     types = ros_definitions.parse_definition("a/msg/B", "string s\nfloat64 x\nfloat64 y")
     whole = b"\x00\x01\x00\x00" + struct.pack("<I", 4) + b"abc\x00" + struct.pack("<dd", 1.5, 2.5)

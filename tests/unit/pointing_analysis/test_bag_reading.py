@@ -11,13 +11,13 @@ import zstandard
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from pointing_analysis import cdr
-from pointing_analysis.cdr import Encoder
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.message_types import DEFINITIONS, JOINT_STATE, VECTOR3
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
-from pointing_analysis.topic import on_grid
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.messages import cdr
+from pointing_analysis.read.messages.cdr import Encoder
+from pointing_analysis.read.messages.message_types import DEFINITIONS, JOINT_STATE, VECTOR3
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.topic import on_grid
 
 N = 3000
 

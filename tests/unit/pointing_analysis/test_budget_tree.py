@@ -11,11 +11,11 @@ import pytest
 from los_testbed.cli.app import main
 
 import pointing_analysis
-from pointing_analysis import budget_sources as kinds
-from pointing_analysis.budget_file import load_budget
-from pointing_analysis.budget_total import axis_factor, axis_total, evaluate, norm_quantile
-from pointing_analysis.synthetic import write_bag
-from pointing_analysis.weights import rpe_exact
+from pointing_analysis.budget import sources as kinds
+from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.total import axis_factor, axis_total, evaluate, norm_quantile
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.indices.weights import rpe_exact
 
 FOLDER = Path(pointing_analysis.__file__).parent
 HEAD = 'unit = "mas"\ndraws = 20000\n'
@@ -83,8 +83,10 @@ def test_interpretations_and_transfers(tmp_path: Path) -> None:
     )
     amplitude = 0.5 * 6 / math.sqrt(2)  # at the corner of the low-pass
     kept = "prob(|APE_x| < 10 mas) >= 0.9 at 95 % confidence"
-    levels = {kind: budget(tmp_path, text, kept + tail).level for kind, tail in
-              (("temporal", ""), ("ensemble", ", ensemble"), ("mixed", ", mixed"))}  # fmt: skip
+    levels = {
+        kind: budget(tmp_path, text, kept + tail).level
+        for kind, tail in (("temporal", ""), ("ensemble", ", ensemble"), ("mixed", ", mixed"))
+    }
     assert levels["temporal"] == pytest.approx(1.0 + amplitude * math.sin(0.9 * math.pi / 2), rel=5e-3)
     assert levels["ensemble"] == pytest.approx(amplitude + 0.9, rel=5e-3)
     assert levels["mixed"] < min(levels["temporal"], levels["ensemble"])

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from pointing_analysis import confidence
+from pointing_analysis.indices import confidence
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 10), (3, 50), (10, 1000), (0, 998)])

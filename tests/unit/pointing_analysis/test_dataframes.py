@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis.dataframes import to_pandas, to_xarray
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
-from pointing_analysis.topic import Topic
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.dataframes import to_pandas, to_xarray
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.topic import Topic
 
 
 @pytest.fixture

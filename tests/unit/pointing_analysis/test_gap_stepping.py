@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis.gap_stepping import GAP_LIMIT, GapStepper
+from pointing_analysis.replay.gap_stepping import GAP_LIMIT, GapStepper
 
 
 class Recorder:

@@ -9,12 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointing_analysis import confidence, mapped_arrays
-from pointing_analysis.mapped_arrays import GrowingArray, SortedValues, by_parts, common_rows, empty, parts, present
-from pointing_analysis.read import Run
-from pointing_analysis.report import render
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices import confidence
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mapped_arrays import (
+    GrowingArray,
+    SortedValues,
+    by_parts,
+    common_rows,
+    empty,
+    parts,
+    present,
+)
+from pointing_analysis.read.run import Run, mapped_arrays
+from pointing_analysis.report.report import render
+from pointing_analysis.requirements.summary import summarise
 
 
 @pytest.fixture
@@ -122,7 +130,10 @@ def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
     assert {**after.as_dict(), "requirements": 0} == {**before.as_dict(), "requirements": 0}
     for one, other in zip(before.verdicts, after.verdicts):
         assert (one.status, one.exceeding, one.samples, one.missing) == (
-            other.status, other.exceeding, other.samples, other.missing
-        )  # fmt: skip
+            other.status,
+            other.exceeding,
+            other.samples,
+            other.missing,
+        )
         assert other.effective == pytest.approx(one.effective, rel=1e-9)
     assert len(render([split], transient=1.0)) == pytest.approx(len(page), rel=1e-3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis.budget import combine, contribution, periodic, uniform
+from pointing_analysis.budget.lines import combine, contribution, periodic, uniform
 
 
 def test_means_add_linearly_and_do_not_enter_the_rpe() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis import metrics, spectra, weights
-from pointing_analysis.errors import performance_error
-from pointing_analysis.read import Run
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices import metrics, weights
+from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.spectra import spectra
 
 DT, WINDOW = 1e-3, 0.02
 ARCSEC = np.pi / 648_000

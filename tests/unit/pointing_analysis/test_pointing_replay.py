@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis import replay
-from pointing_analysis.errors import knowledge_error_of
-from pointing_analysis.metrics import radial
-from pointing_analysis.read import Run
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import knowledge_error_of
+from pointing_analysis.indices.metrics import radial
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay import replay
 
 N, FRAME = 2000, 20
 START, MS = 1_700_000_000 * 10**9, 10**6

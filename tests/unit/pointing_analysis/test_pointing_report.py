@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from support import headless_browser
 
-from pointing_analysis import requirements
-from pointing_analysis.cumulative_figure import cumulative
-from pointing_analysis.prediction import Prediction, ToneComparison
-from pointing_analysis.read import Run
-from pointing_analysis.report import labels, latency_us, render, view, write_report
-from pointing_analysis.report_cards import KEEPS, limit_row, overall
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.cards import KEEPS, limit_row, overall
+from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.report import labels, latency_us, render, view, write_report
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.verdict import verdict as requirements
+from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}

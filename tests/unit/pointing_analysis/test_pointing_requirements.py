@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from pointing_analysis import requirements
-from pointing_analysis.errors import ErrorSeries
-from pointing_analysis.read import Run
-from pointing_analysis.requirements import RequirementError, index_samples, judge, parse
-from pointing_analysis.summary import summarise
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.indices.errors import ErrorSeries
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.verdict import RequirementError, index_samples, judge, parse
+from pointing_analysis.requirements.verdict import verdict as requirements
 
 MAS = np.pi / 648_000_000
 
@@ -179,7 +179,7 @@ def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
     from scipy.signal import lfilter
 
-    from pointing_analysis.confidence import effective_number
+    from pointing_analysis.indices.confidence import effective_number
 
     p, n, runs = 0.98, 5000, 400
     limit = math.sqrt(-2 * math.log(1 - p))

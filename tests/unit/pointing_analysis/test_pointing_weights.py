@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis import weights
+from pointing_analysis.indices import weights
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 WINDOW = 0.02

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support import axe, headless_browser
 
-from pointing_analysis.budget_file import load_budget
-from pointing_analysis.budget_page import render_budget
-from pointing_analysis.budget_total import evaluate
-from pointing_analysis.read import Run
-from pointing_analysis.report import write_report
-from pointing_analysis.synthetic import write_bag
+from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.page import render_budget
+from pointing_analysis.budget.total import evaluate
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.report import write_report
 
 ROOT = Path(__file__).parents[3]
 MAS = np.pi / 648_000_000

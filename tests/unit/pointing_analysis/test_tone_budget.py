@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pointing_analysis import metrics
-from pointing_analysis.errors import RAD_PER_MAS, ErrorSeries
-from pointing_analysis.tone_budget import ToneBudget, tone_budget
-from pointing_analysis.weights import rpe_discrete
+from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.indices.weights import rpe_discrete
 
 T = 1e-3 * np.arange(60_000)
 
@@ -48,8 +48,10 @@ def test_a_run_without_tones_is_noise_alone() -> None:
 def test_the_line_holds_every_part_beside_its_allowance() -> None:
     found = tone_budget(
         run_with(rpe_budget_mas={"noise": 12.0, "slow": 20.5, "fast": 27, "total": 40, "other": 1}),
-        series(np.zeros((100, 2))), 0.02, 38.25,
-    )  # fmt: skip
+        series(np.zeros((100, 2))),
+        0.02,
+        38.25,
+    )
     text = "noise 0 rms of 12, slow tones 0 of 20.5, fast tones 0 of 27, total (99.7 %) 38.2 of 40"
     assert str(found) == f"budget of the RPE [mas]: {text}"
     assert found.as_dict()["allowances"] == {"noise": 12.0, "slow": 20.5, "fast": 27.0, "total": 40.0}

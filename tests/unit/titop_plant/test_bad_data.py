@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lti import Port, connect, invert, static_gain
+from lftkit import Port, connect, invert, static_gain
 from titop_plant import ports
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -21,7 +21,7 @@ from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import ReactionWheel
 from titop_plant.blocks.revolute_joint import on_revolute_joint
-from titop_plant.simulation import telescope
+from titop_plant.simulation.build import telescope
 from titop_plant.structures import (
     ChildPort,
     ModalData,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lti import Port, RealParameter, connect, invert
+from lftkit import Port, RealParameter, connect, invert
 from titop_plant.blocks.attitude_control import attitude_control
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -141,8 +141,9 @@ def test_uncertain_frequency_and_damping_equal_the_rebuilt_body() -> None:
     values = {"w": 127.0, "z": 0.004, "z2": 0.07}
     frequencies, damping = data.frequencies.copy(), data.damping.copy()
     frequencies[0], damping[0], damping[2] = values["w"], values["z"], values["z2"]
-    rebuilt = flexible_body(ModalData("x", "P", np.zeros(3), data.mass_matrix, frequencies, damping,
-                                      data.participation, data.children))  # fmt: skip
+    rebuilt = flexible_body(
+        ModalData("x", "P", np.zeros(3), data.mass_matrix, frequencies, damping, data.participation, data.children)
+    )
     for s in (5j, 127j, 900j):
         expected = rebuilt.nominal()(s)
         np.testing.assert_allclose(body.at(values)(s), expected, atol=1e-9 * np.abs(expected).max())
@@ -168,8 +169,12 @@ def test_rotation_by_tau_is_the_rotation_matrix(theta: float, nominal: float) ->
 
 def test_a_body_rotated_by_tau_equals_the_rotated_modal_data() -> None:
     data, axis, theta = beam(modes=6, damping=0.01), [0.0, 0.0, 1.0], 0.7
-    block = turned(flexible_body(data).select(inputs=["accel_P"], outputs=["wrench_P"]), "P", axis,
-                   RealParameter("tau", 0.0, -1.0, 1.0))  # fmt: skip
+    block = turned(
+        flexible_body(data).select(inputs=["accel_P"], outputs=["wrench_P"]),
+        "P",
+        axis,
+        RealParameter("tau", 0.0, -1.0, 1.0),
+    )
     assert block.occurrences() == {"tau": 16}
     built = flexible_body(data.rotated(rotation_matrix(axis, theta)))
     for s in (1j, 400j):
@@ -303,8 +308,12 @@ def test_wheel_equals_newton_and_euler(nominal: float) -> None:
     gyroscopic = -Jw * speed * np.array([omega[1], -omega[0], 0.0])
     torque = np.array([-Jr * omega_dot[0] + w[3], -Jr * omega_dot[1] + w[4], u]) + gyroscopic
     np.testing.assert_allclose(out, np.r_[force, torque, -u / Jw - omega_dot[2]], rtol=1e-12, atol=1e-13)
-    assert [(p.name, p.size) for p in wheel.inputs] == [("accel_G", 6), ("rate_G", 3), ("wheel_torque", 1),
-                                                        ("imbalance", 5)]  # fmt: skip
+    assert [(p.name, p.size) for p in wheel.inputs] == [
+        ("accel_G", 6),
+        ("rate_G", 3),
+        ("wheel_torque", 1),
+        ("imbalance", 5),
+    ]
     assert [(p.name, p.size) for p in wheel.outputs] == [("wrench_G", 6), ("wheel_accel", 1)]
 
 
@@ -314,10 +323,12 @@ def test_assembly_is_the_sum_of_its_wheels() -> None:
     axes = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 1.0]])
     positions = np.array([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2]])
     speeds = [120.0, -300.0]
-    block = wheel_assembly([
-        MountedWheel(d, axis, r, RealParameter(f"wheel_{i + 1}.speed", 0.0, -1000.0, 1000.0))
-        for i, (d, axis, r) in enumerate(zip(data, axes, positions))
-    ])  # fmt: skip
+    block = wheel_assembly(
+        [
+            MountedWheel(d, axis, r, RealParameter(f"wheel_{i + 1}.speed", 0.0, -1000.0, 1000.0))
+            for i, (d, axis, r) in enumerate(zip(data, axes, positions))
+        ]
+    )
     assert block.occurrences() == {"wheel_1.speed": 2, "wheel_2.speed": 2}
     rng = np.random.default_rng(4)
     a, omega_dot, omega, u, w = (rng.standard_normal(n) for n in (3, 3, 3, 2, 10))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lti.frequency_response import frequency_response
+from lftkit.analysis.frequency_response import frequency_response
 from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED
-from titop_plant.simulation import telescope
+from titop_plant.simulation.build import telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
     camera_hold,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from titop_plant import simulation
-from titop_plant.disturbances import given_tones
-from titop_plant.driven_plant import DISTURBANCE_COLUMNS, DISTURBANCE_SIZE, DrivenPlant, held_disturbance
 from titop_plant.interface import COMMANDED, COMMANDS, DT, MEASURED, MEASUREMENTS, TRUTH
-from titop_plant.plant_config import PlantConfig, parameter_values
+from titop_plant.simulation import build as simulation
+from titop_plant.simulation.disturbances import given_tones
+from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS, DISTURBANCE_SIZE, DrivenPlant, held_disturbance
+from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.telescope.control_plant import with_camera
 from titop_plant.telescope.parameters import load_parameters
 

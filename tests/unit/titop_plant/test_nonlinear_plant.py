@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
-from titop_plant.nonlinear_plant import DeviceLimits, NonlinearPlant
+from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
 
 ACTUATOR = {"moving_mass": 2.5, "stiffness": 70.0, "damping": 10.0}
 NONE = DeviceLimits(math.inf, math.inf, math.inf, 0.0, 0.0, 0.0, 0.0)

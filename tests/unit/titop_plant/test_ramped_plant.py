@@ -10,21 +10,25 @@ import pytest
 from scipy import linalg
 from scipy.integrate import solve_ivp
 
-from lti import Port, StateSpace
-from titop_plant.disturbances import imbalance_tones, no_tones
+from lftkit import Port, StateSpace
 from titop_plant.interface import COMMANDS, DT
-from titop_plant.plant_config import motion, parameter_values, values_along
-from titop_plant.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
-from titop_plant.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
-from titop_plant.sampled_plant import SampledPlant, SensorModel
-from titop_plant.simulation import PlantConfig, PlantFamily, build_plant, sample
+from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant, sample
+from titop_plant.simulation.disturbances import imbalance_tones, no_tones
+from titop_plant.simulation.plant_config import motion, parameter_values, values_along
+from titop_plant.simulation.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
+from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.parameters import load_parameters
 
 SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
 CROSSING = PlantConfig(
-    noise=False, scenario="ramp", wheel_speed=(395.0, -200.0, 150.0, -100.0),
-    wheel_acceleration=(8.0, 0.0, 0.0, 0.0), ramp_duration=1.2, seed=3,
-)  # fmt: skip
+    noise=False,
+    scenario="ramp",
+    wheel_speed=(395.0, -200.0, 150.0, -100.0),
+    wheel_acceleration=(8.0, 0.0, 0.0, 0.0),
+    ramp_duration=1.2,
+    seed=3,
+)
 
 
 def line_of_sight(plant: SampledPlant, ticks: int, every: int = 1) -> np.ndarray:
@@ -87,9 +91,13 @@ def gyroscope(speed: float, stiffness: float) -> StateSpace:
     A[2:, :2] = -np.diag([300.0**2, stiffness])
     A[2:, 2:] = 0.05 * speed * np.array([[0.0, 1.0], [-1.0, 0.0]])
     return StateSpace(
-        A, np.zeros((4, 30)), np.vstack([np.eye(4), np.zeros((20, 4))]), np.zeros((24, 30)),
-        (Port("u", 30),), (Port("y", 24),),
-    )  # fmt: skip
+        A,
+        np.zeros((4, 30)),
+        np.vstack([np.eye(4), np.zeros((20, 4))]),
+        np.zeros((24, 30)),
+        (Port("u", 30),),
+        (Port("y", 24),),
+    )
 
 
 @pytest.mark.parametrize("stretch", [0.0, 2e4])

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from titop_plant.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
 from titop_plant.interface import COMMANDED, DT, MEASURED
-from titop_plant.simulation import (
+from titop_plant.simulation.build import (
     DISTURBANCES,
     PlantConfig,
     build_plant,
@@ -19,6 +18,7 @@ from titop_plant.simulation import (
     telescope,
     with_camera,
 )
+from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters
 
@@ -128,7 +128,7 @@ def test_drive_torque_stays_within_its_bound() -> None:
 
 def test_design_tones_have_unit_norm_within_the_band() -> None:
     parameters = load_parameters()
-    from titop_plant.simulation import _tones
+    from titop_plant.simulation.build import _tones
 
     config = PlantConfig()
     tones = _tones(config, parameters, parameter_values(config, parameters))
@@ -142,7 +142,7 @@ def test_design_tones_have_unit_norm_within_the_band() -> None:
 
 def test_design_tones_are_kept_for_the_same_telescope_table_and_seed_alone() -> None:
     """Those that are kept cannot be changed; another seed turns each tone as a whole."""
-    from titop_plant.simulation import _tones
+    from titop_plant.simulation.build import _tones
 
     parameters, config = load_parameters(), PlantConfig()
     values = parameter_values(config, parameters)
@@ -172,8 +172,14 @@ def test_a_ramp_moves_the_tones_and_ends_at_the_new_speed() -> None:
 def test_energy_of_the_undamped_telescope_is_conserved() -> None:
     """Without damping and attitude law the sampled motion keeps the energy of the second-order model."""
     parameters = {k: dict(v) if isinstance(v, dict) else v for k, v in load_parameters().items()}
-    for name, key in (("body", "damping"), ("payload", "damping"), ("solar_array", "damping"),
-                      ("sadm", "gearbox_damping"), ("fsm", "damping"), ("pma", "damping")):  # fmt: skip
+    for name, key in (
+        ("body", "damping"),
+        ("payload", "damping"),
+        ("solar_array", "damping"),
+        ("sadm", "gearbox_damping"),
+        ("fsm", "damping"),
+        ("pma", "damping"),
+    ):
         parameters[name][key] = 0.0
     parameters["isolator"]["damping"] = [0.0] * 6
     parameters["solar_array"]["further_modes"] = list(parameters["solar_array"]["further_modes"])

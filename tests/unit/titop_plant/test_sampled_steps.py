@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from titop_plant.disturbances import Tones, joined, no_tones
 from titop_plant.interface import CAMERA, DT
-from titop_plant.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.disturbances import Tones, joined, no_tones
+from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
 
 N, K = 3, 2
 
@@ -85,8 +85,9 @@ def test_the_state_is_a_copy_and_the_settings_are_kept() -> None:
 def tones() -> Tones:
     """Two tones of wheel 1, one of wheel 3 (which turns backwards), one of fixed frequency."""
     amplitude = (np.arange(88.0).reshape(22, 4) + 1.0) * np.exp(0.3j)
-    return Tones(np.array([200.0, 500.0, 150.0, 7.0]), amplitude, np.array([1.0, 2.5, 1.0, 0.0]),
-                 np.array([1, 1, 3, -1]))  # fmt: skip
+    return Tones(
+        np.array([200.0, 500.0, 150.0, 7.0]), amplitude, np.array([1.0, 2.5, 1.0, 0.0]), np.array([1, 1, 3, -1])
+    )
 
 
 def test_tones_of_a_wheel_follow_its_speed_with_the_square() -> None:

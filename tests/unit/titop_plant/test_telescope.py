@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lti.batched_linalg import largest_gains
-from lti.frequency_grid import frequency_grid
-from lti.frequency_response import frequency_response
-from lti.minimal import minimal_realisation
-from titop_plant.disturbances import weight_amplitudes
-from titop_plant.simulation import telescope
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import frequency_response
+from lftkit.systems.minimal import minimal_realisation
+from titop_plant.simulation.build import telescope
+from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.components import array_modes, optics_component

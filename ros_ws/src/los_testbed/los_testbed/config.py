@@ -16,7 +16,7 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from pointing_analysis.structured_text import load_yaml, read_text
+from pointing_analysis.files.structured_text import load_yaml, read_text
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, STAGES, frame_ticks
 
 NAMESPACE = "/telescope"
@@ -28,7 +28,7 @@ STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
 WORST_OF = ("RPE", "APE", "slow", "fast")
-"""Index that the tone of the scenario worst_case is worst for, see :mod:`los_design.worst_tone`."""
+"""Index that the tone of the scenario worst_case is worst for, see :mod:`los_loop.worst_tone`."""
 
 
 def _parameter(
@@ -187,9 +187,23 @@ class RunConfig:
 FIELDS: dict[str, Field[Any]] = {entry.name: entry for entry in fields(RunConfig)}
 
 PHYSICAL = (
-    "scenario", "worst_of", "seed", "noise", "disturbance", "camera_rate", "camera_dropout", "theta", "wheel_speed",
-    "omega_1", "omega_2", "theta_rate", "wheel_acceleration", "ramp_duration", "profile", "parameters",
-)  # fmt: skip
+    "scenario",
+    "worst_of",
+    "seed",
+    "noise",
+    "disturbance",
+    "camera_rate",
+    "camera_dropout",
+    "theta",
+    "wheel_speed",
+    "omega_1",
+    "omega_2",
+    "theta_rate",
+    "wheel_acceleration",
+    "ramp_duration",
+    "profile",
+    "parameters",
+)
 """Fields that the plant is built from (beside the isolator, which follows from `loop`)."""
 
 

@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.support.threads import one_thread
+from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import PHYSICAL, RunConfig, is_code
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import RunStart, find_run_start, with_tones
 from los_testbed.user_blocks import UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
-from lti.sampled_system import SampledSystem
-from lti.threads import one_thread
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
-    from los_design.steady_state import LoopStart
-    from los_design.tone_model import LoopModel
-    from titop_plant.driven_plant import DrivenPlant
-    from titop_plant.sampled_plant import SampledPlant
-    from titop_plant.simulation import PlantConfig
+    from los_loop.steady_state import LoopStart
+    from los_loop.tone_model import LoopModel
+    from titop_plant.simulation.build import PlantConfig
+    from titop_plant.simulation.driven_plant import DrivenPlant
+    from titop_plant.simulation.sampled_plant import SampledPlant
 
 FloatArray = NDArray[np.float64]
 
@@ -247,7 +247,7 @@ def build_plant(config: RunConfig) -> Plant:
     """
     if config.plant:
         return _user_plant(config)
-    from titop_plant import simulation
+    from titop_plant.simulation import build as simulation
 
     start = run_start(config)
     physical = plant_config(config, start)
@@ -259,7 +259,7 @@ def build_plant(config: RunConfig) -> Plant:
     )
     if not config.nonlinear:
         return plant
-    from titop_plant.nonlinear_plant import DeviceLimits, NonlinearPlant
+    from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
     from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
     return NonlinearPlant(plant, DeviceLimits(), load_parameters(config.parameters or REFERENCE)["pma"])
@@ -276,7 +276,7 @@ def _user_plant(config: RunConfig) -> Plant:
 
 def _driven(plant: SampledPlant, config: RunConfig, physical: PlantConfig) -> DrivenPlant:
     """The telescope under the disturbance of the user."""
-    from titop_plant.driven_plant import DrivenPlant, held_disturbance
+    from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
 
     disturbance = make_disturbance(config)
     disturbance.reset()
@@ -328,7 +328,7 @@ def plant_config(config: RunConfig, start: RunStart | None = None) -> PlantConfi
 
 def _physical(config: RunConfig) -> PlantConfig:
     """Physical settings but for the worst-case tone: the scenario worst_case comes without disturbance."""
-    from titop_plant.simulation import PlantConfig
+    from titop_plant.simulation.build import PlantConfig
 
     check_ranges(config)
     values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL if name != "worst_of"}
@@ -359,7 +359,7 @@ def tone_model(
     ValueError
         A telescope outside its family, a file that is missing or no controller.
     """
-    from los_design.tone_model import LoopModel
+    from los_loop.tone_model import LoopModel
 
     if controllers is None:
         controllers = load_controllers(config)
@@ -367,9 +367,12 @@ def tone_model(
         start = run_start(config, controllers)
     with one_thread():
         return LoopModel.of(
-            plant_config(config, start), controllers, loop=config.loop, authority=telescope_basis(config).authority,
+            plant_config(config, start),
+            controllers,
+            loop=config.loop,
+            authority=telescope_basis(config).authority,
             steady=start.states is not None,
-        )  # fmt: skip
+        )
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:

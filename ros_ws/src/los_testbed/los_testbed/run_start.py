@@ -12,17 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from lftkit.support.threads import one_thread
+from lftkit.systems.sampled_system import SampledSystem
 from los_testbed.config import RunConfig, physical_hash
-from lti.sampled_system import SampledSystem
-from lti.threads import one_thread
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from los_design.steady_state import LoopStart
-    from los_design.worst_tone import WorstTone
-    from titop_plant.simulation import PlantConfig
+    from los_loop.steady_state import LoopStart
+    from los_loop.worst_tone import WorstTone
+    from titop_plant.simulation.build import PlantConfig
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
@@ -71,8 +71,8 @@ class RunStart:
         ValueError
             Another format.
         """
-        from los_design.steady_state import LoopStart
-        from los_design.worst_tone import WorstTone
+        from los_loop.steady_state import LoopStart
+        from los_loop.worst_tone import WorstTone
 
         try:
             content = json.loads(data)
@@ -93,7 +93,7 @@ class RunStart:
         return None if self.states is None else self.states.command
 
     def tones(self) -> tuple[tuple[float, ...], ...]:
-        """The tone as :class:`titop_plant.simulation.PlantConfig` takes it."""
+        """The tone as :class:`titop_plant.simulation.build.PlantConfig` takes it."""
         if self.tone is None:
             return ()
         return ((self.tone.omega, *self.tone.amplitude.real.tolist(), *self.tone.amplitude.imag.tolist()),)
@@ -137,7 +137,7 @@ def _needs_tone(config: RunConfig) -> bool:
 
 
 def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem]) -> str:
-    from titop_plant.simulation import configuration_hash
+    from titop_plant.simulation.build import configuration_hash
 
     digest = hashlib.sha256(f"{physical_hash(config)} {config.loop} {config.start} {config.duration}".encode())
     digest.update(configuration_hash(physical).encode())
@@ -152,9 +152,9 @@ def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, Sam
 def _computed(
     config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
 ) -> RunStart:
-    from los_design.steady_state import steady_start
-    from los_design.tone_model import LoopModel
-    from titop_plant.simulation import sensor_bias
+    from los_loop.steady_state import steady_start
+    from los_loop.tone_model import LoopModel
+    from titop_plant.simulation.build import sensor_bias
 
     notes: list[str] = []
     tone = _tone(config, physical, controllers, authority, notes) if _needs_tone(config) else None
@@ -178,8 +178,8 @@ def _tone(
     notes: list[str],
 ) -> WorstTone:
     """Worst tone of the loop; of the telescope without fine control where the loop is not stable."""
-    from los_design.tone_model import LoopModel
-    from los_design.worst_tone import worst_tone
+    from los_loop.tone_model import LoopModel
+    from los_loop.worst_tone import worst_tone
     from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
     parameters = load_parameters(config.parameters or REFERENCE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from los_testbed.config import NAMESPACE
-from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS
 
 NODES = ("plant", "estimator", "controller", "recorder")

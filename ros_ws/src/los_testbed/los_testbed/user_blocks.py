@@ -8,7 +8,7 @@ setting             step                          content
 ==================  ============================  ==========================================================
 k_fsm               step(measurement, out)        22 measurements to 2 angles; the camera's are NaN between frames
 k_pma               step(accel_Ip, out)           6 accelerations to 6 forces [N], limited afterwards
-disturbance_source  step(out)                     28 forces and torques, :mod:`titop_plant.driven_plant`
+disturbance_source  step(out)                     28 forces and torques, :mod:`titop_plant.simulation.driven_plant`
 ==================  ============================  ==========================================================
 """
 
@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.systems.ports import Port, port_slices, total_size
 from los_testbed.config import RunConfig
 from los_testbed.plugins import RAISED, in_one_line, make
-from lti.ports import Port, port_slices, total_size
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 FloatArray = NDArray[np.float64]
@@ -225,7 +225,7 @@ def make_disturbance(config: RunConfig) -> UserBlock:
     ValueError
         It cannot be made, or breaks the contract.
     """
-    from titop_plant.driven_plant import DISTURBANCE_PORTS
+    from titop_plant.simulation.driven_plant import DISTURBANCE_PORTS
 
     setting = "disturbance_source"
     made = UserBlock(setting, config.disturbance_source, make(config, setting), (), DISTURBANCE_PORTS)

@@ -14,13 +14,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.config import RunConfig, is_code, read_yaml
-from lti.ordinary_file import read_ordinary_file
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.profiles import PROFILES, read_profile
+from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
-    from lti import RealParameter
+    from lftkit import RealParameter
 
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
@@ -118,7 +118,7 @@ def random_member(seed: int, parameters: str = "") -> dict[str, Any]:
     """Settings of a random member of the family: uniform in the ranges, the same for the same seed.
 
     It is the member that ``system.sample_values(numpy.random.default_rng(seed))`` of the telescope's
-    :class:`~lti.UncertainSystem` draws first.
+    :class:`~lftkit.UncertainSystem` draws first.
 
     Parameters
     ----------
@@ -184,10 +184,10 @@ def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = 
     ValueError
         A file of another form.
     """
-    import los_design
+    from los_design.search import worst_points
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
 
-    folder = Path(designs) if designs else Path(str(los_design.__file__)).parent
+    folder = Path(designs) if designs else Path(worst_points.__file__).parent
     path = folder / WORST_POINTS
     if not path.exists():
         return {}
@@ -242,7 +242,7 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
         loop = "isolator" if code and config.loop in MIRROR_STAGES else config.loop  # as the tone, see run_start
         return worst_member(loop, config.worst_of, config.parameters, designs)
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
-        from titop_plant.simulation import resonant_speeds
+        from titop_plant.simulation.build import resonant_speeds
 
         return {"wheel_speed": list(resonant_speeds(config.parameters or None))}
     return {}

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.topics import Topic
-from pointing_analysis.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.message_types import JOINT_STATE
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
+from pointing_analysis.read.messages.message_types import JOINT_STATE
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class CodecError(ValueError):
 
 
 class Codec(Encoder):
-    """Bytes of one topic's messages: those of :class:`~pointing_analysis.cdr.Encoder`, and back.
+    """Bytes of one topic's messages: those of :class:`~pointing_analysis.read.messages.cdr.Encoder`, and back.
 
     Messages with another frame or other joint names are read as well, at the offsets that they have.
 

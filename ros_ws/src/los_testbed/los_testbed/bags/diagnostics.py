@@ -9,7 +9,7 @@ import struct
 from typing import NamedTuple
 
 from los_testbed.bags.cdr import CodecError
-from pointing_analysis.cdr import ENCAPSULATION, NS_PER_S, STAMP
+from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP
 
 _LENGTH = struct.Struct("<I")
 _HEADER = len(ENCAPSULATION) + 8

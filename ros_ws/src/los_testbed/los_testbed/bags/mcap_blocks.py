@@ -3,7 +3,7 @@
 The records themselves are those of the `mcap` package; only the message records and their index, which
 at 8 000 a second would cost more than the control loop, are laid out with numpy. A chunk is compressed
 with zstd and carries a checksum of its content. It can be read alone: it begins with all schemas and channels, and
-before it stands a manifest with a checksum of each of its records (`pointing_analysis.chunk_manifest`).
+before it stands a manifest with a checksum of each of its records (`pointing_analysis.read.mcap.manifest`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from pointing_analysis.chunk_manifest import encode_manifest
-from pointing_analysis.mcap_records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_MANIFEST, RECORD
+from pointing_analysis.read.mcap.manifest import encode_manifest
+from pointing_analysis.read.mcap.records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_MANIFEST, RECORD
 
 MAX_CHUNK = 16_000_000
 """Largest content of a chunk [byte]; a larger one is split."""

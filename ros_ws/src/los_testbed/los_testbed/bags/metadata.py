@@ -9,12 +9,12 @@ from importlib.metadata import PackageNotFoundError, version
 
 import yaml
 
-from los_design.provenance import commit
+from los_design.synthesis.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import compare_with_telescope, recorded_files, run_controllers, telescope_basis
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
-from pointing_analysis.bag_metadata import METADATA_NAME
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
@@ -51,8 +51,8 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
 
 def _budget(config: RunConfig) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
-    from pointing_analysis.errors import RAD_PER_MAS
-    from pointing_analysis.tone_budget import EDGE
+    from pointing_analysis.budget.tone_budget import EDGE
+    from pointing_analysis.indices.errors import RAD_PER_MAS
     from titop_plant.telescope.budget import BAND_EDGE, error_budget
 
     budget = error_budget(load_parameters(config.parameters or REFERENCE))
@@ -69,7 +69,7 @@ def final_metadata(
 ) -> dict[str, str]:
     """The same with the statistics of each node, as one JSON object, the plant's name and tones, ``rpe_budget_mas``.
 
-    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.tone_budget`).
+    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.budget.tone_budget`).
     """
     record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
     plant = dict(statistics.get("plant", {}))

@@ -1,7 +1,7 @@
 """Repair of a bag whose recorder was killed or whose file is damaged: every reader opens the new bag.
 
-The messages come through the same pass over the file as those of the reader (`pointing_analysis.mcap_walk`), so the
-new bag holds what an analysis of the damaged one uses, and says the same of what is lost.
+The messages come through the same pass over the file as those of the reader (`pointing_analysis.read.mcap.walk`), so
+the new bag holds what an analysis of the damaged one uses, and says the same of what is lost.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from pointing_analysis.atomic_output import atomic_folder, check_space
-from pointing_analysis.bag_files import bag_files
-from pointing_analysis.bag_loss import LossLedger, TopicLoss
-from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
-from pointing_analysis.mcap_records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
-from pointing_analysis.mcap_walk import walk
-from pointing_analysis.topic_columns import KNOWN
+from pointing_analysis.files.atomic_output import atomic_folder, check_space
+from pointing_analysis.read.mcap.bag_files import bag_files
+from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
+from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
+from pointing_analysis.read.mcap.walk import walk
+from pointing_analysis.read.messages.topic_columns import KNOWN
 
 
 @dataclass

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from los_testbed.topics import DIAGNOSTICS
-from pointing_analysis import message_types
-from pointing_analysis.message_types import ACCEL, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages import message_types
+from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
 
 _STATUS = (
     "diagnostic_msgs/DiagnosticStatus\nbyte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\n"

@@ -18,8 +18,8 @@ from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config import NAMESPACE
 from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
-from pointing_analysis.atomic_output import check_output, named_errors
-from pointing_analysis.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
+from pointing_analysis.files.atomic_output import check_output, named_errors
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
 
 QOS = [
     {

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.threads import one_thread
 from los_testbed.campaign.sampling import DELTA, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import load_controllers, plant_config
-from lti.threads import one_thread
 
 FloatArray = NDArray[np.float64]
 
@@ -28,10 +28,10 @@ MOST_ASCENTS = 200
 @lru_cache(maxsize=1)
 def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[str, float]], ...]:
     """Value and parameters of the worst point of each band of each metric, worst first."""
-    from los_design.implemented_loop import ImplementedLoop
-    from los_design.open_loop import OpenLoop
-    from los_design.worst_case_search import Search, SearchOptions
-    from titop_plant.simulation import PlantFamily
+    from los_design.search.worst_case_search import Search, SearchOptions
+    from los_loop.implemented_loop import ImplementedLoop
+    from los_loop.open_loop import OpenLoop
+    from titop_plant.simulation.build import PlantFamily
 
     controllers = load_controllers(base)
     with one_thread():
@@ -45,7 +45,8 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
 
 
 def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
-    """Parameters of the members: worst points of :class:`los_design.worst_case_search.Search`, then uniform ones.
+    """Parameters of the members: worst points of :class:`los_design.search.worst_case_search.Search`, then uniform
+    ones.
 
     The search finds the worst point of each frequency band for slow and for fast tones, some thirty points; the first
     member is the worst one of all.

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit import SampledSystem
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import BLOCK, SIGNALS, LoopDivergedError
-from lti import SampledSystem
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -25,8 +25,8 @@ from titop_plant.interface import (
     PLATFORM,
     TRUTH,
 )
-from titop_plant.plant_batch import PlantBatch
-from titop_plant.sampled_plant import SampledPlant
+from titop_plant.simulation.plant_batch import PlantBatch
+from titop_plant.simulation.sampled_plant import SampledPlant
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class MemberLoop:
 
 
 class _Systems:
-    """One sampled system with the states of several members, stepped as :meth:`lti.SampledSystem.step` does."""
+    """One sampled system with the states of several members, stepped as :meth:`lftkit.SampledSystem.step` does."""
 
     def __init__(self, system: SampledSystem, states: Sequence[FloatArray]) -> None:
         self._system, self._x = system, np.array(states, dtype=float).reshape(len(states), -1)
@@ -113,7 +113,7 @@ def simulate_members(
     Parameters
     ----------
     loops : sequence of MemberLoop
-        With plants of one kind, see :class:`titop_plant.plant_batch.PlantBatch`.
+        With plants of one kind, see :class:`titop_plant.simulation.plant_batch.PlantBatch`.
     systems : mapping
         ``k_fsm`` and ``k_pma`` of all members; their own states are left alone.
     controller : FsmPmaController

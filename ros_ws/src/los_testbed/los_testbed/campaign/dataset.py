@@ -25,8 +25,8 @@ from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
-from pointing_analysis.atomic_output import check_output
-from pointing_analysis.summary import WINDOW
+from pointing_analysis.files.atomic_output import check_output
+from pointing_analysis.requirements.summary import WINDOW
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"

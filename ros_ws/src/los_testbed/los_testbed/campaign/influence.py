@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from los_testbed.campaign.sampling import COLUMNS
-from pointing_analysis.confidence import exceedance_upper
+from pointing_analysis.indices.confidence import exceedance_upper
 
 FloatArray = NDArray[np.float64]
 

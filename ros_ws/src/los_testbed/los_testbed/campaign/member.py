@@ -1,8 +1,8 @@
 """One member of a campaign: its metrics from a simulated run, or from the matrices of its loop.
 
 The run is the one of :func:`los_testbed.loop.simulate.run_in_process`, the same bits without the bag; the metrics are
-those that :func:`pointing_analysis.summary.summarise` reads from that bag. What all members share (the LFT of the
-telescope, its parameter file, the controllers) is made once for a process.
+those that :func:`pointing_analysis.requirements.summary.summarise` reads from that bag. What all members share (the LFT
+of the telescope, its parameter file, the controllers) is made once for a process.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from los_design.steady_state import LoopStart
+from lftkit import SampledSystem
+from lftkit.support.threads import one_thread
+from los_loop.steady_state import LoopStart
 from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
 from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
@@ -27,19 +29,27 @@ from los_testbed.campaign.verdict import judged, share_column
 from los_testbed.config import RunConfig
 from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
 from los_testbed.loop.simulate import LoopDivergedError
-from lti import SampledSystem
-from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
-from titop_plant.plant_batch import PlantBatch
-from titop_plant.simulation import PlantFamily
+from titop_plant.simulation.build import PlantFamily
+from titop_plant.simulation.plant_batch import PlantBatch
 
 FloatArray = NDArray[np.float64]
 
 TIME_METRICS = (
-    "ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_p997_mas", "ake_p997_arcsec", "rke_rms_mas",
-    "mirror_max_mrad", "force_max_n", "rpe_window_max_mas", "rpe_window_p997_mas", "ape_effective",
-    "rpe_window_effective", *(share_column(r.index, r.limit) for r in judged()),
-)  # fmt: skip
+    "ape_max_arcsec",
+    "ape_p997_arcsec",
+    "rpe_rms_mas",
+    "rpe_p997_mas",
+    "ake_p997_arcsec",
+    "rke_rms_mas",
+    "mirror_max_mrad",
+    "force_max_n",
+    "rpe_window_max_mas",
+    "rpe_window_p997_mas",
+    "ape_effective",
+    "rpe_window_effective",
+    *(share_column(r.index, r.limit) for r in judged()),
+)
 """Metrics of the bag of the run; of the root mean squares in windows of 20 ms the largest and the 99.7 % quantile;
 independent samples that instants and windows weigh; shares of them above the limits."""
 
@@ -151,7 +161,7 @@ class MemberEvaluator:
 
     def _prepared(self, config: RunConfig) -> _MemberRun:
         """The loop of a member at its start, and where its run is kept."""
-        from pointing_analysis.errors import default_transient
+        from pointing_analysis.indices.errors import default_transient
 
         start = run_start(config, self.controllers)
         states = start.states
@@ -242,26 +252,37 @@ class _MemberRun:
         LoopDivergedError, MemoryError
             What the run ended with.
         """
-        from pointing_analysis.summary import Knowledge, Performance
+        from pointing_analysis.requirements.summary import Knowledge, Performance
 
         if self.end is not None:
             raise self.end
         judged_rows, largest = self.record.values[self.first :], self.record.largest
         performance = Performance.of(judged_rows[:, :2], DT)
         knowledge = Knowledge.of(judged_rows[:, 2:4], DT)
-        return dict(zip(TIME_METRICS, (
-            performance.ape_max, performance.ape_p997, performance.rpe_rms, performance.rpe_p997,
-            knowledge.ake_p997_arcsec, knowledge.rke_rms_mas, 1e3 * float(largest[0]), float(largest[1]),
-            *_samples(judged_rows[:, :2], performance.rpe_windows_p997),
-        )))  # fmt: skip
+        return dict(
+            zip(
+                TIME_METRICS,
+                (
+                    performance.ape_max,
+                    performance.ape_p997,
+                    performance.rpe_rms,
+                    performance.rpe_p997,
+                    knowledge.ake_p997_arcsec,
+                    knowledge.rke_rms_mas,
+                    1e3 * float(largest[0]),
+                    float(largest[1]),
+                    *_samples(judged_rows[:, :2], performance.rpe_windows_p997),
+                ),
+            )
+        )
 
 
 def _samples(error: FloatArray, window_p997: float) -> tuple[float, ...]:
     """Last columns of a simulated run, from its performance error (n, 2) [rad]."""
-    from pointing_analysis import metrics
-    from pointing_analysis.confidence import effective_number
-    from pointing_analysis.errors import RAD_PER_MAS
-    from pointing_analysis.summary import WINDOW
+    from pointing_analysis.indices import metrics
+    from pointing_analysis.indices.confidence import effective_number
+    from pointing_analysis.indices.errors import RAD_PER_MAS
+    from pointing_analysis.requirements.summary import WINDOW
 
     instants = metrics.radial(error)
     windows = metrics.radial(np.sqrt(metrics.windows(error, DT, WINDOW).variance))

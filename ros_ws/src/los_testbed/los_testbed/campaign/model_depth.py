@@ -4,7 +4,7 @@ Everything is read from the responses of :class:`los_testbed.campaign.model_loop
 
 * **Gains.** Largest singular values; between three points of the grid around a maximum the inverse square of the gain
   is a parabola (exactly so for one mode), whose vertex is the peak. Sidebands of the camera's frame rate are left out.
-* **Noise.** That of the nominal loop is exact (:func:`los_design.sampled_loop_norms.noise_metrics`); what a member
+* **Noise.** That of the nominal loop is exact (:func:`los_loop.sampled_loop_norms.noise_metrics`); what a member
   changes is the integral of the difference of the two power densities.
 * **Stability.** The telescope without fine control is stable, so the loop is stable if the return difference
   ``det(I - K P) = 1 / det(S)`` does not encircle the origin. Where its angle turns by more than :data:`TURN` from one
@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from los_design.implemented_loop import DISTURBANCE_IN, FORCE_IN, FORCE_OUT, LOS, MIRROR_IN, MIRROR_OUT
-from los_design.sampled_loop import sampled_loop
-from los_design.sampled_loop_norms import noise_metrics
+from lftkit import SampledSystem, UncertainSystem
+from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
+from los_loop.implemented_loop import DISTURBANCE_IN, FORCE_IN, FORCE_OUT, LOS, MIRROR_IN, MIRROR_OUT
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import noise_metrics
 from los_testbed.campaign.model_loop import ModelLoop
-from lti import SampledSystem, UncertainSystem
-from lti.batched_linalg import determinants, gains_above, largest_gains
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES
 from titop_plant.telescope.budget import BAND_EDGE, combined_level
 from titop_plant.telescope.parameters import Parameters
@@ -52,9 +52,19 @@ NEAR_PEAK = 0.8
 """Share of the largest gain above which gains are exact; below, an upper bound stands in."""
 
 MODEL_METRICS = (
-    "ape_gain", "slow_tone_mas", "fast_tone_mas", "rpe_fine_gain", "mirror_gain", "force_gain", "noise_ape_arcsec_rms",
-    "noise_rpe_mas_rms", "total_mas", "sensitivity_mirror", "sensitivity_forces", "rpe_peak_rad_s",
-)  # fmt: skip
+    "ape_gain",
+    "slow_tone_mas",
+    "fast_tone_mas",
+    "rpe_fine_gain",
+    "mirror_gain",
+    "force_gain",
+    "noise_ape_arcsec_rms",
+    "noise_rpe_mas_rms",
+    "total_mas",
+    "sensitivity_mirror",
+    "sensitivity_forces",
+    "rpe_peak_rad_s",
+)
 """Gains over the limits (10 arcsec, 40 mas, authorities); worst slow and fast tone of unit norm; noise; what 99.7 % of
 the windows keep with the worst tone and the noise; peak sensitivities; frequency of the worst tone."""
 
@@ -187,9 +197,12 @@ class ModelDepth:
             return True
         sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
         closed = sampled_loop(
-            self.system.data_at(values), *self.controllers, loop=self.stage, frame_ticks=FRAME_TICKS,
+            self.system.data_at(values),
+            *self.controllers,
+            loop=self.stage,
+            frame_ticks=FRAME_TICKS,
             los_sensitivity=sensitivity,
-        )  # fmt: skip
+        )
         return closed.spectral_radius() < 1.0
 
     def _noise(self, T: ComplexArray, index: IndexArray, values: Mapping[str, float]) -> tuple[float, float]:

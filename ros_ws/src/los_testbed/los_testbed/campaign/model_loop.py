@@ -1,6 +1,6 @@
 """The implemented loop of many members at chosen frequencies: the LFT is evaluated, no telescope is assembled.
 
-:class:`los_design.implemented_loop.ImplementedLoop` closes the loop of the sampled controllers around the telescope's
+:class:`los_loop.implemented_loop.ImplementedLoop` closes the loop of the sampled controllers around the telescope's
 LFT; the response of a member is ``T11 + T12 Delta (I - M Delta)^-1 T21``. The direct part D of M is the same at all
 frequencies, so that with ``W = Delta (I - D Delta)^-1``, real and of order 48, once for each member,
 
@@ -22,10 +22,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from los_design.implemented_loop import HIGHEST, ImplementedLoop
-from los_design.open_loop import OpenLoop
-from lti import SampledSystem, UncertainSystem
-from lti.batched_linalg import solve
+from lftkit import SampledSystem, UncertainSystem
+from lftkit.analysis.batched_linalg import solve
+from los_loop.implemented_loop import HIGHEST, ImplementedLoop
+from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
 FloatArray = NDArray[np.float64]

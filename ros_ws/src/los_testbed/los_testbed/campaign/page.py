@@ -20,8 +20,8 @@ from los_testbed.campaign.meanings import meaning
 from los_testbed.campaign.overview import RANKED
 from los_testbed.campaign.sampling import COLUMNS, box
 from los_testbed.campaign.verdict import LOST
-from pointing_analysis.atomic_output import write_text
-from pointing_analysis.figures import COLOURS, LIMIT, Picture, picture
+from pointing_analysis.files.atomic_output import write_text
+from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
 FloatArray = NDArray[np.float64]
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.variants import family
-from lti.ordinary_file import read_ordinary_file
 
 FloatArray = NDArray[np.float64]
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")

@@ -6,8 +6,8 @@ temporal       each member keeps the limit for the share of its time; the worst 
 mixed          all instants of all members together
 =============  =====================================================================================================
 
-Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.confidence`). The instants of a
-member weigh as many as its autocorrelation leaves. A member that diverged is above every limit; one that failed for
+Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`). The instants of
+a member weigh as many as its autocorrelation leaves. A member that diverged is above every limit; one that failed for
 another reason is left out and counted.
 """
 
@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.confidence import exceedance_lower, exceedance_upper, samples_needed
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from pointing_analysis.mapped_arrays import SortedValues
-from pointing_analysis.requirements import Requirement, load
+from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.read.mapped_arrays import SortedValues
+from pointing_analysis.requirements.verdict import Requirement, load
 
 FloatArray = NDArray[np.float64]
 
@@ -120,9 +120,14 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
         found += [
             _decided("ensemble", *common, int(np.sum(worst >= limit)), len(worst), _quantile(worst, requirement)),
             _temporal(requirement, limit, unit, own),
-            _decided("mixed", *common, math.ceil(pooled * effective.sum() - 1e-6), int(effective.sum()),
-                     _quantile(own, requirement, mean=True)),
-        ]  # fmt: skip
+            _decided(
+                "mixed",
+                *common,
+                math.ceil(pooled * effective.sum() - 1e-6),
+                int(effective.sum()),
+                _quantile(own, requirement, mean=True),
+            ),
+        ]
     return found
 
 

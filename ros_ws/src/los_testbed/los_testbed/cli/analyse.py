@@ -50,8 +50,8 @@ def analyse(
 ) -> None:
     """See ANALYSE_EXAMPLES."""
     from los_testbed.run.summary import print_summary, summarise_runs
-    from pointing_analysis.los_source import open_los
-    from pointing_analysis.requirements import load
+    from pointing_analysis.read.los_source import open_los
+    from pointing_analysis.requirements.verdict import load
 
     seconds("--transient", transient)
     target = report

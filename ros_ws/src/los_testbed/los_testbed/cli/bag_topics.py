@@ -26,7 +26,7 @@ def topics(
     json_: Json = False,
 ) -> None:
     """See TOPICS_EXAMPLES."""
-    from pointing_analysis.external_bag import candidates
+    from pointing_analysis.read.external_bag import candidates
 
     found = candidates(bag)
     table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left", box=None, padding=(0, 1))

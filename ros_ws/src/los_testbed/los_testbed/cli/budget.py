@@ -31,11 +31,11 @@ def budget(
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
-    import pointing_analysis.budget_file as budget_file
+    import pointing_analysis.budget.file as budget_file
     from los_testbed.run.budget_sources import testbed_sources
-    from pointing_analysis.atomic_output import check_output, write_text
-    from pointing_analysis.budget_page import digits, render_budget, vector
-    from pointing_analysis.budget_total import as_dict, axis_total, evaluate
+    from pointing_analysis.budget.page import digits, render_budget, vector
+    from pointing_analysis.budget.total import as_dict, axis_total, evaluate
+    from pointing_analysis.files.atomic_output import check_output, write_text
 
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
     if output is not None:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, with_files
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen
-from lti.progress import Progress
 
 if TYPE_CHECKING:
     from distributed import Client

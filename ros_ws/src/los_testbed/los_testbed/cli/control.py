@@ -11,7 +11,7 @@ import typer
 from los_testbed.cli.output import number, seconds
 from los_testbed.config import NAMESPACE, RunConfig
 from los_testbed.loop.changes import owner_of
-from pointing_analysis.structured_text import load_yaml
+from pointing_analysis.files.structured_text import load_yaml
 
 if TYPE_CHECKING:
     from los_testbed.nodes.remote_control import RemoteControl

@@ -13,17 +13,17 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import ALL_EXAMPLES, WorkersOption, design_all, processes, verify_folder
 from los_testbed.run.screen import Screen, met
-from lti.progress import Progress
 from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
-    from los_design.options import DesignOptions
-    from lti import SampledSystem
-    from lti.workers import Workers
+    from lftkit import SampledSystem
+    from lftkit.support.workers import Workers
+    from los_design.synthesis.options import DesignOptions
 
 MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
 
@@ -61,9 +61,15 @@ Output = Annotated[Path | None, typer.Option(help="File to write; default: the s
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm", more=""))
 def k_fsm(
-    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: DesignSeed = 0,
-    starts: Starts = 0, parameters: Telescope = None, output: Output = None, json_: Json = False,
-) -> None:  # fmt: skip
+    nominal: Nominal = False,
+    loop_delay: Delay = LOOP_DELAY,
+    time_limit: Limit = 1800.0,
+    seed: DesignSeed = 0,
+    starts: Starts = 0,
+    parameters: Telescope = None,
+    output: Output = None,
+    json_: Json = False,
+) -> None:
     """See MAKE_EXAMPLES."""
     _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), parameters, None, output, json_)
 
@@ -72,17 +78,22 @@ def k_fsm(
     "k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma", more=WITH_OBSERVER)
 )
 def k_pma(
-    nominal: Nominal = False, loop_delay: Delay = LOOP_DELAY, time_limit: Limit = 1800.0, seed: DesignSeed = 0,
-    starts: Starts = 0, parameters: Telescope = None,
+    nominal: Nominal = False,
+    loop_delay: Delay = LOOP_DELAY,
+    time_limit: Limit = 1800.0,
+    seed: DesignSeed = 0,
+    starts: Starts = 0,
+    parameters: Telescope = None,
     k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
-    output: Output = None, json_: Json = False,
-) -> None:  # fmt: skip
+    output: Output = None,
+    json_: Json = False,
+) -> None:
     """See MAKE_EXAMPLES."""
     _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), parameters, k_fsm, output, json_)
 
 
 def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
-    from los_design.options import DesignOptions
+    from los_design.synthesis.options import DesignOptions
 
     number("--loop-delay", loop_delay, 0.0, 1.0, "s")
     number("--seed", seed, 0, 2**31 - 1)
@@ -101,13 +112,13 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
 def _make(
     kind: str, options: DesignOptions, file: Path | None, observer: Path | None, output: Path | None, json_: bool
 ) -> None:
-    from los_design.store import design_file
-    from los_design.synthesis import design_actuators, design_observer
-    from lti import SampledSystem
-    from lti.threads import one_thread
-    from pointing_analysis.atomic_output import check_output
+    from lftkit import SampledSystem
+    from lftkit.support.threads import one_thread
+    from los_design.synthesis.store import design_file
+    from los_design.synthesis.synthesis import design_actuators, design_observer
+    from pointing_analysis.files.atomic_output import check_output
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation import telescope
+    from titop_plant.simulation.build import telescope
     from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
     if output is None and (file is not None or observer is not None):
@@ -171,9 +182,9 @@ design_app.command("all", help=ALL_EXAMPLES)(design_all)
 @design_app.command()
 def table(json_: Json = False) -> None:
     """The gammas of the stored designs beside the paper's, with the worst-case parameters."""
-    from los_design.store import DESIGN_PACKAGES, VARIANTS, design_file
-    from los_design.verification import PAPER_NOMINAL, PAPER_ROBUST
-    from lti import SampledSystem
+    from lftkit import SampledSystem
+    from los_design.synthesis.store import DESIGN_PACKAGES, VARIANTS, design_file
+    from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST
 
     rows: list[dict[str, Any]] = []
     for kind in DESIGN_PACKAGES:
@@ -218,8 +229,8 @@ def verify(
     exit code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
     """
     number("--samples", samples, 0, 1_000_000)
-    from lti.threads import one_thread
-    from lti.workers import Workers
+    from lftkit.support.threads import one_thread
+    from lftkit.support.workers import Workers
 
     if folder is not None:
         verify_folder(folder, samples, processes(workers), json_)
@@ -238,18 +249,18 @@ def verify(
 
 
 def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]]:
-    from los_design.margins import rounded
-    from los_design.store import load_designs
-    from los_design.verification import (
+    from los_design.search.worst_points import load_adversarial
+    from los_design.synthesis.store import load_designs
+    from los_design.verification.verification import (
         broken_requirements,
         check_implemented,
         check_paper,
         failures,
         verification_points,
     )
-    from los_design.worst_points import load_adversarial
+    from los_loop.margins import rounded
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation import control_loop_plant, telescope
+    from titop_plant.simulation.build import control_loop_plant, telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
 
     parameters, assembled = load_parameters(), telescope()
@@ -301,9 +312,9 @@ def figures(
     samples: Annotated[int, typer.Option(help="Random parameter points in the clouds.")] = 12,
 ) -> None:
     """Draw the four stages over sampled parameters with their templates, and the controllers."""
-    from los_design.figures import draw
-    from lti.threads import one_thread
-    from pointing_analysis.atomic_output import check_output
+    from lftkit.support.threads import one_thread
+    from los_design.figures.figures import draw
+    from pointing_analysis.files.atomic_output import check_output
 
     number("--samples", samples, 0, 10_000)
     check_output(output, "--output", folder=True)

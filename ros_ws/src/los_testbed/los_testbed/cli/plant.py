@@ -60,8 +60,8 @@ def plant(
     if context.invoked_subcommand is not None:
         context.obj = parameters
         return
-    from lti.threads import one_thread
-    from titop_plant.simulation import telescope
+    from lftkit.support.threads import one_thread
+    from titop_plant.simulation.build import telescope
     from titop_plant.telescope.summary import summarise
 
     with one_thread():
@@ -79,11 +79,11 @@ def figures(
     parameters: Telescope = None,
 ) -> None:
     """See FIGURES_EXAMPLES."""
-    from los_design.plant_figures import draw_figures
-    from pointing_analysis.atomic_output import check_output
+    from los_design.figures.plant_figures import draw_figures
+    from pointing_analysis.files.atomic_output import check_output
 
     check_output(output, "--output", folder=True)
-    from lti.threads import one_thread
+    from lftkit.support.threads import one_thread
 
     with one_thread():
         paths = draw_figures(output, str(parameters) if parameters else context.obj or None)

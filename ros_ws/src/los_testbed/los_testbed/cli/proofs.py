@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import WorkersOption, processes
 from los_testbed.run.screen import Screen
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
-from lti.progress import Progress
-from pointing_analysis.atomic_output import atomic_file, check_output
-from pointing_analysis.structured_text import load_json, read_text
+from pointing_analysis.files.atomic_output import atomic_file, check_output
+from pointing_analysis.files.structured_text import load_json, read_text
 from titop_plant.interface import (
     DT,
     K_FSM_INPUTS,
@@ -31,9 +31,9 @@ from titop_plant.interface import (
 )
 
 if TYPE_CHECKING:
-    from los_design.certify import FigureBounds
-    from los_design.implemented_loop import ImplementedLoop
-    from los_design.worst_points import WorstPoint
+    from los_design.search.worst_points import WorstPoint
+    from los_design.verification.certify import FigureBounds
+    from los_loop.implemented_loop import ImplementedLoop
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
@@ -52,8 +52,8 @@ figure is violated or not proven to its end.
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
-The check has its own short code (`robust_design/certified/checker.py`; for the `.npz` of `design certify`
-`robust_design/certified_loop/checker.py`): it optimises nothing. Exit code 1 if the proof is refused.
+The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
+`lftkit/proofs/sampled_loop/checker.py`): it optimises nothing. Exit code 1 if the proof is refused.
 
 **Example**
 
@@ -78,8 +78,8 @@ def certify(
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
-    from los_design.certify import certify_figure
-    from lti.workers import Workers
+    from lftkit.support.workers import Workers
+    from los_design.verification.certify import certify_figure
 
     number("--level", level, 1e-6, 1e6)
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
@@ -119,13 +119,13 @@ def certify(
 
 def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
     """The implemented loops, and the worst points that are known of them."""
-    from los_design.implemented_loop import ImplementedLoop
-    from los_design.open_loop import OpenLoop
-    from los_design.store import load_designs
-    from los_design.worst_points import load_worst_points
-    from lti import SampledSystem
+    from lftkit import SampledSystem
+    from los_design.search.worst_points import load_worst_points
+    from los_design.synthesis.store import load_designs
+    from los_loop.implemented_loop import ImplementedLoop
+    from los_loop.open_loop import OpenLoop
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation import control_loop_plant
+    from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
@@ -150,7 +150,7 @@ def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemente
 
 def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint]:
     """Worst points by a search, where none are stored."""
-    from los_design.worst_case_search import Search
+    from los_design.search.worst_case_search import Search
 
     return Search(loop).run([name], workers=workers)[name]
 
@@ -215,9 +215,9 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    from lti.threads import one_thread
-    from robust_design.certified.checker import ProofError
-    from robust_design.certified.checker import check_proof as check
+    from lftkit.proofs.state_space.checker import ProofError
+    from lftkit.proofs.state_space.checker import check_proof as check
+    from lftkit.support.threads import one_thread
 
     count = processes(workers)
     if not file.exists():
@@ -247,9 +247,9 @@ def check_proof(
 
 def _check_loop(file: Path, count: int, json_: bool) -> None:
     """Check a proof of a sampled loop."""
-    from lti.threads import one_thread
-    from lti.workers import Workers
-    from robust_design.certified_loop import check_loop_proof
+    from lftkit.proofs.sampled_loop import check_loop_proof
+    from lftkit.support.threads import one_thread
+    from lftkit.support.workers import Workers
 
     with one_thread(), Workers(count) as pool:
         checked = check_loop_proof(file, pool.each)

@@ -13,12 +13,12 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, met
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
-from lti.progress import Progress
-from pointing_analysis.atomic_output import atomic_file
+from pointing_analysis.files.atomic_output import atomic_file
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
@@ -81,7 +81,7 @@ def design_all(
     json_: Json = False,
 ) -> None:
     """See ALL_EXAMPLES."""
-    from los_design import redesign
+    from los_design.synthesis import redesign
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
     number("--seed", seed, 0, 2**31 - 1)
@@ -90,9 +90,16 @@ def design_all(
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     summary = redesign.design_all(
-        load_parameters(parameters or REFERENCE), output, seed=seed, effort=effort, resume=resume,
-        report=_say, nominal=nominal, wall_limit=time_limit, workers=processes(workers),
-    )  # fmt: skip
+        load_parameters(parameters or REFERENCE),
+        output,
+        seed=seed,
+        effort=effort,
+        resume=resume,
+        report=_say,
+        nominal=nominal,
+        wall_limit=time_limit,
+        workers=processes(workers),
+    )
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
 
 
@@ -115,13 +122,13 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
     ValueError
         A file is missing.
     """
-    from los_design.verification import broken_requirements, check_implemented, verification_points
-    from los_design.worst_points import load_adversarial
-    from lti import SampledSystem
-    from lti.threads import one_thread
-    from lti.workers import Workers
+    from lftkit import SampledSystem
+    from lftkit.support.threads import one_thread
+    from lftkit.support.workers import Workers
+    from los_design.search.worst_points import load_adversarial
+    from los_design.verification.verification import broken_requirements, check_implemented, verification_points
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation import control_loop_plant
+    from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 

@@ -10,14 +10,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
 from los_testbed.cli.output import chunk_limit, number, print_json, seconds, warn
 from los_testbed.run.screen import Screen, say
-from lti.progress import Progress
 
 if TYPE_CHECKING:
-    from pointing_analysis.read import Run
-    from pointing_analysis.replay import Comparison
+    from pointing_analysis.read.run import Run
+    from pointing_analysis.replay.replay import Comparison
 
 DIFFERENT = 1
 """Exit code of a replay through the recorded controllers that did not give the recording again."""
@@ -63,7 +63,7 @@ def replay(
 ) -> None:
     """See REPLAY_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
-    from pointing_analysis.read import Run
+    from pointing_analysis.read.run import Run
 
     if to_ros and (k_fsm or k_pma or loop):
         raise ValueError(
@@ -93,7 +93,7 @@ def _through(
     transient: float | None,
 ) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
-    from pointing_analysis.replay import compare
+    from pointing_analysis.replay.replay import compare
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)
@@ -112,7 +112,7 @@ def _through(
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeout: float) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
     from los_testbed.run.node_launch import check_ros
-    from pointing_analysis.replay import compare
+    from pointing_analysis.replay.replay import compare
 
     check_ros()
     from los_testbed.nodes.sensor_player import play

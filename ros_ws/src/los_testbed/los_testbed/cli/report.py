@@ -14,10 +14,10 @@ from rich.text import Text
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
 from los_testbed.cli.output import chunk_limit, print_json, seconds
 from los_testbed.run.screen import Screen, say
-from pointing_analysis.atomic_output import check_output
+from pointing_analysis.files.atomic_output import check_output
 
 if TYPE_CHECKING:
-    from pointing_analysis.summary import Summary
+    from pointing_analysis.requirements.summary import Summary
 
 REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, figures, provenance.
 
@@ -52,10 +52,10 @@ def report(
 ) -> None:
     """See REPORT_EXAMPLES."""
     from los_testbed.run.predictions import predictions
-    from pointing_analysis.read import Run
-    from pointing_analysis.report import labels, write_report
-    from pointing_analysis.requirements import load
-    from pointing_analysis.summary import summarise_all
+    from pointing_analysis.read.run import Run
+    from pointing_analysis.report.report import labels, write_report
+    from pointing_analysis.requirements.summary import summarise_all
+    from pointing_analysis.requirements.verdict import load
 
     for option, value in (("--transient", transient), ("--start", start)):
         seconds(option, value)
@@ -78,7 +78,7 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
-    from pointing_analysis.report_cards import digits, overall
+    from pointing_analysis.report.cards import digits, overall
 
     table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     table.add_column("run", overflow="fold")

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.options import Case, Cases, Designs, Json, Telescope
 from los_testbed.cli.output import print_json, warn
@@ -22,7 +23,6 @@ from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import Screen, say
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
-from lti.progress import Progress
 
 RESTARTED = 3
 """Exit code of a run that was finished although a node died and had to be started again."""
@@ -134,14 +134,33 @@ def run(
         domain = str(free_domain(namespace or NAMESPACE))
         sys.stderr.write(f"ROS domain {domain}\n")
     given = {
-        "duration": duration, "mode": mode, "loop": loop, "scenario": scenario, "worst_of": worst_of, "start": start,
-        "seed": seed, "noise": noise, **_disturbance(disturbance, no_disturbance),
-        "camera_rate": camera_rate, "plant": plant, "k_fsm": k_fsm, "k_pma": k_pma,
-        "output": output, "domain": domain, "theta": theta, "tau": tau, "wheel_speed": wheel_speed,
-        "omega_1": omega_1, "omega_2": omega_2, "theta_rate": theta_rate, "wheel_acceleration": wheel_acceleration,
-        "ramp_duration": ramp_duration, "profile": profile, "namespace": namespace,
+        "duration": duration,
+        "mode": mode,
+        "loop": loop,
+        "scenario": scenario,
+        "worst_of": worst_of,
+        "start": start,
+        "seed": seed,
+        "noise": noise,
+        **_disturbance(disturbance, no_disturbance),
+        "camera_rate": camera_rate,
+        "plant": plant,
+        "k_fsm": k_fsm,
+        "k_pma": k_pma,
+        "output": output,
+        "domain": domain,
+        "theta": theta,
+        "tau": tau,
+        "wheel_speed": wheel_speed,
+        "omega_1": omega_1,
+        "omega_2": omega_2,
+        "theta_rate": theta_rate,
+        "wheel_acceleration": wheel_acceleration,
+        "ramp_duration": ramp_duration,
+        "profile": profile,
+        "namespace": namespace,
         "parameters": None if parameters is None else str(parameters),
-    }  # fmt: skip
+    }
     chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
         from los_testbed.run.node_launch import run_alone

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.support.progress import Progress
 from los_testbed.cli.options import (
     Case,
     Cases,
@@ -24,8 +25,7 @@ from los_testbed.cli.options import (
 )
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, say
-from lti.progress import Progress
-from pointing_analysis.atomic_output import write_text
+from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import CAMERA_RATE
 
 if TYPE_CHECKING:
@@ -145,9 +145,9 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import REPORTED, WORST, select
     from los_testbed.run.summary import remarks_of
-    from pointing_analysis.read import Run
-    from pointing_analysis.report import labels, write_report
-    from pointing_analysis.summary import summarise
+    from pointing_analysis.read.run import Run
+    from pointing_analysis.report.report import labels, write_report
+    from pointing_analysis.requirements.summary import summarise
     from titop_plant.interface import STAGES
 
     paths = []

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, Topic
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.metrics import radial, windows
-from pointing_analysis.requirements import Requirement, load
-from pointing_analysis.spectra import psd
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.indices.metrics import radial, windows
+from pointing_analysis.requirements.verdict import Requirement, load
+from pointing_analysis.spectra.spectra import psd
 from titop_plant.interface import TICK_NS
 
 CAPACITY = 16_384

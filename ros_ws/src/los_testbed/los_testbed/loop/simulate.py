@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.threads import one_thread
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
@@ -25,11 +26,10 @@ from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
 from los_testbed.user_blocks import BlockFailedError
-from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay import Controller, Estimator
+    from pointing_analysis.replay.replay import Controller, Estimator
 
 BLOCK = 1000
 """Ticks that are simulated before they are written: one chunk of the bag."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from pointing_analysis.cdr import STAMP, STAMP_OFFSET
+from pointing_analysis.read.messages.cdr import STAMP, STAMP_OFFSET
 from titop_plant.interface import TICK_NS
 
 SILENCE_NS = 500_000_000

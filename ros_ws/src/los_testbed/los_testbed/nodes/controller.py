@@ -21,11 +21,11 @@ from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
 from los_testbed.user_blocks import watched
-from pointing_analysis.gap_stepping import GapStepper
+from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay import Controller
+    from pointing_analysis.replay.replay import Controller
 
 ESTIMATE = slice(0, LOS_ESTIMATE.size)
 ACCEL = slice(ESTIMATE.stop, ESTIMATE.stop + ISOLATOR_ACCEL.size)

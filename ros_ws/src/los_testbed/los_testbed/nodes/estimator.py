@@ -20,11 +20,11 @@ from los_testbed.nodes.support.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
 from los_testbed.user_blocks import watched
-from pointing_analysis.gap_stepping import GapStepper
+from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay import Estimator
+    from pointing_analysis.replay.replay import Estimator
 
 
 def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:

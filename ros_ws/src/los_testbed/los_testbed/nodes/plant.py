@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes, run_start
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
@@ -31,7 +32,6 @@ from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
-from lti.threads import one_thread
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
 RING = 64

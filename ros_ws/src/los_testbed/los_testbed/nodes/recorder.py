@@ -30,8 +30,8 @@ from los_testbed.run.bag_names import free_name
 from los_testbed.run.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
-from pointing_analysis.cdr import Encoder
-from pointing_analysis.message_types import HEADER
+from pointing_analysis.read.messages.cdr import Encoder
+from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
 
 DEPTH = 5000

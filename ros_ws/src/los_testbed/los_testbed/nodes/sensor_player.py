@@ -23,9 +23,9 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.domains import domain_lock
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.read import Run
-from pointing_analysis.replay import Replayed
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay.replay import Replayed
 from titop_plant.interface import TICK_NS
 
 ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)

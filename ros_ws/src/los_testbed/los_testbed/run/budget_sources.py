@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from los_design.sampled_loop import SampledLoop
-from los_design.tone_model import LoopModel
+from lftkit.support.threads import one_thread
+from los_loop.sampled_loop import SampledLoop
+from los_loop.tone_model import LoopModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import tone_model
-from lti.threads import one_thread
-from pointing_analysis import budget_sources as kinds
-from pointing_analysis.budget_sources import Source
+from pointing_analysis.budget import sources as kinds
+from pointing_analysis.budget.sources import Source
 from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 

@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import tone_model
 from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
-from lti.threads import one_thread
-from pointing_analysis.errors import RAD_PER_MAS
-from pointing_analysis.read import Run
-from pointing_analysis.structured_text import load_yaml
-from pointing_analysis.summary import WINDOW, Summary
-from pointing_analysis.weights import rpe_discrete
+from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.indices.weights import rpe_discrete
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import WINDOW, Summary
 from titop_plant.interface import DT, MIRROR_STAGES
 
 

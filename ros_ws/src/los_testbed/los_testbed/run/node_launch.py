@@ -14,7 +14,7 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.run.memory_file import memory_file
 from los_testbed.topics import NODES
-from pointing_analysis.atomic_output import write_text
+from pointing_analysis.files.atomic_output import write_text
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """Process number of the runner; if set, a node tells what happens, one JSON object per line on its output."""

@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from los_design.tone_model import compare_tones
+from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import plant_config, tone_model
 from los_testbed.factories import run_start as find_start
 from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
-from pointing_analysis.bag_metadata import value_of
-from pointing_analysis.prediction import Prediction
-from pointing_analysis.read import Run
-from pointing_analysis.recording import Recording
-from pointing_analysis.structured_text import load_yaml
+from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.read.mcap.bag_metadata import value_of
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.spectra.prediction import Prediction
 from titop_plant.interface import TICK_NS
-from titop_plant.simulation import configuration_hash
+from titop_plant.simulation.build import configuration_hash
 
 LONGEST = 60.0
 """Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
-from los_design.steady_state import LoopStart
+from lftkit.support.threads import one_thread
+from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
+from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
@@ -25,15 +27,19 @@ from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
 from los_testbed.run_start import START_FILE, RunStart
 from los_testbed.topics import TOPICS
-from lti.sampled_system import SampledSystem
-from lti.threads import one_thread
-from pointing_analysis import replay
-from pointing_analysis.atomic_output import atomic_folder
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries, knowledge_error, knowledge_error_of
-from pointing_analysis.mapped_arrays import SortedValues, parts, release
-from pointing_analysis.mcap_records import BagError
-from pointing_analysis.metrics import radial, rpe_rms
-from pointing_analysis.read import Run
+from pointing_analysis.files.atomic_output import atomic_folder
+from pointing_analysis.indices.errors import (
+    RAD_PER_ARCSEC,
+    RAD_PER_MAS,
+    ErrorSeries,
+    knowledge_error,
+    knowledge_error_of,
+)
+from pointing_analysis.indices.metrics import radial, rpe_rms
+from pointing_analysis.read.mapped_arrays import SortedValues, parts, release
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.replay import replay
 from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 
 WINDOW = 0.02

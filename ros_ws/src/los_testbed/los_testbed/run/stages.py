@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from los_design.tone_model import ToneResponse, tone_responses
+from los_loop.tone_model import ToneResponse, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, plant_config, tone_model
@@ -27,8 +27,8 @@ from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.worst_case_rows import WORST_INDICES, WorstTone, worst_tone_of
 from los_testbed.variants import MEMBER, check_ranges, of_scenario, random_member, worst_member
-from pointing_analysis.read import Run
-from pointing_analysis.summary import Summary, summarise
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 
 FloatArray = NDArray[np.float64]

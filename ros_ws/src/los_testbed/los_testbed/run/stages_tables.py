@@ -10,7 +10,7 @@ from rich.table import Table
 
 from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
-from pointing_analysis.errors import RAD_PER_MAS
+from pointing_analysis.indices.errors import RAD_PER_MAS
 from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12

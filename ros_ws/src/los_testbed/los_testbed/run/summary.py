@@ -14,14 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from los_testbed.run.screen import met, say
-from pointing_analysis.atomic_output import check_output
-from pointing_analysis.mcap_records import MAX_CHUNK
-from pointing_analysis.read import Run
-from pointing_analysis.recording import Recording
-from pointing_analysis.report import write_report
-from pointing_analysis.report_cards import digits
-from pointing_analysis.requirements import Requirement, Verdict
-from pointing_analysis.summary import Summary, summarise
+from pointing_analysis.files.atomic_output import check_output
+from pointing_analysis.read.mcap.records import MAX_CHUNK
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.cards import digits
+from pointing_analysis.report.report import write_report
+from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.requirements.verdict import Requirement, Verdict
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ import numpy as np
 from scipy import linalg, special
 
 from los_testbed.run_start import START_FILE, RunStart
-from pointing_analysis.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from pointing_analysis.read import Run
-from pointing_analysis.requirements import load
-from pointing_analysis.summary import WINDOW, Summary
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import WINDOW, Summary
+from pointing_analysis.requirements.verdict import load
 from titop_plant.interface import DT
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.weights import rpe_weight
@@ -122,9 +122,17 @@ def figure(value: float) -> str:
 
 
 HEADS = (
-    "stage", "worst tone", "rad/s", "Hz", "gamma", "predicted", "measured", "with noise, 99.7 %", "windows, 99.7 %",
+    "stage",
+    "worst tone",
+    "rad/s",
+    "Hz",
+    "gamma",
+    "predicted",
+    "measured",
+    "with noise, 99.7 %",
+    "windows, 99.7 %",
     "limits",
-)  # fmt: skip
+)
 
 
 def rows(cells: Sequence[tuple[str, WorstTone, Summary]]) -> list[list[str]]:
@@ -132,13 +140,20 @@ def rows(cells: Sequence[tuple[str, WorstTone, Summary]]) -> list[list[str]]:
     table = []
     for loop, tone, summary in cells:
         quantile = summary.ape_p997 if tone.index == "APE" else summary.rpe_windows_p997
-        table.append([
-            loop, tone.index if tone.index == "APE" else f"RPE, {tone.index}", f"{tone.omega:.4g}",
-            f"{tone.omega / (2.0 * math.pi):.4g}", f"{tone.gamma:.3f} of {tone.limit:g} {tone.unit}",
-            f"{figure(tone.predicted)} {tone.unit}", f"{figure(tone.measured)} {tone.unit}",
-            f"{figure(level(summary, tone.index))} {tone.unit}",
-            "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}", limits_kept(summary, tone.index),
-        ])  # fmt: skip
+        table.append(
+            [
+                loop,
+                tone.index if tone.index == "APE" else f"RPE, {tone.index}",
+                f"{tone.omega:.4g}",
+                f"{tone.omega / (2.0 * math.pi):.4g}",
+                f"{tone.gamma:.3f} of {tone.limit:g} {tone.unit}",
+                f"{figure(tone.predicted)} {tone.unit}",
+                f"{figure(tone.measured)} {tone.unit}",
+                f"{figure(level(summary, tone.index))} {tone.unit}",
+                "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}",
+                limits_kept(summary, tone.index),
+            ]
+        )
     return table
 
 

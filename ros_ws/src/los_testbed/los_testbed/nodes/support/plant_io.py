@@ -12,7 +12,7 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
-from pointing_analysis.message_types import HEADER
+from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS
 
 FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.topics import DEPTH
-from pointing_analysis.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
 READER_DEPTH = 200

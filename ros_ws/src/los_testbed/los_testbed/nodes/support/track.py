@@ -13,7 +13,7 @@ from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.topics import DIAGNOSTICS_TOPIC
-from pointing_analysis.cdr import ENCAPSULATION
+from pointing_analysis.read.messages.cdr import ENCAPSULATION
 
 MAX_DISORDER = 1000
 """Periods that a sample may come after a later one and still count."""

@@ -1,0 +1,85 @@
+"""Linear systems with named ports: state space, uncertain (linear fractional transformations), sampled.
+
+Names are loaded when they are first asked for: controllers at run time import :mod:`lftkit.systems.sampled_system`
+alone, and with it numpy only.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
+    from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
+    from lftkit.systems.delay import pade_delay
+    from lftkit.systems.feedback import cascade, close_loop
+    from lftkit.systems.filters import high_pass, transfer
+    from lftkit.systems.interconnection import Connection, close, connect, invert, parallel, series, star, transform
+    from lftkit.systems.ports import Port
+    from lftkit.systems.sampled_system import SampledSystem
+    from lftkit.systems.sampling import sampled
+    from lftkit.systems.state_space import StateSpace
+    from lftkit.systems.uncertain_system import UncertainSystem, from_control, state_space, static_gain
+    from lftkit.uncertainty.parameters import RealParameter
+
+__all__ = [
+    "Connection",
+    "HInfNorm",
+    "Port",
+    "RealParameter",
+    "SampledSystem",
+    "StateSpace",
+    "UncertainSystem",
+    "bode_band",
+    "cascade",
+    "close",
+    "close_loop",
+    "connect",
+    "from_control",
+    "h2_norm",
+    "high_pass",
+    "hinf_norm",
+    "hinf_norms",
+    "invert",
+    "pade_delay",
+    "parallel",
+    "pole_map",
+    "sampled",
+    "series",
+    "sigma_plot",
+    "spectral_abscissa",
+    "star",
+    "state_space",
+    "static_gain",
+    "transfer",
+    "transform",
+]
+
+_MODULES = {
+    "systems.delay": ("pade_delay",),
+    "systems.feedback": ("cascade", "close_loop"),
+    "systems.filters": ("high_pass", "transfer"),
+    "systems.interconnection": ("Connection", "close", "connect", "invert", "parallel", "series", "star", "transform"),
+    "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
+    "uncertainty.parameters": ("RealParameter",),
+    "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
+    "systems.ports": ("Port",),
+    "systems.sampled_system": ("SampledSystem",),
+    "systems.sampling": ("sampled",),
+    "systems.state_space": ("StateSpace",),
+    "systems.uncertain_system": ("UncertainSystem", "from_control", "state_space", "static_gain"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        value = getattr(import_module(f"lftkit.{_MODULE_OF[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'lftkit' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_MODULE_OF]

@@ -1,0 +1,1 @@
+"""Frequency responses, norms, peaks and their plots."""

@@ -1,0 +1,185 @@
+"""Eigenvectors of models whose poles spread over many decades, with the digits that the slow ones need.
+
+Everything is kept in the real form: a pair ``x +- j y`` of eigenvectors takes the two columns x and y, as in LAPACK.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.analysis.compensated import halves, matrix_product, two_sum
+from lftkit.systems.ports import FloatArray
+
+ComplexArray = NDArray[np.complex128]
+sl: Any = scipy.linalg
+
+MAX_NEWTON_STEPS = 3
+NEWTON_CONVERGED = 1e-9
+APART = 1e-6  # relative distance of eigenvalues below which their eigenvectors are left as they are
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenvalues and eigenvectors of a real matrix.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (n,), complex
+        Conjugate pairs stand side by side, the one with the positive imaginary part first.
+    vectors : ndarray, shape (n, n)
+        Column k, and k + 1 of a pair, holds the real and the imaginary part of the eigenvector.
+    low : ndarray, shape (n, n)
+        What is to be added to `vectors`: digits beyond the working precision.
+    factors : tuple
+        LU factors of `vectors`.
+    """
+
+    poles: ComplexArray
+    vectors: FloatArray
+    low: FloatArray
+    factors: tuple[FloatArray, NDArray[np.int32]]
+
+    @cached_property
+    def reciprocal_condition(self) -> float:
+        """Estimate of the reciprocal condition number of the eigenvectors, 1-norm."""
+        return float(sl.lapack.dgecon(self.factors[0], np.abs(self.vectors).sum(axis=0).max())[0])
+
+    def observed(self, C: FloatArray) -> FloatArray:
+        """``C (vectors + low)``, shape (p, n), rounded once."""
+        high, low = matrix_product(C, self.vectors)
+        return high + (low + C @ self.low)
+
+    def excited(self, B: FloatArray) -> FloatArray:
+        """``(vectors + low)^-1 B``, shape (n, m), accurate to its own rounding."""
+        first = sl.lapack.dgetrs(*self.factors, B)[0]
+        high, low = matrix_product(self.vectors, first)
+        correction = sl.lapack.dgetrs(*self.factors, (B - high) - (low + self.low @ first))[0]
+        return np.asarray(first + correction)
+
+
+def modes(A: FloatArray) -> Modes:
+    """Eigenvalues and eigenvectors of `A` (n, n) as the QR algorithm gives them, exact to the rounding of A.
+
+    Raises
+    ------
+    ArithmeticError
+        The QR algorithm did not converge (entries near overflow).
+    """
+    A = np.asfortranarray(A)  # the order of LAPACK
+    n = len(A)
+    work = int(sl.lapack.dgeev_lwork(n, compute_vl=0)[0])
+    real, imaginary, _, vectors, info = sl.lapack.dgeev(A, compute_vl=0, lwork=work)
+    if info:
+        raise ArithmeticError(f"the eigenvalues of a matrix of order {n} did not converge")
+    return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), sl.lapack.dgetrf(vectors)[:2])
+
+
+def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
+    """The modes `found` of `A` with all digits that the matrix holds.
+
+    With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
+    once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
+    their size are left as they are. The steps end where the relative change of the eigenvectors is below `converged`;
+    its square is the error that is left. Where the eigenvectors are no basis, `found` is returned.
+    """
+    if found.reciprocal_condition < EPS:
+        return found
+    A, best = np.asfortranarray(A), found
+    for _ in range(MAX_NEWTON_STEPS):
+        poles_step, vectors_step = _newton_step(A, best)
+        # a real pole stays real: an imaginary part of rounding would make half a pair of it
+        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
+        change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
+        if not (np.isfinite(change) and change < 0.01):
+            return found
+        if change < converged:
+            return replace(best, poles=best.poles + poles_step, low=vectors_step)
+        best = replace(best, poles=best.poles + poles_step, vectors=best.vectors + vectors_step)
+    return best
+
+
+def eigenpairs(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Eigenvalues (n,) and eigenvectors (n, n) of `A`, complex, from :func:`corrected_modes`."""
+    a = np.asarray(A, dtype=float)
+    found = corrected_modes(a, modes(a))
+    return found.poles, complex_columns(found.poles, found.vectors + found.low)
+
+
+def complex_columns(poles: ComplexArray, X: FloatArray) -> ComplexArray:
+    """Columns in the real form (x, y) as ``x + j y`` and ``x - j y``; the right factor of a modal sum."""
+    first = np.flatnonzero(poles.imag > 0)
+    out = X.astype(complex)
+    out[:, first] += 1j * X[:, first + 1]
+    out[:, first + 1] = out[:, first].conj()
+    return out
+
+
+def complex_rows(poles: ComplexArray, Y: FloatArray) -> ComplexArray:
+    """Rows of an inverse in the real form as those of the inverse of :func:`complex_columns`."""
+    first = np.flatnonzero(poles.imag > 0)
+    out = Y.astype(complex)
+    out[first] = 0.5 * (Y[first] - 1j * Y[first + 1])
+    out[first + 1] = out[first].conj()
+    return out
+
+
+def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The same system with states in units that make the rows and columns of A alike.
+
+    Metres beside microradians give eigenvectors a condition of 1e9; in these units it is 1e5. The units are powers of
+    two, so nothing is rounded.
+    """
+    if len(A) == 0:
+        return A, B, C
+    scale = sl.lapack.dgebal(A, scale=1, permute=0)[3]
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
+
+
+def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]:
+    """Corrections of the eigenvalues (n,) and of the eigenvectors (n, n), the latter in the real form."""
+    poles, W = modes.poles, modes.vectors
+    n = len(poles)
+    first = np.flatnonzero(poles.imag > 0)
+    partner = np.arange(n)
+    partner[first], partner[first + 1] = first + 1, first
+    heads = np.flatnonzero(poles.imag >= 0)  # one column for each pair
+    residual = _residual(A, W, poles, partner)
+    off = sl.lapack.dgetrs(*modes.factors, residual)[0]
+    columns = off[:, heads] + 1j * np.where(poles.imag[heads] > 0, off[:, partner[heads]], 0.0)
+    x, y = columns[first], columns[first + 1]
+    columns[first], columns[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
+    size = np.abs(poles)
+    gap = poles[heads] - poles[:, None]
+    apart = np.abs(gap) > APART * np.maximum(size[heads], size[:, None])
+    turn = np.where(apart, columns / np.where(apart, gap, 1.0), 0.0)
+    shift = np.zeros(n, dtype=complex)
+    shift[heads] = columns[heads, np.arange(len(heads))]
+    shift[first[poles.imag[first] <= APART * size[first]]] = 0.0  # a pair must stay one
+    shift[first + 1] = shift[first].conj()
+    x, y = turn[first], turn[first + 1]
+    turn[first], turn[first + 1] = x + y, 1j * (x - y)
+    step = np.empty_like(W)
+    step[:, heads] = W @ np.asfortranarray(turn.real)
+    second = poles.imag[heads] > 0
+    step[:, first + 1] = W @ np.asfortranarray(turn.imag[:, second])
+    return shift, step
+
+
+def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: NDArray[np.intp]) -> FloatArray:
+    """``A W - W L`` with the block-diagonal L of `poles`, rounded once."""
+    total, low = matrix_product(A, W)
+    first, second = halves(W)
+    for factor, X1, X2 in ((-poles.real, first, second), (poles.imag, first[:, partner], second[:, partner])):
+        factor1, factor2 = halves(factor)
+        total, error = two_sum(total, X1 * factor1)
+        low += error
+        low += X1 * factor2
+        low += X2 * factor
+    return total + low

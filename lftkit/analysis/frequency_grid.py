@@ -1,0 +1,74 @@
+"""Frequency grid that resolves lightly damped resonances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lftkit.systems.ports import FloatArray
+
+LIGHT_DAMPING = 0.3  # poles of a smaller damping ratio get points of their own
+UNDAMPED = 1e-10  # damping ratio below which a pole counts as undamped
+CLEARANCE = 1e-6  # relative distance of the grid from an undamped pole
+
+
+def frequency_grid(
+    poles: ArrayLike,
+    low: float,
+    high: float,
+    *,
+    points: int = 400,
+    per_decade: int | None = None,
+    offsets: Sequence[float] = (0.0, 1.0, 2.0, 3.0),
+) -> FloatArray:
+    """Logarithmic grid, refined around each lightly damped pole.
+
+    Parameters
+    ----------
+    poles : array_like
+        Eigenvalues [rad/s]; the grid is refined at those between the ends with a damping ratio below 0.3.
+    low, high : float
+        Ends [rad/s], both in the grid.
+    points : int
+        Points of the logarithmic part.
+    per_decade : int, optional
+        Density of the logarithmic part, instead of `points`.
+    offsets : sequence of float
+        Distances of the points around a pole from its frequency, to both sides, as multiples of its decay rate (half
+        of the half-power width). With ratios below about 2.5 the gain of that mode changes by less than this factor
+        from point to point.
+
+    Returns
+    -------
+    ndarray, sorted [rad/s]
+        No point is closer to an undamped pole than a millionth of its frequency: a response has no value there.
+
+    Raises
+    ------
+    ValueError
+        Ends that are not ``0 < low < high``.
+
+    Examples
+    --------
+    >>> frequency_grid([-0.01 + 1j, -0.01 - 1j], 0.5, 2.0, points=2, offsets=(0, 1)).tolist()
+    [0.5, 0.99, 1.0, 1.01, 2.0]
+    """
+    if not 0.0 < low < high:
+        raise ValueError(f"low and high must be 0 < low < high, got {low} and {high}")
+    if per_decade is not None:
+        points = max(2, int(np.ceil(np.log10(high / low) * per_decade)))
+    p = np.ravel(np.asarray(poles, dtype=complex))
+    size = np.abs(p)
+    light = p[(p.imag > 0) & (np.abs(p.real) < LIGHT_DAMPING * size) & (size > low) & (size < high)]
+    decay = np.abs(light.real)
+    undamped = decay < UNDAMPED * light.imag
+    decay[undamped] = 2.0 * CLEARANCE * light.imag[undamped]
+    steps = np.array(sorted({s for offset in offsets for s in (float(offset), -float(offset))}))
+    near = light.imag[:, None] + decay[:, None] * steps
+    grid = np.unique(np.concatenate([np.geomspace(low, high, points), near.ravel()]))
+    grid = grid[(grid >= low) & (grid <= high)]
+    for w in light.imag[undamped]:
+        grid = grid[np.abs(grid - w) >= CLEARANCE * w]
+    return np.asarray(grid)

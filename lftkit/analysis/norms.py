@@ -1,0 +1,273 @@
+"""System norms that hold for lightly damped models of hundreds of states.
+
+The H-infinity norm is two-sided: a gain really reached (computed by a direct solution at the reported frequency),
+and a level certified never to be exceeded. Discrete-time systems (`dt` given) go through the bilinear
+map, which keeps the norm and maps the frequencies one to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.eigenvectors import EPS, balanced
+from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
+from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
+from lftkit.analysis.peak_search import climb
+from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
+from lftkit.systems.bilinear import to_continuous
+from lftkit.systems.state_space import Matrices, checked_matrices
+
+sl: Any = scipy.linalg
+FloatArray = NDArray[np.float64]
+
+MAX_ROUNDS = 40
+CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
+CLIMBED = 3  # seeds from which a peak is searched
+RIVAL = 0.7  # of the largest gain: seeds below are not tried
+
+
+@dataclass(frozen=True)
+class HInfNorm:
+    """H-infinity norm with its certificate.
+
+    Parameters
+    ----------
+    value : float
+        Gain reached at `omega`: a lower bound. Infinite for an unstable system.
+    upper : float
+        Level that the gain exceeds nowhere.
+    omega : float
+        Frequency of the peak [rad/s]; of the least stable pole for an unstable system.
+    certificate : str
+        ``interval``, ``hamiltonian``, ``static`` or ``unstable``: the test behind `upper`.
+    """
+
+    value: float
+    upper: float
+    omega: float
+    certificate: str
+
+
+def hinf_norm(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike,
+    *,
+    dt: float | None = None,
+    rtol: float = 1e-7,
+    certificate: str = "auto",
+) -> HInfNorm:
+    """H-infinity norm of ``x' = A x + B u, y = C x + D u`` (or ``x+ = ...`` with period `dt`).
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        Shapes (n, n), (n, m), (p, n), (p, m).
+    dt : float, optional
+        Sampling period [s] of a discrete-time system.
+    rtol : float
+        Relative distance of the two sides.
+    certificate : {"auto", "interval", "hamiltonian"}
+        ``auto`` takes the Hamiltonian for up to 40 states whose damping is far from rounding; else the interval test
+        where the modal form is sound and the Hamiltonian otherwise.
+
+    Returns
+    -------
+    HInfNorm
+        ``value <= norm <= upper = value (1 + rtol)``.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, numbers that are not finite, an unknown certificate.
+
+    Notes
+    -----
+    Peaks are looked for at every resonance and refined; the level test either confirms that nothing exceeds the best
+    by more than `rtol` or names frequencies at which to look again (Bruinsma and Steinbuch 1990).
+
+    Examples
+    --------
+    The peak of a lightly damped mode is 1 / (2 zeta sqrt(1 - zeta^2)), here zeta = 0.01:
+
+    >>> norm = hinf_norm([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
+    >>> round(norm.value, 6), round(norm.omega, 6), norm.upper > norm.value
+    (50.0025, 0.9999, True)
+    """
+    if certificate not in ("auto", "interval", "hamiltonian"):
+        raise ValueError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
+    if not rtol > 0:
+        raise ValueError(f"rtol must be positive, got {rtol}")
+    system = checked_matrices(A, B, C, D)
+    if dt is None:
+        return _continuous(system, rtol, certificate)
+    if not dt > 0:
+        raise ValueError(f"dt must be positive, got {dt}")
+    if (worst := _on_or_outside_circle(system[0])) is not None:
+        return HInfNorm(np.inf, np.inf, float(abs(np.angle(worst))) / dt, "unstable")
+    norm = _continuous(to_continuous(*system), rtol, certificate)
+    return HInfNorm(norm.value, norm.upper, 2.0 * float(np.arctan(norm.omega)) / dt, norm.certificate)
+
+
+def hinf_norms(
+    systems: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]], *, rtol: float = 1e-7
+) -> list[HInfNorm]:
+    """H-infinity norms of many continuous-time systems (A, B, C, D), for instance of parameter samples."""
+    return [hinf_norm(*system, rtol=rtol) for system in systems]
+
+
+def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None) -> float:
+    """H2 norm: rms of the output for white noise of unit (two-sided) density on every input.
+
+    Continuous time: ``sqrt(trace(C P C'))`` with ``A P + P A' + B B' = 0``; infinite for an unstable system or D other
+    than 0. Discrete time (`dt` given): rms of y for unit-variance samples, D included.
+
+    Examples
+    --------
+    White noise through 1 / (s + a) has variance 1 / (2 a):
+
+    >>> round(h2_norm([[-2.0]], [[1.0]], [[1.0]], [[0.0]]) ** 2, 12)
+    0.25
+    """
+    a, b, c, d = checked_matrices(A, B, C, D)
+    if dt is None:
+        if np.any(d != 0.0):
+            return float("inf")
+        if not len(a):
+            return 0.0
+        a, b, c = balanced(a, b, c)
+        T, Q = sl.schur(a, output="real", check_finite=False)
+        if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
+            return float("inf")
+        P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
+        return float(np.sqrt(max(np.sum((seen @ P) * seen), 0.0)))
+    if _on_or_outside_circle(a) is not None:
+        return float("inf")
+    P = sl.solve_discrete_lyapunov(a, b @ b.T) if len(a) else np.zeros((0, 0))
+    return float(np.sqrt(max(np.trace(c @ P @ c.T + d @ d.T), 0.0)))
+
+
+def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Solution of ``T P + P T' + W = 0`` (or with T transposed) for a quasi-triangular T."""
+    trana, tranb = ("T", "N") if transposed else ("N", "T")
+    solution, scale, info = sl.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
+    if info < 0:
+        raise ArithmeticError("the Lyapunov equation could not be solved: illegal argument")
+    return np.asarray(0.5 * (solution + solution.T) / scale)
+
+
+def spectral_abscissa(A: ArrayLike) -> float:
+    """Largest real part of the eigenvalues of `A` (n, n) [rad/s]; minus infinity for n = 0."""
+    a = np.asarray(A, dtype=float)
+    return float(sl.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
+
+
+def _on_or_outside_circle(A: FloatArray) -> complex | None:
+    """Eigenvalue of the largest magnitude if that is 1 or more to rounding."""
+    if not len(A):
+        return None
+    poles = sl.eigvals(A)
+    worst = complex(poles[np.argmax(np.abs(poles))])
+    return worst if abs(worst) >= 1.0 - 4.0 * EPS * len(A) else None
+
+
+def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
+    A, B, C, D = system
+    if len(A) == 0 or not (B.any() and C.any()):
+        return _norm_of_feedthrough(A, D)
+    A, B, C = balanced(A, B, C)
+    if certificate == "auto" and len(A) <= MAX_STATES and (peak := small_hinf_norm((A, B, C, D), rtol)):
+        return HInfNorm(peak.value, peak.upper, peak.omega, "hamiltonian")
+    response = FrequencyResponse.of(A, B, C, D, rounding=0.1 * rtol, check=False)
+    worst = int(np.argmax(response.poles.real))
+    if response.poles[worst].real >= 0.0 or response.on_axis.size:
+        return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
+    return _certified((A, B, C, D), response, rtol, certificate)
+
+
+def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certificate: str) -> HInfNorm:
+    test = "interval" if response.modal and certificate != "hamiltonian" else "hamiltonian"
+    seeds, terms = _seeds(response)
+    value, omega = _best_peak(response, seeds, rtol)
+    if test == "hamiltonian" and value == terms == 0.0:  # this test needs a level above zero
+        terms = float(sl.norm(system[1]) * sl.norm(system[2]) / np.abs(response.poles.real).min())
+    noise = CANCELLATION * EPS * terms
+    for _ in range(MAX_ROUNDS):
+        modal_value, value = value, _direct_gain(system, omega)
+        if abs(value - modal_value) > max(0.1 * rtol * value, noise):
+            test = "hamiltonian"
+        upper = value * (1.0 + rtol)
+        if value <= noise:  # the terms cancel to rounding
+            upper = value + noise
+        outcome = _level_test(test, response, system, upper, seeds, omega)
+        if outcome.below:
+            return HInfNorm(value, upper, omega, test)
+        if not outcome.decided:
+            if test == "hamiltonian":
+                break
+            test = "hamiltonian"
+            continue
+        better, frequency = _best_peak(response, outcome.frequencies, rtol)
+        exact = _direct_gain(system, frequency)
+        if exact <= upper:  # what the test found above the level is rounding of the modal form: the bound includes it
+            return HInfNorm(value, max(upper, better * (1.0 + rtol)), omega, test)
+        value, omega = better, frequency
+    raise ArithmeticError(f"the H-infinity norm did not settle in {MAX_ROUNDS} rounds (order {len(system[0])})")
+
+
+def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
+    """Norm of D; the states, if any, are not driven or not observed, but they must be stable."""
+    if len(A):
+        poles = sl.eigvals(A)
+        worst = poles[np.argmax(poles.real)]
+        if worst.real >= 0.0:
+            return HInfNorm(np.inf, np.inf, float(abs(worst.imag)), "unstable")
+    value = float(largest_gains(D[None].astype(complex))[0])
+    return HInfNorm(value, value, 0.0, "static")
+
+
+def _level_test(
+    test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray, peak: float
+) -> LevelTest:
+    if test == "interval":
+        return interval_test(response, level, seeds[np.isfinite(seeds)], peak)
+    return hamiltonian_test(*system, level)
+
+
+def _direct_gain(system: Matrices, omega: float) -> float:
+    """Gain at the peak by a direct solution: the modal form never has the last word."""
+    return float(largest_gains(refined_response(*system, omega)[None])[0])
+
+
+def _seeds(response: FrequencyResponse) -> tuple[FloatArray, float]:
+    """Frequencies of possible peaks, and the largest sum of the magnitudes of the modal terms (0 in Schur form)."""
+    poles = response.poles
+    size = np.abs(poles)
+    seeds = np.unique(np.concatenate([[0.0, np.inf], resonances(poles), size]))
+    if not response.modal:
+        return seeds, 0.0
+    distance = np.maximum(np.abs(size - poles.imag), np.abs(poles.real))
+    return seeds, float(np.sum(response.residue_norms / np.maximum(distance, 1e-300)))
+
+
+def _best_peak(response: FrequencyResponse, seeds: FloatArray, rtol: float) -> tuple[float, float]:
+    """Largest gain near the best `CLIMBED` seeds: (gain, frequency)."""
+    gains = largest_gains(response.at(seeds))
+    chosen = np.argsort(gains)[::-1][:CLIMBED]
+    best, omega = float(gains[chosen[0]]), float(seeds[chosen[0]])
+    for k in chosen[gains[chosen] >= RIVAL * best]:
+        if 0.0 < seeds[k] < np.inf:
+            start = float(seeds[k])
+            limit = float(np.abs(1j * start - response.poles).min())
+            frequency, gain = climb(response.with_derivatives, start, float(gains[k]), limit, rtol)
+            if gain > best:
+                best, omega = gain, frequency
+    return best, omega

@@ -1,0 +1,1 @@
+"""Guaranteed bounds with proofs and their checkers."""

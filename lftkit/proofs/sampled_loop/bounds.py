@@ -1,0 +1,330 @@
+"""Proof that the gain of a sampled loop is below a level, over a box of parameters and a band of frequencies.
+
+From one end of a band to the other: scalings are centred at one frequency and at the next one, and the inequality
+between the two nodes is checked with the checker's own code; steps adapt. Analytic centres change smoothly with the
+frequency, so that far apart nodes can be interpolated. Where no scalings exist, or steps get too short, the box is
+bisected for a short part of the band.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.analysis.batched_linalg import largest_gains, solve
+from lftkit.proofs.sampled_loop.branching import Branching
+from lftkit.proofs.sampled_loop.checker import windows_of
+from lftkit.proofs.sampled_loop.model import LoopModel
+from lftkit.proofs.sampled_loop.proof import Interval, Strip
+from lftkit.proofs.sampled_loop.scalings import CellTest, NodeScalings
+from lftkit.support.threads import one_thread
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Box = tuple[Interval, ...]
+FIRST_STEP, SHORTEST, LONGEST = 3e-3, 5e-5, 0.1
+"""Relative steps of frequency: at the start of a strip, at least, at most."""
+CENTRING = 40
+"""Most Newton steps to a centre."""
+FOLLOWING = 8
+"""The same from the scalings of the frequency before."""
+BISECTIONS = 5
+"""Most bisections of a step in the check of a prover."""
+PART = 0.01
+"""Part of the band, relative to its frequency, for which a box is bisected."""
+SLOW = 0.1
+"""Part of the plant's slowest pole below which scalings are D alone and the whole band is bisected at once."""
+LOWEST = 1e-3
+"""Least frequency of scalings, as a part of the one before; below it the same ones are used."""
+TURN = 1.6
+"""Widest interval of an angle [rad] there; without G an angle is never any angle."""
+SLOW_STEPS = 1.0, 2.0
+"""Relative steps of frequency there: at the start, at most."""
+AIMS = (1.0, 0.1, 0.01)
+"""Parts of the level for which scalings are centred, one after the other. Where the gain is far below the level, the
+centre for the level itself is so far out that the inequality is lost in rounding; one for less proves the level too.
+"""
+DEEPEST = 14
+"""Most bisections of the box."""
+SAMPLES = 64
+"""Members that are looked at where a box is bisected."""
+ROOTS = 8
+"""Bisections after which the parameters' gains are measured anew, in the box that is left."""
+
+
+@dataclass
+class LoopBounds:
+    """Outcome of a proof.
+
+    Parameters
+    ----------
+    strips : list of Strip
+        What is proven.
+    uncovered : list of (box, band)
+        What is not.
+    lower : float
+        Largest gain met on the way, over the limit; a gain above the level is a counterexample.
+    point : ndarray or None
+        Deviations from the nominal values there (angles in rad).
+    omega : float
+        Frequency there [rad/s].
+    nodes, windows : int
+        Work done: scalings looked for, and windows checked.
+    seconds : float
+        Processor time.
+    """
+
+    strips: list[Strip] = field(default_factory=list)
+    uncovered: list[tuple[Box, Interval]] = field(default_factory=list)
+    lower: float = 0.0
+    point: FloatArray | None = None
+    omega: float = 0.0
+    nodes: int = 0
+    windows: int = 0
+    seconds: float = 0.0
+
+
+def prove_level(
+    model: LoopModel,
+    box: Sequence[Interval],
+    band: Interval,
+    level: float,
+    *,
+    until: float = math.inf,
+    seed: int = 0,
+    known: Sequence[Strip] = (),
+) -> LoopBounds:
+    """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
+
+    Parameters
+    ----------
+    model : LoopModel
+    box : sequence of (low, high)
+        Deviations from the nominal values; of an angle theta [rad].
+    band : (low, high)
+        Frequencies [rad/s], ``0 <= low < high <= pi / dt``.
+    level : float
+    until : float
+        ``time.monotonic()`` after which it stops; what is left is in `uncovered`.
+    seed : int
+        Of the members that are looked at.
+    known : sequence of Strip
+        Of a proof for another level that covers this box and band: what also holds for this level is kept.
+    """
+    start = time.process_time()
+    slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
+    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow, Branching(model, level, until))
+    with one_thread():
+        if known:
+            for strip in known:
+                state.prove_again(strip)
+        else:
+            state.prove(tuple(box), *band, 0)
+    state.found.seconds = time.process_time() - start
+    return state.found
+
+
+@dataclass
+class _State:
+    model: LoopModel
+    level: float
+    until: float
+    rng: np.random.Generator
+    found: LoopBounds
+    slow: float
+    branching: Branching
+
+    @property
+    def lowest(self) -> float:
+        """Least frequency of scalings [rad/s]."""
+        return LOWEST * self.slow
+
+    def _over(self, box: Box, low: float, high: float) -> bool:
+        """Whether it ends here: time is up, or a member exceeds the level."""
+        over = time.monotonic() > self.until or self.found.lower >= self.level
+        if over:
+            self.found.uncovered.append((box, (low, high)))
+        return over
+
+    def _prove_slow(self, box: Box, low: float, high: float, depth: int) -> None:
+        """Prove a box from `low` to `high`, both slow."""
+        if self._over(box, low, high):
+            return
+        wide = [k for k, (a, b) in enumerate(box) if self.model.angle[k] and b - a > TURN]
+        reached, axis = low, wide[0] if wide else 0
+        if not wide:
+            reached, losses, _ = self._strip(box, low, high, self.level, static=True)
+            axis = int(np.argmax(losses))
+        if reached >= high:
+            return
+        if depth == DEEPEST:
+            self.found.uncovered.append((box, (reached, high)))
+            return
+        if not wide:
+            self._look(box, reached, high)
+        for half in _halves(box, axis):
+            self._prove_slow(half, reached, high, depth + 1)
+
+    def prove_again(self, strip: Strip) -> None:
+        """Prove the box and band of a strip of another proof; the parts of it that hold are kept."""
+        held = []
+        for number in range(len(strip.nodes) - 1):
+            if time.monotonic() > self.until:
+                self.found.uncovered.append((strip.box, (float(strip.nodes[number]), float(strip.nodes[-1]))))
+                break
+            windows = windows_of(self.model, strip, number, self.level, BISECTIONS)
+            self.found.windows += windows
+            held.append(windows > 0)
+        number = 0
+        for holds, run in itertools.groupby(held):
+            end = number + len(list(run))
+            if holds:
+                self.found.strips.append(_between(strip, number, end))
+            else:
+                self.prove(strip.box, float(strip.nodes[number]), float(strip.nodes[end]), 0)
+            number = end
+
+    def prove(self, box: Box, low: float, high: float, depth: int, root: Box | None = None) -> None:
+        """Prove a box, a part of `root`, from `low` to `high`; what can't be proven goes to `uncovered`."""
+        root = box if root is None or depth == ROOTS else root
+        at = low
+        if at < self.slow:
+            at = min(high, self.slow)
+            self._prove_slow(box, low, at, depth)
+        while at < high:
+            if self._over(box, at, high):
+                return
+            for aim in AIMS:
+                reached, losses, found = self._strip(box, at, high, aim * self.level)
+                if reached > at or not found:
+                    break
+            if reached >= high:
+                return
+            end = min(high, reached * (1.0 + PART))
+            if depth == DEEPEST:
+                self.found.uncovered.append((box, (reached, end)))
+            else:
+                self._look(box, reached, end)
+                for half in _halves(box, self.branching.axis(box, root, reached, losses)):
+                    self.prove(half, reached, end, depth + 1, root)
+            at = end
+
+    def _strip(
+        self, box: Box, low: float, high: float, aim: float, static: bool = False
+    ) -> tuple[float, FloatArray, bool]:
+        """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, losses of
+        the parameters there, whether there are scalings at `low`.
+        """
+        first = CellTest(self.model, box, max(low, self.lowest), aim, static)
+        node, y = self._centre(first, [])
+        losses = first.losses(y)
+        if node is None:
+            return low, losses, False
+        nodes = [replace(node, omega=low)]
+        step, longest = SLOW_STEPS if static else (FIRST_STEP, LONGEST)
+        while nodes[-1].omega < high and time.monotonic() <= self.until:
+            omega = max(nodes[-1].omega, self.lowest) * (1.0 + step)
+            omega = high if omega > high / (1.0 + 0.5 * step) else omega
+            test = CellTest(self.model, box, omega, aim, static)
+            following, y = self._centre(test, nodes[-2:])
+            windows = 0
+            if following is not None:
+                windows = windows_of(self.model, strip_of(box, [nodes[-1], following]), 0, self.level, BISECTIONS)
+            if following is None or not windows:
+                losses = test.losses(y)
+                step *= 0.4
+                if step < SHORTEST:
+                    break
+                continue
+            self.found.windows += windows
+            nodes.append(following)
+            step = min(step * (1.7 if windows <= 2 else 1.2 if windows < 9 else 0.8), longest)
+        if len(nodes) > 1:
+            self.found.strips.append(strip_of(box, nodes))
+        return nodes[-1].omega, losses, True
+
+    def _centre(self, test: CellTest, before: Sequence[NodeScalings]) -> tuple[NodeScalings | None, FloatArray]:
+        """Centred scalings at a frequency, None if there are none; the variables reached. At most two nodes before it
+        say where to begin.
+        """
+        self.found.nodes += 1
+        guesses = list(before[-1:])
+        if len(before) > 1:
+            guesses.insert(0, extrapolated(before[-2], before[-1], test.omega))
+        for guess in guesses:
+            y = test.variables(guess)
+            if test.allowed(y):
+                y = test.centred(y, FOLLOWING)
+                return test.scalings(y), y
+        found, reached = test.feasible(test.variables(before[-1]) if before else None)
+        if found is None:
+            return None, reached
+        y = test.centred(found, CENTRING)
+        return test.scalings(y), y
+
+    def _look(self, box: Box, low: float, high: float) -> None:
+        """Gains of some members where scalings were not found."""
+        omega = float(self.rng.uniform(max(low, self.lowest), high))
+        ends = np.array(box)
+        points = self.rng.uniform(size=(SAMPLES, len(box)))
+        points[: SAMPLES // 2] = np.round(points[: SAMPLES // 2])
+        members = ends[:, 0] + points * (ends[:, 1] - ends[:, 0])
+        gains = member_gains(self.model, omega, members)
+        best = int(np.argmax(gains))
+        if gains[best] > self.found.lower:
+            self.found.lower, self.found.point, self.found.omega = float(gains[best]), members[best], omega
+
+
+def member_gains(model: LoopModel, omega: float, members: FloatArray) -> FloatArray:
+    """Gain over the limit of members (N, parameters) at a frequency."""
+    q = model.sizes[0]
+    z, e = model.at(omega)
+    weight, amplitude = model.amplitudes(omega)
+    delta = np.zeros((len(members), q))
+    for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
+        delta[:, list(group)] = (np.tan(0.5 * members[:, k]) if angle else members[:, k])[:, None]
+    loop = np.eye(q) - z[:, :q] * delta[:, None, :]
+    inner = solve(loop, np.broadcast_to(z[:, q:], (len(delta), *z[:, q:].shape)))
+    return weight * largest_gains((e[:, q:] + (e[:, :q] * delta[:, None, :]) @ inner) * amplitude)
+
+
+def extrapolated(first: NodeScalings, second: NodeScalings, omega: float) -> NodeScalings:
+    """Scalings at a frequency from those at two lower ones."""
+    share = (omega - second.omega) / (second.omega - first.omega)
+
+    def beyond(a: tuple[ComplexArray, ...], b: tuple[ComplexArray, ...]) -> tuple[ComplexArray, ...]:
+        return tuple(y + share * (y - x) for x, y in zip(a, b))
+
+    factor = second.factor + share * (second.factor - first.factor)
+    return NodeScalings(omega, beyond(first.D, second.D), beyond(first.G, second.G), factor)
+
+
+def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:
+    """A strip of its nodes."""
+    count = len(box)
+    return Strip(
+        box,
+        np.array([node.omega for node in nodes]),
+        tuple(np.stack([node.D[k] for node in nodes]) for k in range(count)),
+        tuple(np.stack([node.G[k] for node in nodes]) for k in range(count)),
+        np.array([node.factor for node in nodes]),
+    )
+
+
+def _between(strip: Strip, first: int, last: int) -> Strip:
+    """A strip from one of its nodes to another."""
+    part = slice(first, last + 1)
+    D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
+    return Strip(strip.box, strip.nodes[part], D, G, strip.factor[part])
+
+
+def _halves(box: Box, axis: int) -> list[Box]:
+    low, high = box[axis]
+    at = 0.5 * (low + high)
+    return [(*box[:axis], part, *box[axis + 1 :]) for part in ((low, at), (at, high))]

@@ -1,0 +1,174 @@
+"""Scalings of one box of the parameters at one frequency, by Newton steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
+from lftkit.proofs.sampled_loop.model import LoopModel
+from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.state_space.barrier import (
+    ANY_REAL,
+    CENTRED,
+    COMPLEX,
+    FULL,
+    GROWTH,
+    REAL,
+    Block,
+    Problem,
+    newton_step,
+)
+from lftkit.proofs.state_space.cells import balanced
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+PENALTY = 1e-3
+"""Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
+PRECISION = 1e-7
+"""Distance to the optimal margin at which a test without scalings is given up."""
+
+
+@dataclass(frozen=True)
+class NodeScalings:
+    """Scalings at a frequency as a strip has them: D and G of each parameter, factor of the gain's inequality."""
+
+    omega: float
+    D: tuple[ComplexArray, ...]
+    G: tuple[ComplexArray, ...]
+    factor: float
+
+
+class CellTest:
+    """Test whether the gain at a frequency is below a level in a whole box.
+
+    Parameters
+    ----------
+    model : LoopModel
+    box : sequence of (low, high)
+    omega : float
+        Frequency [rad/s], positive.
+    level : float
+    static : bool
+        D alone. Near frequency zero, where all responses are real, G is of no use and its centre is far out.
+    """
+
+    def __init__(
+        self, model: LoopModel, box: Sequence[Interval], omega: float, level: float, static: bool = False
+    ) -> None:
+        self.model, self.omega = model, omega
+        self.groups = list(map(list, model.groups))
+        q, d = model.sizes[0], model.sizes[3]
+        z, e = model.at(omega)
+        cz, sz, cw, sw = middle_of(model, box)
+        inner = np.asarray(
+            linalg.solve(np.diag(cz) - z[:, :q] * cw, np.hstack([z[:, :q] * sw - np.diag(sz), z[:, q:]]))
+        )
+        w = cw[:, None] * inner
+        w[:, :q] += np.diag(sw)
+        out = e[:, :q] @ w
+        out[:, q:] += e[:, q:]
+        weight, amplitude = model.amplitudes(omega)
+        maps = np.vstack([inner, out * (weight / level)])
+        maps[:, q:] *= amplitude
+        self.scale = balanced(maps, q)
+        maps = maps / np.concatenate([self.scale[:q], np.full(d, self.scale[q])])
+        maps[:q] *= self.scale[:q, None]
+        maps[q:] *= self.scale[q]
+        inputs = np.eye(q + d, dtype=complex)
+        self.factors = [_factors(angle, *ends) for angle, ends in zip(model.angle, box)]
+        kind = COMPLEX if static else REAL
+        kinds = [ANY_REAL if angle and is_circle(*ends) else kind for angle, ends in zip(model.angle, box)]
+        self.problem = Problem(
+            [
+                *(Block(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),
+                Block(FULL, maps[q:], inputs[q:]),
+            ],
+            PENALTY,
+        )
+
+    def scalings(self, y: FloatArray) -> NodeScalings:
+        """Scalings of the problem's variables."""
+        D, G = [], []
+        for k, group in enumerate(self.groups):
+            d, g = self.problem.matrices(y, k)
+            size = np.outer(self.scale[group], self.scale[group])
+            square, single = self.factors[k]
+            D.append(_hermitian(size * d / square))
+            G.append(_hermitian(size * g / single))
+        factor = float(self.problem.matrices(y, len(self.groups))[0][0, 0].real) * float(self.scale[-1]) ** 2
+        return NodeScalings(self.omega, tuple(D), tuple(G), factor)
+
+    def variables(self, scalings: NodeScalings) -> FloatArray:
+        """The problem's variables of scalings of a neighbouring frequency."""
+        D, G = [], []
+        for k, group in enumerate(self.groups):
+            size = np.outer(self.scale[group], self.scale[group])
+            square, single = self.factors[k]
+            D.append(scalings.D[k] * square / size)
+            G.append(scalings.G[k] * single / size)
+        D.append(np.array([[scalings.factor / self.scale[-1] ** 2]], dtype=complex))
+        G.append(np.zeros((1, 1), complex))
+        return self.problem.variables(D, G)
+
+    def allowed(self, y: FloatArray) -> bool:
+        """Whether variables prove the level at this frequency, but for rounding."""
+        return bool(np.isfinite(self.problem.value(y, 0.0)))
+
+    def feasible(self, before: FloatArray | None = None, steps: int = 80) -> tuple[FloatArray | None, FloatArray]:
+        """Variables that prove the level, None if there are none; the variables reached. Begins at those `before`."""
+        problem = self.problem
+        y = problem.start() if before is None else problem.raised(before, 1e-9)
+        weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
+        for _ in range(steps):
+            slope, curvature = problem.derivatives(y, weight)
+            step = newton_step(curvature, -slope, problem.trace)
+            decrement = math.sqrt(max(float(-slope @ step), 0.0))
+            y = problem.line_search(y, step, weight, decrement)
+            if y[0] < 0.0:
+                y = y.copy()
+                y[0] = 0.0
+                return y, y
+            if decrement > CENTRED:
+                continue
+            gap = problem.degree / weight
+            if y[0] - 2.0 * gap > 0.0 or gap < PRECISION:
+                break
+            weight *= GROWTH
+        return None, y
+
+    def centred(self, y: FloatArray, steps: int, until: float = 0.3) -> FloatArray:
+        """Towards the analytic centre of all variables that prove the level; it holds for a wider band."""
+        for _ in range(steps):
+            slope, curvature = self.problem.derivatives(y, 0.0)
+            step = np.zeros_like(y)
+            step[1:] = newton_step(curvature[1:, 1:], -slope[1:], self.problem.trace[1:])
+            decrement = math.sqrt(max(float(-slope @ step), 0.0))
+            y = self.problem.line_search(y, step, 0.0, decrement)
+            if decrement < until:
+                break
+        return y
+
+    def losses(self, y: FloatArray) -> FloatArray:
+        """What the interval of each parameter costs: the largest is the one to bisect."""
+        return self.problem.result(y).losses[: len(self.groups)]
+
+
+def _factors(angle: bool, low: float, high: float) -> tuple[float, float]:
+    """Divisors of D and G from ``z'* D z' - w'* D w' + Re z'* j G w'`` to the forms of a strip."""
+    half = 0.5 * (high - low)
+    if not angle:
+        return 2.0 * half**2, 2.0 * half
+    if is_circle(low, high):
+        return 1.0, 2.0
+    return 2.0 * math.sin(0.5 * half) ** 2, 2.0 * math.tan(0.5 * half)
+
+
+def _hermitian(matrix: ComplexArray) -> ComplexArray:
+    """Hermitian part in single precision: files are half as large, and what is stored is what is checked."""
+    return np.asarray((0.5 * (matrix + matrix.conj().T)).astype(np.complex64), dtype=complex)

@@ -1,0 +1,21 @@
+"""Guaranteed bounds of uncertain linear systems, with proofs that separate code checks.
+
+Start at :func:`worst_case_gain` and :func:`robust_stability`; :func:`check_proof` verifies what they prove.
+``docs/certificates.md`` has the mathematics, what is guaranteed and what is not.
+"""
+
+from lftkit.proofs.state_space.bounds import Bounds, robust_stability, worst_case_gain
+from lftkit.proofs.state_space.cells import Cell
+from lftkit.proofs.state_space.checker import CheckedProof, ProofError, check_proof
+from lftkit.proofs.state_space.proof import Proof
+
+__all__ = [
+    "Bounds",
+    "Cell",
+    "CheckedProof",
+    "Proof",
+    "ProofError",
+    "check_proof",
+    "robust_stability",
+    "worst_case_gain",
+]

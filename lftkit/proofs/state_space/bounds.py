@@ -1,0 +1,405 @@
+"""Guaranteed bounds of an uncertain system: worst-case gain and robust stability, with a proof.
+
+Branch and bound over the parameters and frequency: a cell whose inequality holds at the level is proven; one whose
+inequality fails is bisected where that helps most, and looked into for a member with a larger gain.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
+from lftkit.proofs.state_space.checker import Inequality
+from lftkit.proofs.state_space.proof import Proof, finished, proven_cell, stable_member, statement
+from lftkit.proofs.state_space.search import (
+    Member,
+    climbed,
+    member_gain,
+    scaled_box,
+    smallest_unstable_factor,
+    worst_member,
+)
+from lftkit.support.progress import Progress
+from lftkit.support.threads import one_thread
+from lftkit.systems.uncertain_system import UncertainSystem
+
+FloatArray = NDArray[np.float64]
+WHOLE = (0.0, np.inf)
+SHARE = 0.9
+"""Part of the gap at which a proof aims."""
+ATTEMPTS = 12
+"""Factors of the box that are tried for stability, each 0.7 of the one before unless an unstable member was found."""
+RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
+"""Factors of the level at which cells that are left over are tried."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Two-sided bound.
+
+    Parameters
+    ----------
+    lower : float
+        Reached at `point` and `frequency`: a gain; for stability the factor of the box that is proven stable.
+    upper : float
+        Proven never to be exceeded; for stability the factor of the box with an unstable member at `point`.
+        Infinite where nothing was proven (found).
+    point : mapping of str to float
+        Parameters of the worst member found.
+    frequency : float
+        Where it is worst [rad/s].
+    proof : Proof or None
+        Of `upper` (of `lower` for stability).
+    status : str
+        ``closed`` (the gap is reached), ``out_of_time``, ``unstable`` (the box contains an unstable member, or one
+        that is not well posed: `point`), ``violated`` (the given level is exceeded at `point`).
+    uncovered : tuple of Cell
+        What no proof covers.
+    """
+
+    lower: float
+    upper: float
+    point: Mapping[str, float]
+    frequency: float
+    proof: Proof | None
+    status: str
+    uncovered: tuple[Cell, ...] = ()
+
+
+def worst_case_gain(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    band: tuple[float, float] = WHOLE,
+    level: float | None = None,
+    gap: float = 0.05,
+    *,
+    wall_limit: float = 600.0,
+    max_tests: int = 5000,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    box : mapping of str to (lowest, highest), optional
+        Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
+    inputs, outputs : sequence of str, optional
+        Ports; all by default.
+    band : (lower, upper)
+        Frequencies [rad/s]; upper may be infinite. Only for the whole axis is every member shown to be stable.
+    level : float, optional
+        Prove the gain below this level, or find a member that exceeds it; without it the bounds are brought together.
+    gap : float
+        Relative distance of the bounds that ends the computation.
+    wall_limit : float
+        Seconds. Then the best bounds so far are given, with what is not covered.
+    max_tests : int
+        Most cells that are tried; as the wall limit, but the same on every machine.
+    seed : int
+        Of the search.
+    progress : bool
+
+    Returns
+    -------
+    Bounds
+
+    Raises
+    ------
+    ValueError
+        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense.
+
+    Examples
+    --------
+    A resonance of damping ratio 0.05 with an uncertain stiffness; its peak is 1 / (2 zeta sqrt(1 - zeta^2) k):
+
+    >>> from lftkit import Port, RealParameter
+    >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
+    >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
+    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("stiffness",), (k,))
+    >>> bounds = worst_case_gain(mode)
+    >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
+    ('closed', True, 0.8)
+    """
+    if not gap > 0.0 or not wall_limit > 0.0 or (level is not None and not level > 0.0):
+        raise ValueError(f"gap, wall_limit and level must be positive, got {gap}, {wall_limit} and {level}")
+    if not 0.0 <= band[0] < band[1]:
+        raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
+    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
+    with one_thread():
+        state = _GainBounds(chosen, intervals_of(chosen, box), band, level, gap, wall_limit, max_tests, seed, progress)
+        return state.run()
+
+
+def robust_stability(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    largest: float = 10.0,
+    gap: float = 0.05,
+    wall_limit: float = 600.0,
+    max_tests: int = 5000,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
+
+    Above 1 the box itself is stable. Factors up to `largest` are looked at: `upper` is infinite if no unstable
+    member was found there.
+
+    Parameters
+    ----------
+    system, box, gap, wall_limit, max_tests, seed, progress
+        As for :func:`worst_case_gain`; ports do not matter.
+    largest : float
+
+    Returns
+    -------
+    Bounds
+
+    Examples
+    --------
+    ``x' = (-1 + p) x`` with p in [-0.5, 0.5] is stable up to p = 1, twice the box:
+
+    >>> from lftkit import RealParameter
+    >>> p = RealParameter("p", 0.0, -0.5, 0.5)
+    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> bounds = robust_stability(lag)
+    >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
+    (True, 2.0, True)
+    """
+    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
+        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
+    chosen = system.select(inputs=(), outputs=()).sorted_channels()
+    ends = intervals_of(chosen, box)
+    with one_thread():
+        return _stability_bounds(chosen, ends, largest, gap, time.monotonic() + wall_limit, max_tests, seed, progress)
+
+
+def intervals_of(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | None) -> list[tuple[float, float]]:
+    """Intervals in the order of the system's parameters.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, ends in the wrong order or outside the range of the parameter.
+    """
+    given = dict(box or {})
+    for name, (low, high) in given.items():
+        parameter = system.parameter(name)
+        if not low <= high:
+            raise ValueError(f"box of {name!r} must have lower <= upper, got {low} and {high}")
+        parameter.check(low), parameter.check(high)
+    return [
+        (float(given[p.name][0]), float(given[p.name][1])) if p.name in given else (p.lower, p.upper)
+        for p in system.parameters
+    ]
+
+
+@dataclass
+class _Cover:
+    """Cells that are proven and cells that are open."""
+
+    test: CellTest
+    inequality: Inequality
+    open: list[tuple[float, int, Cell]]
+    proven: list[dict[str, Any]] = field(default_factory=list)
+    number: Any = field(default_factory=itertools.count)
+
+    @classmethod
+    def of(cls, system: UncertainSystem, claim: dict[str, Any], cell: Cell) -> _Cover:
+        cover = cls(CellTest(system, claim["kind"] == "gain"), Inequality(claim), [])
+        cover.push(0.0, cell)
+        return cover
+
+    def push(self, rank: float, cell: Cell) -> None:
+        heapq.heappush(self.open, (rank, next(self.number), cell))
+
+    def prove(self, cell: Cell, level: float, until: float) -> int | None:
+        """None if the cell is proven and kept, else the axis to bisect."""
+        try:
+            result = self.test.solve(cell, level, until)
+        except SingularCellError:
+            return len(cell.intervals)
+        if result.scalings is not None:
+            content = proven_cell(cell, result.scalings)
+            with suppress(ValueError, ArithmeticError):  # a number out of range: the cell stays open
+                if self.inequality.ratio(content, level) >= 1.0:
+                    self.proven.append(content)
+                    return None
+        return result.axis
+
+    def run(
+        self, level: Callable[[], float], failed: Callable[[Cell], bool], until: float, tests: int, bar: Progress
+    ) -> bool:
+        """Prove and bisect until nothing is open (True), time or tests are used up, or `failed` says stop."""
+        for _ in range(tests):
+            if not self.open:
+                break
+            bar.report(len(self.proven), len(self.proven) + len(self.open), best=level())
+            if time.monotonic() > until:
+                return False
+            rank, _, cell = heapq.heappop(self.open)
+            axis = self.prove(cell, level(), until)
+            if axis is None:
+                continue
+            for half in cell.split(axis, self.test.reference):
+                self.push(rank + 1.0, half)
+            if failed(cell):
+                return False
+        return not self.open
+
+    def leftover(self, level: float, until: float) -> float:
+        """Try the open cells at higher levels; the level at which all are proven, infinite if some are not."""
+        highest = level
+        for factor in RAISED:
+            waiting, self.open = self.open, []
+            for rank, number, cell in waiting:
+                if time.monotonic() > until or self.prove(cell, factor * level, until) is not None:
+                    self.open.append((rank, number, cell))
+                else:
+                    highest = factor * level
+            if not self.open:
+                return highest
+        return np.inf
+
+
+@dataclass
+class _GainBounds:
+    """State of :func:`worst_case_gain`."""
+
+    system: UncertainSystem
+    box: list[tuple[float, float]]
+    band: tuple[float, float]
+    level: float | None
+    gap: float
+    wall_limit: float
+    max_tests: int
+    seed: int
+    progress: bool
+
+    def run(self) -> Bounds:
+        start = time.monotonic()
+        self.worst = worst_member(self.system, self.box, self.band, seed=self.seed)
+        if np.isinf(self.worst.gain):
+            return self.bounds(np.inf, None, "unstable")
+        if self._violated():
+            return self.bounds(np.inf, None, "violated")
+        claim = statement(self.system, "gain", self.box, 1.0, self.band)
+        cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.band))
+        with Progress("worst-case gain", self.progress) as bar:
+            closed = cover.run(self.target, self._failed, start + 0.8 * self.wall_limit, self.max_tests, bar)
+        if np.isinf(self.worst.gain):
+            return self.bounds(np.inf, None, "unstable")
+        if self._violated():
+            return self.bounds(np.inf, None, "violated")
+        upper = self.target()
+        if not closed:
+            upper = cover.leftover(upper, start + self.wall_limit)
+        if np.isinf(upper):
+            return self.bounds(np.inf, None, "out_of_time", tuple(cell for *_, cell in cover.open))
+        point = np.array([0.5 * (low + high) for low, high in self.box])
+        stable = stable_member(self.system, claim, point) if self.band == WHOLE else None
+        if self.band == WHOLE and stable is None:
+            return self.bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.band),))
+        proof = finished({**claim, "level": upper}, cover.proven, stable)
+        return self.bounds(upper, proof, "closed" if closed else "out_of_time")
+
+    def target(self) -> float:
+        """Level to be proven: that given, or a part of the gap above the largest gain found."""
+        if self.level is not None:
+            return self.level
+        return max((1.0 + SHARE * self.gap) * self.worst.gain, 1e-300)
+
+    def _violated(self) -> bool:
+        return self.level is not None and self.worst.gain >= self.level
+
+    def _failed(self, cell: Cell) -> bool:
+        """Look for a larger gain in a cell that was not proven; True when there is nothing left to prove."""
+        member = member_gain(self.system, cell.middle(), self.band)
+        if member.gain > 0.98 * self.worst.gain:
+            member = climbed(self.system, self.box, self.band, member, 60)
+        if member.gain > self.worst.gain:
+            self.worst = member
+        return bool(np.isinf(self.worst.gain)) or self._violated()
+
+    def bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
+        return Bounds(
+            self.worst.gain, upper, _named(self.system, self.worst), self.worst.frequency, proof, status, uncovered
+        )
+
+
+def _stability_bounds(
+    system: UncertainSystem,
+    box: list[tuple[float, float]],
+    largest: float,
+    gap: float,
+    until: float,
+    max_tests: int,
+    seed: int,
+    progress: bool,
+) -> Bounds:
+    nominal = np.array([p.nominal for p in system.parameters])
+    first = member_gain(system, nominal, WHOLE, gain=False)
+    if np.isinf(first.gain):
+        return Bounds(0.0, 0.0, _named(system, first), first.frequency, None, "unstable")
+    factor, point, frequency = smallest_unstable_factor(system, box, largest, seed=seed)
+    worst = Member(np.inf, point, frequency)
+    target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
+    proof, lower = None, 0.0
+    left: tuple[Cell, ...] = ()
+    with Progress("robust stability", progress) as bar:
+        for _ in range(ATTEMPTS):
+            if time.monotonic() > until:
+                break
+            ends = scaled_box(system, box, target)
+            claim = statement(system, "stability", ends, None, WHOLE)
+            cover = _Cover.of(system, claim, Cell(tuple(ends), WHOLE))
+            found: list[Member] = []
+
+            def unstable(cell: Cell, found: list[Member] = found) -> bool:
+                member = member_gain(system, cell.middle(), WHOLE, gain=False)
+                if np.isinf(member.gain):
+                    found.append(member)
+                return bool(found)
+
+            closed = cover.run(lambda: 1.0, unstable, 0.3 * time.monotonic() + 0.7 * until, max_tests, bar)
+            left = tuple(cell for *_, cell in cover.open)
+            if found:
+                worst = found[0]
+                factor = _factor_of(system, box, worst.point)
+                target = factor / (1.0 + SHARE * gap)
+                continue
+            stable = stable_member(system, claim, nominal) if closed else None
+            if stable is not None:
+                proof, lower = finished(claim, cover.proven, stable), target
+                break
+            target *= 0.7
+    status = "closed" if proof is not None and (np.isinf(factor) or factor <= (1.0 + gap) * lower) else "out_of_time"
+    return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, () if proof else left)
+
+
+def _factor_of(system: UncertainSystem, box: list[tuple[float, float]], point: FloatArray) -> float:
+    """Factor of the scaled box on whose surface the point is."""
+    factors = [0.0]
+    for parameter, (low, high), value in zip(system.parameters, box, point):
+        offset = value - parameter.nominal
+        side = (low if offset < 0.0 else high) - parameter.nominal
+        factors.append(offset / side if offset else 0.0)
+    return max(factors)
+
+
+def _named(system: UncertainSystem, member: Member) -> dict[str, float]:
+    return {p.name: float(v) for p, v in zip(system.parameters, member.point)}

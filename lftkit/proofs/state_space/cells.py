@@ -1,0 +1,325 @@
+"""The inequality of one cell: scalings that bound the gain for all its parameters and all its frequencies.
+
+Frequency is a real scalar repeated as often as there are states, so that one test holds for a whole interval, to
+infinity where it has no end. With D and G of full size on that block the test loses nothing in frequency
+(generalised Kalman-Yakubovich-Popov lemma, Iwasaki and Hara 2005); what may be lost is in the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit.analysis.eigenvectors import EPS
+from lftkit.proofs.state_space.barrier import FULL, REAL, Block, Scalings, find_scalings
+from lftkit.systems.uncertain_system import UncertainSystem
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+NARROW = 1e-7
+"""Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
+BALANCING_SWEEPS = 8
+WIDE = 4.0
+"""Ratio of frequencies above which a band is bisected before the parameters."""
+DEEP = 16.0
+"""A parameter whose interval, as a part of its range, is this much narrower than the widest one counts less."""
+
+
+class SingularCellError(ArithmeticError):
+    """The middle of a cell has a pole on the imaginary axis, or a singular LFT."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Intervals of all parameters and of frequency.
+
+    Parameters
+    ----------
+    intervals : tuple of (lower, upper)
+        In the order of ``system.parameters``, physical values.
+    band : (lower, upper)
+        Frequencies [rad/s], ``0 <= lower < upper``; upper may be infinite.
+    """
+
+    intervals: tuple[tuple[float, float], ...]
+    band: tuple[float, float]
+
+    def split(self, axis: int, reference: float) -> tuple[Cell, Cell]:
+        """Two halves; `axis` is the number of a parameter, or that of parameters for frequency.
+
+        Parameters
+        ----------
+        axis : int
+        reference : float
+            Typical frequency [rad/s]: where a band from zero to infinity is cut.
+        """
+        if axis == len(self.intervals):
+            at = frequency_cut(self.band, reference)
+            return Cell(self.intervals, (self.band[0], at)), Cell(self.intervals, (at, self.band[1]))
+        low, high = self.intervals[axis]
+        at = 0.5 * (low + high)
+        before, after = self.intervals[:axis], self.intervals[axis + 1 :]
+        return Cell((*before, (low, at), *after), self.band), Cell((*before, (at, high), *after), self.band)
+
+    def middle(self) -> FloatArray:
+        """Centre of the parameter intervals."""
+        return np.array([0.5 * (low + high) for low, high in self.intervals])
+
+
+def frequency_cut(band: tuple[float, float], reference: float) -> float:
+    """Where a band is cut: the geometric mean when it is wide, else the middle."""
+    low, high = band
+    if np.isinf(high):
+        return max(reference, 4.0 * low)
+    if low <= 0.0:
+        return 0.25 * high
+    return float(np.sqrt(low * high)) if high > 4.0 * low else 0.5 * (low + high)
+
+
+@dataclass(frozen=True)
+class CellScalings:
+    """Scalings of a cell as a proof stores them.
+
+    Parameters
+    ----------
+    P, Q : ndarray
+        Hermitian, (n, n): of the frequency, P > 0.
+    D, G : dict
+        Parameter name to Hermitian (k, k), D > 0.
+    centre : float
+        Frequency [rad/s] about which the test was set up.
+    performance : float
+        Factor of the gain's inequality, positive; 1 for stability, where there is no gain.
+    """
+
+    P: ComplexArray
+    Q: ComplexArray
+    D: dict[str, ComplexArray]
+    G: dict[str, ComplexArray]
+    centre: float
+    performance: float
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """Outcome of :meth:`CellTest.solve`: scalings or None, margin found, axis that is best bisected."""
+
+    scalings: CellScalings | None
+    margin: float
+    axis: int
+
+
+class CellTest:
+    """Tests of cells of one system at given levels.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        Channels of each parameter adjacent (:meth:`UncertainSystem.sorted_channels`).
+    gain : bool
+        Whether the gain from all inputs to all outputs is bounded; otherwise stability alone.
+    """
+
+    def __init__(self, system: UncertainSystem, gain: bool) -> None:
+        self.system, self.gain = system, gain
+        q = len(system.channels)
+        columns = system.B.shape[1] if gain else q
+        rows = system.C.shape[0] if gain else q
+        self.q, self.n = q, system.order
+        self.A, self.B = system.A, system.B[:, :columns]
+        self.C, self.D = system.C[:rows], system.D[:rows, :columns]
+        self.sizes = list(system.occurrences().values())
+        self.nominal = [p.nominal for p in system.parameters]
+        poles = np.abs(linalg.eigvals(self.A)) if self.n else np.ones(1)
+        poles = poles[poles > 1e-12 * poles.max(initial=0.0)] if np.any(poles > 0.0) else np.ones(1)
+        self.slowest, self.fastest = float(poles.min()), float(poles.max())
+        self.reference = float(np.sqrt(self.slowest * self.fastest))
+
+    def solve(self, cell: Cell, level: float, until: float = np.inf) -> CellResult:
+        """Scalings that prove gain < `level` (stability where there is no gain) over the cell, if they are found.
+
+        Raises
+        ------
+        SingularCellError
+            A pole on the imaginary axis, or a singular LFT, in the middle of the cell.
+        """
+        maps, factors = self._maps(cell)
+        scale = balanced(maps, self.n + self.q)
+        blocks = self._blocks(maps, scale, level)
+        found = find_scalings(blocks, until=until)
+        axis = self._axis(found, cell)
+        if found.margin <= 0.0:
+            return CellResult(None, found.margin, axis)
+        return CellResult(self._unscaled(found, scale, factors, level, cell), found.margin, axis)
+
+    def _maps(self, cell: Cell) -> tuple[ComplexArray, list[float]]:
+        """Normalised matrix M from (w, d) to (z, e), every w = delta z with delta in [-1, 1]; widths of the blocks.
+
+        The states come first: ``x' = j centre x + j width w`` with z = x, or for a band without end with
+        z = 2 width x + w.
+        """
+        n, q = self.n, self.q
+        centre, width, endless = self._frequency_interval(cell.band)
+        centres, widths = self._parameter_intervals(cell)
+        per_channel_c, per_channel_r = np.repeat(centres, self.sizes), np.repeat(widths, self.sizes)
+        inner = slice(0, q)
+        matrix = np.zeros((n + q, n + q), complex)
+        matrix[:n, :n] = 1j * centre * np.eye(n) - self.A
+        matrix[:n, n:] = -self.B[:, inner]
+        matrix[n:, :n] = -per_channel_c[:, None] * self.C[inner]
+        matrix[n:, n:] = np.eye(q) - per_channel_c[:, None] * self.D[inner, inner]
+        m = self.B.shape[1] - q
+        right = np.zeros((n + q, n + q + m), complex)
+        right[:n, :n] = -1j * (1.0 if endless else width) * np.eye(n)
+        right[:n, n + q :] = self.B[:, q:]
+        right[n:, n : n + q] = np.diag(per_channel_r)
+        right[n:, n + q :] = per_channel_c[:, None] * self.D[inner, q:]
+        solution = _solved(matrix, right)
+        states, w = solution[:n], solution[n:]
+        outputs = self.C @ states + self.D[:, inner] @ w
+        outputs[:, n + q :] += self.D[:, q:]
+        M = np.vstack([2.0 * width * states if endless else states, outputs])
+        if endless:
+            M[:n, :n] += np.eye(n)
+        return M, [width, *widths]
+
+    def _frequency_interval(self, band: tuple[float, float]) -> tuple[float, float, bool]:
+        """Centre, half width, whether there is no end (then centre and width are those of a Moebius map)."""
+        low, high = band
+        if np.isinf(high):
+            width = max(self.reference, low)
+            return low + width, width, True
+        return 0.5 * (low + high), max(0.5 * (high - low), NARROW * max(high, 1e-300)), False
+
+    def _parameter_intervals(self, cell: Cell) -> tuple[FloatArray, FloatArray]:
+        """Centres of (value - nominal) and half widths."""
+        ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
+        ranges = np.array([max(p.upper - p.lower, abs(p.nominal), 1e-300) for p in self.system.parameters])
+        widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
+        return 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal), widths
+
+    def _blocks(self, M: ComplexArray, scale: FloatArray, level: float) -> list[Block]:
+        n, total = self.n, self.n + self.q
+        inputs = np.eye(M.shape[1], dtype=complex)
+        scaled = M / _column_scale(scale, M.shape[1])
+        scaled[:total] *= scale[:total, None]
+        blocks, at = [], 0
+        for size in ([n] if n else []) + self.sizes:
+            blocks.append(Block(REAL, scaled[at : at + size], inputs[at : at + size]))
+            at += size
+        if self.gain:
+            blocks.append(Block(FULL, scaled[total:] * (scale[total] / level), inputs[total:]))
+        return blocks
+
+    def _axis(self, found: Scalings, cell: Cell) -> int:
+        """Number of the interval with the largest loss; intervals that are points are not bisected.
+
+        In a cell that several parameters keep open, the loss of one may stay the largest however narrow its interval
+        is. The losses of narrow intervals are therefore taken in proportion to their width.
+        """
+        if self.n and self._wide(cell.band):
+            return len(self.sizes)
+        first = 1 if self.n else 0
+        losses = list(found.losses[first : first + len(self.sizes)])
+        low, high = cell.band
+        losses.append(found.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
+        parts = [
+            (upper - lower) / (p.upper - p.lower) if upper - lower > 4.0 * EPS * max(abs(lower), abs(upper)) else 0.0
+            for (lower, upper), p in zip(cell.intervals, self.system.parameters)
+        ]
+        for i, part in enumerate(parts):
+            losses[i] *= min(1.0, DEEP * part / max(parts)) if part else 0.0
+        return int(np.argmax(losses))
+
+    def _wide(self, band: tuple[float, float]) -> bool:
+        """Whether a band has poles over more than a factor :data:`WIDE` of frequency."""
+        low, high = max(band[0], 0.5 * self.slowest), min(band[1], 2.0 * self.fastest)
+        return high > WIDE * low
+
+    def _unscaled(
+        self, found: Scalings, scale: FloatArray, widths: list[float], level: float, cell: Cell
+    ) -> CellScalings:
+        n = self.n
+        D, G, at = [], [], 0
+        first = [] if n else [np.zeros((0, 0), complex)]
+        matrices_D, matrices_G = [*first, *found.D], [*first, *found.G]
+        for d, g, size, width in zip(matrices_D, matrices_G, [n, *self.sizes], widths):
+            s = np.outer(scale[at : at + size], scale[at : at + size])
+            at += size
+            D.append(s * d / width**2)
+            G.append(s * g / width)
+        centre, width, endless = self._frequency_interval(cell.band)
+        if endless:
+            D[0], G[0] = 4.0 * width**3 * D[0], 2.0 * width**2 * G[0]
+        names = [p.name for p in self.system.parameters]
+        performance = 2.0 * float(found.D[-1][0, 0].real) * (scale[-1] / level) ** 2 if self.gain else 1.0
+        return CellScalings(D[0], G[0], dict(zip(names, D[1:])), dict(zip(names, G[1:])), centre, performance)
+
+
+def _column_scale(scale: FloatArray, columns: int) -> FloatArray:
+    """Scale of every column of M: that of the last block for all the inputs."""
+    inner = len(scale) - 1
+    return np.concatenate([scale[:inner], np.full(columns - inner, scale[inner])])
+
+
+def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
+    if not len(matrix):
+        return right
+    size = np.abs(matrix).max(axis=1, initial=0.0)
+    if not np.all(size > 0.0):
+        raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
+    scaled = matrix / size[:, None]
+    factors, pivots, _ = linalg.lapack.zgetrf(scaled)
+    diagonal = np.abs(np.diag(factors))
+    if not diagonal.min() > 1e-15 * diagonal.max():
+        raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
+    solution: Any = linalg.lapack.zgetrs(factors, pivots, right / size[:, None])[0]
+    return np.asarray(solution)
+
+
+def balanced(M: ComplexArray, inner: int) -> FloatArray:
+    """Diagonal scales of the channels, and one of the gain's block last, that bring rows and columns of M in balance.
+
+    Osborne's iteration; the scales are s in ``s_i M_ij / s_j``.
+    """
+    squares = np.zeros((inner + 1, inner + 1))
+    power = np.abs(M) ** 2
+    squares[:inner, :inner] = power[:inner, :inner]
+    squares[inner, :inner] = power[inner:, :inner].sum(axis=0)
+    squares[:inner, inner] = power[:inner, inner:].sum(axis=1)
+    np.fill_diagonal(squares, 0.0)
+    scale = np.ones(inner + 1)
+    floor = 1e-30 * float(squares.max(initial=0.0)) or 1.0
+    for _ in range(BALANCING_SWEEPS):
+        for i in range(inner + 1):
+            row = float(scale[i] ** 2 * (squares[i] / scale**2).sum()) + floor
+            column = float((squares[:, i] * scale**2).sum() / scale[i] ** 2) + floor
+            scale[i] *= (column / row) ** 0.25
+    return np.asarray(scale / scale[inner])
+
+
+def scalings_to_mapping(scalings: CellScalings) -> dict[str, Any]:
+    """Numbers of a cell's scalings for a proof file: each Hermitian matrix as its real part and its imaginary part."""
+    return {
+        "P": _parts(scalings.P),
+        "Q": _parts(scalings.Q),
+        "D": {name: _parts(matrix) for name, matrix in scalings.D.items()},
+        "G": {name: _parts(matrix) for name, matrix in scalings.G.items()},
+        "centre": scalings.centre,
+        "performance": scalings.performance,
+    }
+
+
+def _parts(matrix: ComplexArray) -> list[list[list[float]]]:
+    return [matrix.real.tolist(), matrix.imag.tolist()]
+
+
+def point_values(system: UncertainSystem, point: FloatArray) -> Mapping[str, float]:
+    """Parameter values by name."""
+    return {p.name: float(v) for p, v in zip(system.parameters, point)}

@@ -1,0 +1,301 @@
+"""Check of a proof file: the code to trust. It optimises nothing and shares no code with what finds proofs.
+
+A proof says: for all parameters in the box and all frequencies of the band the gain from the inputs d to the outputs
+e is below `level` (kind ``gain``), or there is no pole on the imaginary axis (kind ``stability``); together with one
+stable member, a band from zero to infinity then proves stability of every member. With ``v = j omega x = A x + B1 w +
+B2 d``, ``z = C1 x + D11 w + D12 d``, ``e = C2 x + D21 w + D22 d`` and ``w = delta z``, each cell has scalings that make
+
+    performance (e* e - level^2 d* d) + 2 Re x* Q v + sum 2 Re z* (j G) w + 2 Re (v - j a x)* P (j b x - v)
+                                      + sum 2 Re (w - delta_low z)* D (delta_high z - w)
+
+negative definite in (x, w, d), P and D positive definite, Q and G Hermitian: on solutions in the cell all but the first
+term are not negative, so the first one is negative. For a band from a to infinity the term of P is
+``2 Re (v - j a x)* P j x``.
+
+Rounding: every matrix is kept with a bound of its error (products: gamma_k |A| |B|), and is positive definite if the
+Cholesky factorisation of it, lowered by the bound of everything that can be wrong, runs to the end (Demmel 1989; Rump
+2006). Complex numbers are real matrices of twice the size.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+FloatArray = NDArray[np.float64]
+Box = list[tuple[float, float]]
+UNIT = 2.0**-53
+INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
+
+
+class ProofError(ValueError):
+    """The proof is refused; the message says why and where."""
+
+
+@dataclass(frozen=True)
+class CheckedProof:
+    """What a proof that passed guarantees; `margin` is the smallest ratio of a margin to the bound of all rounding."""
+
+    kind: str
+    level: float | None
+    box: dict[str, tuple[float, float]]
+    band: tuple[float, float]
+    cells: int
+    margin: float
+    stable: bool
+
+
+class Ball:
+    """Real matrix with an elementwise bound of its error."""
+
+    def __init__(self, mid: FloatArray, rad: FloatArray | None = None) -> None:
+        self.mid = mid
+        self.rad = np.zeros_like(mid) if rad is None else rad
+
+    def __matmul__(self, other: Ball) -> Ball:
+        a, b = np.abs(self.mid), np.abs(other.mid)
+        k = self.mid.shape[1] + 2
+        rad = (k * UNIT / (1.0 - k * UNIT)) * (a @ b) + self.rad @ (b + other.rad) + a @ other.rad
+        return Ball(self.mid @ other.mid, INFLATE * rad + 1e-290)
+
+    def __add__(self, other: Ball) -> Ball:
+        mid = self.mid + other.mid
+        return Ball(mid, INFLATE * (self.rad + other.rad + UNIT * np.abs(mid)))
+
+    def __sub__(self, other: Ball) -> Ball:
+        return self + Ball(-other.mid, other.rad)
+
+    def transposed(self) -> Ball:
+        """Transpose."""
+        return Ball(self.mid.T, self.rad.T)
+
+    def times(self, factor: Ball) -> Ball:
+        """Product with a scalar, given as a 1 x 1 ball."""
+        f, r = float(factor.mid[0, 0]), float(factor.rad[0, 0])
+        mid = f * self.mid
+        rad = UNIT * np.abs(mid) + abs(f) * self.rad + r * (np.abs(self.mid) + self.rad)
+        return Ball(mid, INFLATE * rad + 1e-290)
+
+
+def exact_product(*factors: FloatArray) -> Ball:
+    """Product of matrices, every entry the exact one rounded once (integers of any length inside)."""
+    product: Any = None
+    for factor in factors:
+        whole = [int(math.ldexp(m, 53)) << (e + 1100) for m, e in map(math.frexp, factor.ravel().tolist())]
+        integers = np.array(whole, dtype=object).reshape(factor.shape)
+        product = integers if product is None else product @ integers
+    denominator = 1 << (1153 * len(factors))
+    mid = np.array([value / denominator for value in product.ravel()], dtype=float).reshape(product.shape)
+    return Ball(mid, UNIT * np.abs(mid) * INFLATE + 1e-300)
+
+
+def number(value: float) -> Ball:
+    """Exact scalar."""
+    return Ball(np.array([[float(value)]]))
+
+
+def embedded(real: FloatArray, imaginary: FloatArray | None = None) -> FloatArray:
+    """Complex matrix as a real one of twice the size."""
+    imag = np.zeros_like(real) if imaginary is None else imaginary
+    return np.block([[real, -imag], [imag, real]])
+
+
+def hermitian(parts: Any, size: int, what: str) -> FloatArray:
+    """Embedded Hermitian matrix of the lower triangles that a proof stores."""
+    real, imag = (np.array(part, dtype=float).reshape(size, size) for part in parts)
+    if not (np.isfinite(real).all() and np.isfinite(imag).all()):
+        raise ProofError(f"{what} must be finite")
+    lower, strict = np.tril(real), np.tril(imag, -1)
+    return embedded(lower + np.tril(real, -1).T, strict - strict.T)
+
+
+def definite_ratio(matrix: Ball) -> float:
+    """Margin of positive definiteness over the bound of all rounding, as a power of two; 0 if it is not certain."""
+    n, diagonal = len(matrix.mid), np.diag(matrix.mid)
+    if n == 0:
+        return math.inf
+    if not (np.isfinite(matrix.mid).all() and np.isfinite(matrix.rad).all() and np.all(diagonal > 0.0)):
+        return 0.0
+    scale = np.exp2(-np.round(0.5 * np.log2(diagonal)))  # powers of two: exact
+    mid, rad = (part * scale[:, None] * scale for part in (0.5 * (matrix.mid + matrix.mid.T), matrix.rad))
+    rad = np.maximum(rad, rad.T) + UNIT * np.abs(mid)
+    k = n + 3
+    bound = INFLATE * (2.0 * k * UNIT / (1.0 - 2.0 * k * UNIT) * float(np.trace(mid)) + float(rad.sum(axis=1).max()))
+    factor = 1.0
+    while factor < 2.0**60 and linalg.lapack.dpotrf(mid - factor * bound * np.eye(n), lower=1)[1] == 0:
+        factor *= 4.0
+    return factor / 4.0 if factor > 1.0 else 0.0
+
+
+class Inequality:
+    """The inequality of a cell of one system."""
+
+    def __init__(self, proof: dict[str, Any]) -> None:
+        system = proof["system"]
+        self.names = [str(p["name"]) for p in system["parameters"]]
+        self.nominal = {p["name"]: float(p["nominal"]) for p in system["parameters"]}
+        channels = list(enumerate(system["channels"]))
+        self.rows = {name: [i for i, channel in channels if channel == name] for name in self.names}
+        self.gain = proof["kind"] == "gain"
+        n, q = int(system["order"]), len(channels)
+        m, p = (int(system["inputs"]), int(system["outputs"])) if self.gain else (0, 0)
+        A, B, C, D = (np.array(system[key], dtype=float) for key in "ABCD")
+        D = D.reshape(q + int(system["outputs"]), q + int(system["inputs"]))
+        A, B, C = A.reshape(n, n), B.reshape(n, D.shape[1]), C.reshape(len(D), n)
+        if not all(np.isfinite(matrix).all() for matrix in (A, B, C, D)):
+            raise ProofError("the system's matrices must be finite")
+        self.n, self.q = n, q
+        unit = np.eye(n + q + m)
+        self.x, self.w, self.d = unit[:n], unit[n : n + q], unit[n + q :]
+        self.v = np.hstack([A, B[:, : q + m]])
+        self.z, self.e = np.hstack([C[:q], D[:q, : q + m]]), np.hstack([C[q : q + p], D[q : q + p, : q + m]])
+
+    def delta(self, name: str, value: float) -> Ball:
+        """``value - nominal`` with its rounding."""
+        return number(value) - number(self.nominal[name])
+
+    def ratio(self, cell: dict[str, Any], level: float | None) -> float:
+        """Smallest :func:`definite_ratio` of the cell's matrices."""
+        low, high = cell["band"]
+        coordinates = embedded(*self.coordinates(cell))
+        x, v = (exact_product(embedded(part), coordinates) for part in (self.x, self.v))
+        below = exact_product(embedded(self.v, -low * self.x), coordinates)
+        ahead = embedded(0.0 * self.x, self.x) if high is None else embedded(-self.v, high * self.x)
+        above = exact_product(ahead, coordinates)
+        P, Q = (hermitian(cell[key], self.n, key) for key in "PQ")
+        total = below.transposed() @ (Ball(P) @ above) + x.transposed() @ (Ball(Q) @ v)
+        ratios = [definite_ratio(Ball(P))]
+        for name, (lower, upper) in zip(self.names, cell["intervals"]):
+            rows = self.rows[name]
+            w, z = (exact_product(embedded(part[rows]), coordinates) for part in (self.w, self.z))
+            D, G = (hermitian(cell[key][name], len(rows), f"{key} of {name}") for key in "DG")
+            turned = Ball(np.vstack([-G[len(rows) :], G[: len(rows)]]))  # j G
+            off = w - z.times(self.delta(name, lower))
+            rest = z.times(self.delta(name, upper)) - w
+            total = total + off.transposed() @ (Ball(D) @ rest) + z.transposed() @ (turned @ w)
+            ratios.append(definite_ratio(Ball(D)))
+        total = total + total.transposed()
+        if self.gain:
+            factor = float(cell["performance"])
+            if level is None or not (factor > 0.0 and level > 0.0):
+                raise ProofError(f"performance and level must be positive, got {factor} and {level}")
+            e, d = (exact_product(embedded(part), coordinates) for part in (self.e, self.d))
+            allowed = (d.transposed() @ d).times(number(level)).times(number(level))
+            total = total + (e.transposed() @ e - allowed).times(number(factor))
+        return min(*ratios, definite_ratio(Ball(0.0 * total.mid) - total))
+
+    def coordinates(self, cell: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+        """Any basis of (x, w, d); this one makes the terms of the inequality small where they cancel."""
+        middle = np.repeat(0.0, self.q)
+        for name, (lower, upper) in zip(self.names, cell["intervals"]):
+            middle[self.rows[name]] = 0.5 * (lower + upper) - self.nominal[name]
+        offsets = [self.v - 1j * float(cell["centre"]) * self.x, self.w - middle[:, None] * self.z, self.d]
+        factors, pivots, _ = linalg.lapack.zgetrf(np.vstack(offsets))
+        basis = linalg.lapack.zgetri(factors, pivots)[0]
+        return basis.real, basis.imag
+
+    def stable_ratio(self, stable: dict[str, Any]) -> float:
+        """Lyapunov inequality of one member: ``(L x)* (L v) + (L v)* (L x) < 0`` where ``w = delta z``.
+
+        Written in coordinates ``x = T y``, with a multiplier of ``|w - delta z|^2`` for each channel.
+        """
+        n, q = self.n, self.q
+        L, T = (np.array(stable[key], dtype=float).reshape(n, n) for key in "LT")
+        basis = np.block([[T, np.zeros((n, q))], [np.zeros((q, n)), np.eye(q)]])
+        part = slice(0, n + q)
+        x, v = (exact_product(L, rows[:, part], basis) for rows in (self.x, self.v))
+        total = x.transposed() @ v
+        total = total + total.transposed()
+        for name, value in zip(self.names, stable["point"]):
+            rows = self.rows[name]
+            w, z = (exact_product(signal[rows][:, part], basis) for signal in (self.w, self.z))
+            off = w - z.times(self.delta(name, value))
+            weights = np.array(stable["weights"][name], dtype=float).reshape(len(rows))
+            if not np.all(weights >= 0.0):
+                raise ProofError("weights must not be negative")
+            total = total - off.transposed() @ (Ball(np.diag(weights)) @ off)
+        states = exact_product(L, T)
+        return min(definite_ratio(states.transposed() @ states), definite_ratio(Ball(0.0 * total.mid) - total))
+
+
+def uncovered(box: Box, cells: list[Box]) -> Box | None:
+    """Part of `box` that no cell contains, or None; the box is cut at faces of cells until one contains each part."""
+    inside = [c for c in cells if all((lo < high and hi > low) or low == high for (lo, hi), (low, high) in zip(c, box))]
+    if any(all(lo <= low and hi >= high for (lo, hi), (low, high) in zip(c, box)) for c in inside):
+        return None
+    cuts = {(i, at) for c in inside[:50] for i, ends in enumerate(c) for at in ends if box[i][0] < at < box[i][1]}
+    if not cuts:
+        return box
+    axis, at = min(cuts, key=lambda cut: sum(c[cut[0]][0] < cut[1] < c[cut[0]][1] for c in inside))
+    halves = ([*box[:axis], part, *box[axis + 1 :]] for part in ((box[axis][0], at), (at, box[axis][1])))
+    return next((hole for half in halves if (hole := uncovered(half, inside)) is not None), None)
+
+
+def digest(proof: dict[str, Any]) -> str:
+    """SHA-256 of the content."""
+    content = json.dumps({key: value for key, value in proof.items() if key != "sha256"}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def check_proof(proof: dict[str, Any] | Path) -> CheckedProof:
+    """Verify a proof file, or its content; a ProofError says why it is refused."""
+    if isinstance(proof, Path) and not proof.is_file():
+        raise ProofError(f"the proof must be an ordinary file, got {proof}")
+    try:
+        content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else proof
+        return _checked(content)
+    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
+        known = isinstance(error, ProofError)
+        raise ProofError(str(error) if known else f"the file must be a proof, got {error!r}") from None
+
+
+def _band(ends: Any) -> tuple[float, float]:
+    band = float(ends[0]), math.inf if ends[1] is None else float(ends[1])
+    if not 0.0 <= band[0] < band[1]:
+        raise ProofError(f"a band must be two frequencies with 0 <= lower < upper, got {ends}")
+    return band
+
+
+def _checked(proof: dict[str, Any]) -> CheckedProof:
+    if proof["format"] != "los-testbed proof 1" or proof["kind"] not in ("gain", "stability"):
+        raise ProofError(f"format must be 'los-testbed proof 1' of a gain or of stability, got {proof['format']!r}")
+    if proof["sha256"] != digest(proof):
+        raise ProofError("the content must match its SHA-256, got another: the file was altered")
+    inequality, band = Inequality(proof), _band(proof["band"])
+    box = [(float(proof["box"][name][0]), float(proof["box"][name][1])) for name in inequality.names]
+    whole = [*box, band]
+    cells = [[*((float(a), float(b)) for a, b in c["intervals"]), _band(c["band"])] for c in proof["cells"]]
+    for i, cell in enumerate(cells):
+        if len(cell) != len(whole) or not all(lo <= a <= b <= hi for (a, b), (lo, hi) in zip(cell, whole)):
+            raise ProofError(f"cell {i} must be inside the box, got {cell}")
+    ends = np.array(cells).reshape(len(cells), -1, 2)
+    for i, cell_ends in enumerate(ends):
+        if np.sum(np.all((ends[:, :, 0] < cell_ends[:, 1]) & (ends[:, :, 1] > cell_ends[:, 0]), axis=1)) > 1:
+            raise ProofError(f"cells must not overlap, got another one that overlaps cell {i}")
+    hole = uncovered(whole, cells)
+    if hole is not None:
+        raise ProofError(f"the cells must cover the box and the band, got a hole at {hole}")
+    level, worst = float(proof["level"]) if proof["kind"] == "gain" else None, math.inf
+    for i, content in enumerate(proof["cells"]):
+        worst = min(worst, inequality.ratio(content, level))
+        if not worst >= 1.0:
+            raise ProofError(f"the inequality of cell {i} must hold beyond rounding, got no margin at {cells[i]}")
+    stable = False
+    if proof.get("stable") is not None:
+        point = proof["stable"]["point"]
+        if not all(low <= value <= high for value, (low, high) in zip(point, box)) or len(point) != len(box):
+            raise ProofError(f"the stable member must be inside the box, got {point}")
+        worst, stable = min(worst, inequality.stable_ratio(proof["stable"])), band == (0.0, math.inf)
+        if not worst >= 1.0:
+            raise ProofError("the Lyapunov inequality of the stable member must hold beyond rounding, got no margin")
+    if proof["kind"] == "stability" and not stable:
+        raise ProofError("a proof of stability must have a stable member and a band from zero to infinity")
+    return CheckedProof(proof["kind"], level, dict(zip(inequality.names, box)), band, len(cells), worst, stable)

@@ -1,0 +1,139 @@
+"""Proofs as files: what :mod:`lftkit.proofs.state_space.checker` verifies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
+from lftkit.proofs.state_space.checker import Inequality, digest
+from lftkit.systems.uncertain_system import UncertainSystem
+
+FloatArray = NDArray[np.float64]
+sl: Any = linalg
+FORMAT = "los-testbed proof 1"
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Content of a proof file.
+
+    Parameters
+    ----------
+    content : dict
+        Numbers, lists and names, as JSON has them; floating-point numbers keep all their digits.
+    """
+
+    content: dict[str, Any]
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return len(self.content["cells"])
+
+    def to_file(self, path: Path) -> None:
+        """Write the proof as JSON."""
+        path.write_text(json.dumps(self.content), "utf-8")
+
+
+def statement(
+    system: UncertainSystem,
+    kind: str,
+    box: Sequence[tuple[float, float]],
+    level: float | None,
+    band: tuple[float, float],
+) -> dict[str, Any]:
+    """What a proof claims, without cells: the system, the box, the band and the level."""
+    q = len(system.channels)
+    return {
+        "format": FORMAT,
+        "kind": kind,
+        "level": level,
+        "band": [band[0], None if np.isinf(band[1]) else band[1]],
+        "box": {p.name: list(ends) for p, ends in zip(system.parameters, box)},
+        "system": {
+            "order": system.order,
+            "inputs": system.B.shape[1] - q,
+            "outputs": system.C.shape[0] - q,
+            "channels": list(system.channels),
+            "parameters": [{"name": p.name, "nominal": p.nominal, "unit": p.unit} for p in system.parameters],
+            **{key: getattr(system, key).tolist() for key in "ABCD"},
+        },
+    }
+
+
+def proven_cell(cell: Cell, scalings: CellScalings) -> dict[str, Any]:
+    """A cell of a proof with its scalings."""
+    low, high = cell.band
+    return {
+        "intervals": [list(ends) for ends in cell.intervals],
+        "band": [low, None if np.isinf(high) else high],
+        **scalings_to_mapping(scalings),
+    }
+
+
+def finished(claim: dict[str, Any], cells: list[dict[str, Any]], stable: dict[str, Any] | None) -> Proof:
+    """The claim with its cells, the stable member and the SHA-256 of it all."""
+    content = json.loads(json.dumps({**claim, "cells": cells, "stable": stable}))
+    return Proof({**content, "sha256": digest(content)})
+
+
+def stable_member(system: UncertainSystem, claim: dict[str, Any], point: FloatArray) -> dict[str, Any] | None:
+    """Factor of a Lyapunov matrix and weights that prove the member at `point` stable; None if none were found."""
+    values = {p.name: float(v) for p, v in zip(system.parameters, point)}
+    inequality, q = Inequality(claim), len(system.channels)
+    A = np.array(system.data_at(values, beyond_range=True).A)
+    deviation = np.array([values[c] - system.parameter(c).nominal for c in system.channels])
+    loop = np.eye(q) - system.D[:q, :q] * deviation
+    through = np.eye(q) + deviation[:, None] * linalg.solve(loop, system.D[:q, :q]) if q else np.eye(0)
+    for L, T in _lyapunov_factors(A):
+        rates = np.maximum(-np.diag(L @ A @ T), 1e-300)
+        channel = L @ system.B[:, :q] @ through
+        weights = 4.0 * max(q, 1) * np.sum(channel**2 / rates[:, None], axis=0)
+        weights = np.maximum(weights, 1e-12 * max(float(weights.max(initial=0.0)), 1e-300))
+        for factor in 8.0 ** np.arange(6):
+            content = {
+                "point": point.tolist(),
+                "L": L.tolist(),
+                "T": T.tolist(),
+                "weights": _weights(system, factor * weights),
+            }
+            if inequality.stable_ratio(content) >= 1.0:
+                return content
+    return None
+
+
+def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Pairs (L, T = L^-1) with ``L A T`` plus its transpose negative definite, as far as A is stable: in modal
+    coordinates, and from the Lyapunov equation of the balanced matrix.
+    """
+    if not len(A):
+        yield np.zeros((0, 0)), np.zeros((0, 0))
+        return
+    values, vectors = sl.eig(A)
+    columns = [vectors[:, i].real for i in range(len(A)) if values[i].imag == 0.0]
+    for i in range(len(A)):
+        if values[i].imag > 0.0:
+            columns += [vectors[:, i].real, vectors[:, i].imag]
+    modal = np.stack(columns, axis=1)
+    factors, pivots, _ = linalg.lapack.dgetrf(modal)
+    inverse, info = linalg.lapack.dgetri(factors, pivots)
+    if info == 0:
+        yield inverse, modal
+    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    X = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A)))
+    R, info = linalg.lapack.dpotrf(0.5 * (X + X.T), lower=0)
+    if info == 0:
+        yield R / scale, scale[:, None] * linalg.solve_triangular(R, np.eye(len(A)))
+
+
+def _weights(system: UncertainSystem, weights: FloatArray) -> dict[str, list[float]]:
+    names = list(system.channels)
+    return {p.name: [float(w) for w, n in zip(weights, names) if n == p.name] for p in system.parameters}

@@ -1,0 +1,227 @@
+"""Lower bounds: members of an uncertain system with a large gain, and unstable members near the nominal one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from lftkit.analysis.frequency_response import refined_response
+from lftkit.analysis.norms import hinf_norm
+from lftkit.systems.uncertain_system import UncertainSystem
+
+sl_optimize: Any = optimize
+FloatArray = NDArray[np.float64]
+MAX_CORNERS = 64
+RAY_STEPS = 48
+
+
+@dataclass(frozen=True)
+class Member:
+    """A member of the uncertain system: gain (infinite if it is unstable), parameter values, frequency [rad/s]."""
+
+    gain: float
+    point: FloatArray
+    frequency: float
+
+
+def member_gain(system: UncertainSystem, point: FloatArray, band: tuple[float, float], gain: bool = True) -> Member:
+    """Largest gain in the band at one point; zero without inputs or outputs, infinite if unstable or not well posed.
+
+    For a band that is not the whole axis, poles count as unstable only in a test of the whole axis.
+    """
+    values = {p.name: float(v) for p, v in zip(system.parameters, point)}
+    try:
+        data = system.data_at(values, beyond_range=True)
+    except ValueError:
+        return Member(np.inf, point, np.inf)
+    whole = band == (0.0, np.inf)
+    poles = np.asarray(linalg.eigvals(data.A), complex) if data.order else np.zeros(0, complex)
+    if whole and np.any(poles.real >= 0.0):
+        return Member(np.inf, point, float(abs(poles[np.argmax(poles.real)].imag)))
+    if not gain:
+        return Member(0.0, point, 0.0)
+    if whole:
+        norm = hinf_norm(*data.matrices, rtol=1e-4)
+        return Member(norm.value, point, norm.omega)
+    return _peak_in_band(data.matrices, poles, point, band)
+
+
+def _peak_in_band(
+    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    poles: NDArray[np.complex128],
+    point: FloatArray,
+    band: tuple[float, float],
+) -> Member:
+    low, high = band
+    top = high if np.isfinite(high) else 100.0 * max(1.0, low, float(np.abs(poles).max(initial=1.0)))
+    floor = max(low, 1e-4 * top)
+    inside = np.abs(poles)[(np.abs(poles) >= low) & (np.abs(poles) <= top)]
+    omega = np.unique(np.concatenate([[low, top], np.geomspace(floor, top, 60), inside]))
+
+    def at(w: float) -> float:
+        return float(linalg.norm(refined_response(*matrices, w), 2)) if min(matrices[3].shape) else 0.0
+
+    gains = np.array([at(float(w)) for w in omega])
+    best = int(np.argmax(gains))
+    bracket = (float(omega[max(best - 1, 0)]), float(omega[min(best + 1, len(omega) - 1)]))
+    peak = optimize.minimize_scalar(lambda w: -at(float(w)), bounds=bracket, method="bounded")
+    if -peak.fun > gains[best]:
+        return Member(float(-peak.fun), point, float(peak.x))
+    return Member(float(gains[best]), point, float(omega[best]))
+
+
+def worst_member(
+    system: UncertainSystem,
+    box: Sequence[tuple[float, float]],
+    band: tuple[float, float],
+    *,
+    gain: bool = True,
+    samples: int = 20,
+    seed: int = 0,
+    evaluations: int = 150,
+) -> Member:
+    """The member with the largest gain among middle, corners and random ones, improved by a local search."""
+    ends = np.array(box, dtype=float).reshape(-1, 2)
+    rng, size = np.random.default_rng(seed), len(ends)
+    corners = list(itertools.islice(itertools.product((0.0, 1.0), repeat=size), 2**size if size <= 6 else 0))
+    shares = [np.full(size, 0.5), *(np.array(c) for c in corners)]
+    if size > 6:
+        shares += list(rng.integers(0, 2, (MAX_CORNERS, size)).astype(float))
+    shares += list(rng.random((samples, size))) if size else []
+    found = []
+    for share in shares:
+        found.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band, gain))
+        if np.isinf(found[-1].gain):
+            return found[-1]
+    best = max(found, key=lambda m: m.gain)
+    return climbed(system, box, band, best, evaluations) if gain else best
+
+
+def climbed(
+    system: UncertainSystem,
+    box: Sequence[tuple[float, float]],
+    band: tuple[float, float],
+    start: Member,
+    evaluations: int = 150,
+) -> Member:
+    """Local search for a larger gain from `start`, inside the box."""
+    ends = np.array(box, dtype=float).reshape(-1, 2)
+    width = ends[:, 1] - ends[:, 0]
+    if not np.any(width > 0.0) or np.isinf(start.gain):
+        return start
+    best = start
+
+    def objective(share: FloatArray) -> float:
+        nonlocal best
+        point = np.clip(ends[:, 0] + np.clip(share, 0.0, 1.0) * width, ends[:, 0], ends[:, 1])
+        member = member_gain(system, point, band)
+        if member.gain > best.gain:
+            best = member
+        return -min(member.gain, 1e300)
+
+    first = (start.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
+    optimize.minimize(
+        objective,
+        np.clip(first, 0.0, 1.0),
+        method="Powell",
+        bounds=[(0.0, 1.0)] * len(ends),
+        options={"maxfev": evaluations, "xtol": 1e-3, "ftol": 1e-4},
+    )
+    return best
+
+
+def scaled_box(system: UncertainSystem, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:
+    """The box with all its intervals scaled about the nominal values."""
+    return [
+        (p.nominal + factor * (low - p.nominal), p.nominal + factor * (high - p.nominal))
+        for p, (low, high) in zip(system.parameters, box)
+    ]
+
+
+def smallest_unstable_factor(
+    system: UncertainSystem,
+    box: Sequence[tuple[float, float]],
+    largest: float,
+    *,
+    samples: int = 40,
+    seed: int = 0,
+    evaluations: int = 120,
+) -> tuple[float, FloatArray, float]:
+    """Smallest factor found at which the scaled box has an unstable member, the member, its frequency [rad/s].
+
+    Infinite if none was found below `largest`.
+    """
+    nominal = np.array([p.nominal for p in system.parameters])
+    ends = np.array(box, dtype=float).reshape(-1, 2) - nominal[:, None]
+    size, rng = len(ends), np.random.default_rng(seed)
+
+    def offset(direction: FloatArray) -> FloatArray:
+        return np.where(direction < 0.0, -direction * ends[:, 0], direction * ends[:, 1])
+
+    def factor_of(direction: FloatArray) -> float:
+        length = float(np.abs(direction).max(initial=0.0))
+        return ray_factor(system, offset(direction / length), largest) if length > 0.0 else np.inf
+
+    corners = list(itertools.product((-1.0, 1.0), repeat=size)) if size <= 6 else []
+    starts = [np.array(c) for c in corners] + list(np.eye(size)) + list(-np.eye(size))
+    starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (samples, size))] if size else []
+    if not starts:
+        return np.inf, nominal, 0.0
+    factors = [factor_of(d) for d in starts]
+    order = np.argsort(factors)[:2]
+    best, direction = factors[order[0]], starts[order[0]]
+    if size > 1:
+        for start in (starts[i] for i in order if np.isfinite(factors[i])):
+            result: Any = sl_optimize.minimize(
+                lambda d: min(factor_of(d), 1e6),
+                start,
+                method="Powell",
+                bounds=[(-1.0, 1.0)] * size,
+                options={"maxfev": evaluations, "xtol": 1e-5, "ftol": 1e-8},
+            )
+            if result.fun < best:
+                best, direction = float(result.fun), result.x / np.abs(result.x).max()
+    if not np.isfinite(best):
+        return np.inf, nominal, 0.0
+    point = nominal + best * offset(direction)
+    return best, point, member_gain(system, point, (0.0, np.inf), gain=False).frequency
+
+
+def ray_factor(system: UncertainSystem, offset: FloatArray, largest: float) -> float:
+    """First factor on a ray from the nominal member with an unstable member, to 1e-9; infinite if there is none."""
+    table = {p.name: o for p, o in zip(system.parameters, offset)}
+    per_channel = np.array([table[c] for c in system.channels])
+    q = len(per_channel)
+
+    def unstable(factor: float) -> bool:
+        delta = factor * per_channel
+        loop = np.eye(q) - system.D[:q, :q] * delta
+        if not float(linalg.det(loop)) > 0.0:  # one at the nominal member; zero where the LFT is singular
+            return True
+        A = system.A + system.B[:, :q] @ (delta[:, None] * linalg.solve(loop, system.C[:q]))
+        return bool(system.order and linalg.eigvals(A).real.max() >= 0.0)
+
+    return _first_true(unstable, largest)
+
+
+def _first_true(condition: Callable[[float], bool], largest: float) -> float:
+    grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
+    before = 0.0
+    for at in grid:
+        if condition(float(at)):
+            high = float(at)
+            while high - before > 1e-9 * high:
+                middle = 0.5 * (before + high)
+                if condition(middle):
+                    high = middle
+                else:
+                    before = middle
+            return high
+        before = float(at)
+    return np.inf

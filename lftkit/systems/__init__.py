@@ -1,0 +1,1 @@
+"""Linear systems with named ports: state space, uncertain, sampled; interconnection and conversion."""

@@ -1,0 +1,80 @@
+"""Delays as rational systems."""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from lftkit.systems.ports import FloatArray, Port
+from lftkit.systems.state_space import Matrices, StateSpace
+from lftkit.systems.uncertain_system import UncertainSystem, state_space, static_gain
+
+sl: Any = scipy.linalg
+
+
+def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
+    """State space of the Padé form of ``exp(-s delay)`` on `size` signals; all-pass, so it loses phase and no gain.
+
+    The realisation is the balanced one, with coefficients of order 1 / delay, so that it does not spoil the
+    conditioning of a model it is connected to.
+
+    Parameters
+    ----------
+    delay : float
+        s; 0 or an order below 1: no delay, no states.
+    order : int
+    size : int
+
+    Raises
+    ------
+    ValueError
+        A delay that is negative or not finite.
+
+    Examples
+    --------
+    >>> A, B, C, D = pade_matrices(0.1, 3)
+    >>> response = C @ np.linalg.solve(2j * np.eye(3) - A, B) + D
+    >>> round(float(abs(response.item() - np.exp(-0.2j))), 9)
+    0.0
+    """
+    if not (np.isfinite(delay) and delay >= 0):
+        raise ValueError(f"delay must be zero or positive, got {delay} s")
+    each: FloatArray = np.eye(size)
+    if order < 1 or delay == 0.0:
+        return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), each
+    k = np.arange(order + 1)
+    weight = [
+        factorial(2 * order - i) * factorial(order) / (factorial(2 * order) * factorial(i) * factorial(order - i))
+        for i in k
+    ]
+    # monic, in units of the delay, so that the coefficients stay near one; lowest power first
+    den = np.array(weight) / weight[-1]
+    num = den * (-1.0) ** k
+    through = num[-1]
+    companion = np.diag(np.ones(order - 1), 1)
+    companion[-1] = -den[:-1]
+    A, T = sl.matrix_balance(companion, permute=False)
+    B, C = sl.solve(T, np.eye(order)[:, -1:]), (num - through * den)[None, :-1] @ T
+    level = np.sqrt(sl.norm(C) / sl.norm(B))
+    return (
+        np.kron(each, A) / delay,
+        np.kron(each, B * level) / delay,
+        np.kron(each, C / level),
+        np.asarray(each * through, dtype=float),
+    )
+
+
+def pade_delay(delay: float, order: int, size: int = 1) -> StateSpace:
+    """Padé form of ``exp(-s delay)`` on `size` signals, from port ``in`` to port ``out``: :func:`pade_matrices`."""
+    return StateSpace(*pade_matrices(delay, order, size), (Port("in", size),), (Port("out", size),), f"delay {delay} s")
+
+
+def delayed_port(port: Port, delay: float, order: int) -> UncertainSystem:
+    """Padé form of a delay [s] on every signal of a port; input and output have its name."""
+    A, B, C, D = pade_matrices(delay, order, port.size)
+    if not len(A):
+        return static_gain(D, [port], [port])
+    return state_space(A, B, C, D, [port], [port])

@@ -1,0 +1,67 @@
+"""Series and feedback of models at given parameter values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from lftkit.systems.state_space import StateSpace
+
+sl: Any = scipy.linalg
+
+
+def cascade(first: StateSpace, second: StateSpace, name: str = "") -> StateSpace:
+    """`second` after `first`: y = second(first(u)); sizes must match, the ports of both ends are kept."""
+    if first.D.shape[0] != second.D.shape[1]:
+        raise ValueError(
+            f"cascade: {first.name} has {first.D.shape[0]} outputs, {second.name} takes {second.D.shape[1]} inputs"
+        )
+    A = np.block([[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]])
+    B = np.vstack([first.B, second.B @ first.D])
+    C = np.hstack([second.D @ first.C, second.C])
+    return StateSpace(A, B, C, second.D @ first.D, first.inputs, second.outputs, name or first.name)
+
+
+def close_loop(plant: StateSpace, controller: StateSpace, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
+    """Closed loop from `inputs` to `outputs` with the controller between the plant's ports of the same names.
+
+    **Sign: u = + K y.** The controller's inputs are plant outputs, its outputs plant inputs, by name.
+
+    Raises
+    ------
+    ValueError
+        A port that the plant does not have, sizes that differ, a loop that is not well posed.
+    """
+    y, u = [p.name for p in controller.inputs], [p.name for p in controller.outputs]
+    cu, ry = plant.input_indices(u), plant.output_indices(y)
+    cw, rz = plant.input_indices(inputs), plant.output_indices(outputs)
+    if (len(cu), len(ry)) != controller.D.shape:
+        raise ValueError(
+            f"{controller.name} is {controller.D.shape[0]} x {controller.D.shape[1]}, the plant's ports "
+            f"{u} and {y} need {len(cu)} x {len(ry)}"
+        )
+    A, B, C, D = plant.matrices
+    Ak, Bk, Ck, Dk = controller.matrices
+    loop = np.eye(len(cu)) - Dk @ D[np.ix_(ry, cu)]
+    if np.abs(sl.det(loop)) < 1e-12:
+        raise ValueError(f"the loop of {plant.name} and {controller.name} is not well posed (I - D_K D_22 singular)")
+    E = sl.inv(loop)
+    B2, C2, D12, D21, D22 = B[:, cu], C[ry], D[np.ix_(rz, cu)], D[np.ix_(ry, cw)], D[np.ix_(ry, cu)]
+    X, U, W = E @ Dk @ C2, E @ Ck, E @ Dk @ D21  # u = X x + U x_K + W w
+    Acl = np.block([[A + B2 @ X, B2 @ U], [Bk @ (C2 + D22 @ X), Ak + Bk @ D22 @ U]])
+    Bcl = np.vstack([B[:, cw] + B2 @ W, Bk @ (D21 + D22 @ W)])
+    Ccl = np.hstack([C[rz] + D12 @ X, D12 @ U])
+    ports_in = {p.name: p for p in plant.inputs}
+    ports_out = {p.name: p for p in plant.outputs}
+    return StateSpace(
+        Acl,
+        Bcl,
+        Ccl,
+        D[np.ix_(rz, cw)] + D12 @ W,
+        tuple(ports_in[n] for n in inputs),
+        tuple(ports_out[n] for n in outputs),
+        f"{plant.name} with {controller.name}",
+    )

@@ -1,0 +1,151 @@
+"""Exact minimal realisation of an uncertain system: fewest states, fewest occurrences.
+
+The states and the channels of each parameter are treated alike: a repeated scalar (1/s, or delta_i) closed around
+a block of the LFT matrix. For one block the others count as inputs and outputs; the part that is not controllable
+from them, or not observable from them, is removed by an orthogonal change of coordinates of that block (staircase).
+The pass over all blocks is repeated until nothing more is removed. The response at every parameter value is
+unchanged; nothing is approximated.
+
+Assumption: parameters and 1/s are treated as non-commuting, which never removes too much. Source: Beck,
+Doyle and Glover, IEEE TAC 41 (1996), "Model reduction of multidimensional and uncertain systems"; D'Andrea and
+Khatri, ACC 1997.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.systems.ports import FloatArray
+from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.uncertainty.parameters import parameter_table
+
+#: Fraction of the block's norm below which a coupling is treated as zero.
+TOLERANCE = 1e-11
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A minimal system with the numbers of states and occurrences that were removed.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    removed_states : int
+    removed_occurrences : dict
+        Parameter name to number of occurrences removed (0 where none).
+    """
+
+    system: UncertainSystem
+    removed_states: int
+    removed_occurrences: dict[str, int]
+
+    def __str__(self) -> str:
+        parts = [f"{self.removed_states} states"]
+        parts += [f"{n} of {name}" for name, n in self.removed_occurrences.items() if n]
+        return "removed " + ", ".join(parts)
+
+
+def minimal_realisation(system: UncertainSystem, *, tolerance: float = TOLERANCE) -> Reduction:
+    """Remove uncontrollable and unobservable states and Delta channels.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    tolerance : float
+        Couplings below this fraction of the norm of the (balanced) block are treated as zero.
+
+    Returns
+    -------
+    Reduction
+        Channels of a parameter are adjacent in the new system. A block that is already minimal keeps its
+        coordinates.
+
+    Examples
+    --------
+    Two integrators of the same input reduce to one state:
+
+    >>> from lftkit import Port, state_space
+    >>> u, y = [Port("u", 1)], [Port("y", 1)]
+    >>> twice = state_space(np.zeros((2, 2)), [[1.0], [1.0]], [[0.5, 0.5]], [[0.0]], u, y)
+    >>> str(minimal_realisation(twice))
+    'removed 1 states'
+    """
+    given = system.sorted_channels()
+    count = Counter(given.channels)
+    names = [p.name for p in given.parameters]
+    sizes = [given.order, *(count[name] for name in names)]
+    M = np.block([[given.A, given.B], [given.C, given.D]])
+    while True:
+        before = list(sizes)
+        for i in range(len(sizes)):
+            M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance)
+        if sizes == before:
+            break
+    n = sizes[0]
+    channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
+    table = parameter_table(given.parameters)
+    reduced = UncertainSystem(
+        M[:n, :n],
+        M[:n, n:],
+        M[n:, :n],
+        M[n:, n:],
+        given.inputs,
+        given.outputs,
+        channels,
+        tuple(table[name] for name in names),
+    )
+    removed = {name: count[name] - size for name, size in zip(names, sizes[1:])}
+    return Reduction(reduced, given.order - n, removed)
+
+
+def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float) -> tuple[FloatArray, int]:
+    """Reduce the block of `size` rows and columns from `start` on; the other rows and columns stay."""
+    if size == 0:
+        return M, 0
+    M, size = _keep_reachable(M, start, size, tolerance)
+    turned, size = _keep_reachable(M.T, start, size, tolerance)
+    return turned.T, size
+
+
+def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float) -> tuple[FloatArray, int]:
+    inside = np.arange(start, start + size)
+    others = np.setdiff1d(np.arange(M.shape[1]), inside)
+    A, B = M[np.ix_(inside, inside)], M[np.ix_(inside, others)]
+    scaled, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    Q = _reachable(scaled, B / scale[:, None], tolerance)
+    if Q.shape[1] == size:
+        return M, size
+    lift, drop = scale[:, None] * Q, Q.T / scale
+    rows_before, rows_after = M[:start], M[start + size :]
+    M = np.vstack([rows_before, drop @ M[inside], rows_after])
+    M = np.hstack([M[:, :start], M[:, inside] @ lift, M[:, start + size :]])
+    return M, Q.shape[1]
+
+
+def _reachable(A: FloatArray, B: FloatArray, tolerance: float) -> FloatArray:
+    """Orthonormal basis of the smallest A-invariant subspace that contains the columns of B."""
+    n = A.shape[0]
+    sizes = np.sqrt(np.sum(B**2, axis=0))
+    columns = B[:, sizes > 0] / sizes[sizes > 0]
+    allowed = tolerance * max(1.0, float(linalg.norm(A, 2)))
+    Q: FloatArray = np.zeros((n, 0))
+    fresh = _orthonormal(columns, Q, tolerance)
+    while fresh.shape[1]:
+        Q = np.hstack([Q, fresh])
+        fresh = _orthonormal(A @ fresh, Q, allowed)
+    return Q
+
+
+def _orthonormal(columns: FloatArray, Q: FloatArray, allowed: float) -> FloatArray:
+    for _ in range(2):  # Gram-Schmidt twice is enough for orthogonality to rounding
+        columns = columns - Q @ (Q.T @ columns)
+    if columns.shape[1] == 0 or Q.shape[1] == Q.shape[0]:
+        return np.zeros((Q.shape[0], 0))
+    U, s, _ = linalg.svd(columns, full_matrices=False)
+    U = U[:, s > allowed]
+    U = U - Q @ (Q.T @ U)
+    return np.asarray(linalg.qr(U, mode="economic")[0]) if U.shape[1] else U

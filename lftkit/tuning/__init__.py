@@ -1,0 +1,43 @@
+"""Fixed-structure robust tuning: H-infinity and H2 requirements, soft and hard, on many models at once.
+
+It works on :class:`lftkit.StateSpace` models with named ports and knows nothing of any spacecraft. Start at
+:func:`tune` (given models) or :func:`tune_robust` (a plant with parameters in a box); ``docs/robust_design.md``
+compares it with systune.
+"""
+
+from lftkit.tuning.certificate import Certificate, certify
+from lftkit.tuning.decentralised import Decentralised
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.robust import RobustResult, tune_robust
+from lftkit.tuning.stable_state_space import StableStateSpace
+from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.structures import AffineStructure, Structure, controller, gain, pid, state_space
+from lftkit.tuning.tuner import TuningOptions, TuningResult, tune
+from lftkit.tuning.worst_case import WorstCase, WorstCaseOptions, worst_case
+
+__all__ = [
+    "AffineStructure",
+    "Certificate",
+    "ClosedLoopPoles",
+    "ControllerPoles",
+    "Decentralised",
+    "H2Gain",
+    "HinfGain",
+    "Requirement",
+    "RobustResult",
+    "StableStateSpace",
+    "Structure",
+    "TuningOptions",
+    "TuningResult",
+    "TuningStatus",
+    "WorstCase",
+    "WorstCaseOptions",
+    "certify",
+    "controller",
+    "gain",
+    "pid",
+    "state_space",
+    "tune",
+    "tune_robust",
+    "worst_case",
+]

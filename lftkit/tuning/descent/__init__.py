@@ -1,0 +1,1 @@
+"""Descent of the tuner: starts, bundle and quasi-Newton steps, smooth phases."""

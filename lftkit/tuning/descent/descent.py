@@ -1,0 +1,292 @@
+"""Nonsmooth constrained minimisation of a finite maximum of smooth pieces, not convex.
+
+Each step solves a quadratic program on all nearly active pieces at once (Apkarian and Noll 2006, "multi-peak"),
+with the curvature of the Lagrangian learned by damped BFGS as in sequential quadratic programming, a
+proximity term instead of a line search, and cutting planes from rejected points (a bundle). Constraints enter through
+the progress function ``F(y; x) = max(f(y) - f(x) - [c(x)]_+, c(y) - [c(x)]_+)``, so that infeasible points first become
+feasible. Where progress stops without a certificate, gradients sampled nearby (Burke, Lewis and Overton
+2005) enrich the pieces. All of it happens in the coordinates of a metric (:mod:`lftkit.tuning.descent.metric`).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.tuning.descent.bundle import Bundle
+from lftkit.tuning.descent.curvature import LagrangianCurvature
+from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
+from lftkit.tuning.descent.pieces import Oracle, OracleResult
+from lftkit.tuning.descent.simplex_qp import simplex_minimum
+
+FloatArray = NDArray[np.float64]
+sl: Any = scipy.linalg
+
+ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25  # of the predicted decrease
+MIN_PROXIMITY, MAX_PROXIMITY = 1e-8, 1e14
+MIN_PROXIMITY_AFTER_REJECTION = 1e-6
+PROXIMITY_GOOD, PROXIMITY_POOR, PROXIMITY_REJECTED, PROXIMITY_OUTSIDE = 0.3, 2.0, 4.0, 10.0
+METRIC_LEVEL = 0.5  # the metric is rebuilt when the value has fallen to this fraction
+METRIC_MIN_LEVEL = 1e-3  # but not for values below this fraction of the first one
+SLOW_STEPS, SLOW_DECREASE = 15, 1e-5
+MAX_SAMPLINGS, MAX_SAMPLINGS_NEAR = 6, 2
+NEAR_STATIONARY = 10.0  # times the tolerance
+MAX_REJECTED = 12  # rejected steps in a row after which a stationary point is not improved any more
+ACTIVE_REACH, ACTIVE_RADIUS = 3.0, 0.1
+
+
+class StopReason(str, Enum):
+    """Why a descent ended."""
+
+    STATIONARY = "stationary"
+    NEARLY_STATIONARY = "nearly stationary"
+    TARGET = "target"
+    STALLED = "stalled"
+    ITERATIONS = "iterations"
+    DEADLINE = "deadline"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class DescentOptions:
+    """Limits and tolerances of :func:`minimise`.
+
+    Parameters
+    ----------
+    iterations : int
+        Largest number of quadratic programs.
+    tolerance : float
+        Stationary when the smallest convex combination of nearly active gradients, in the metric, is
+        below this fraction of the value.
+    radius : float
+        Radius in the metric within which pieces count as nearly active in that certificate.
+    target : float
+        Stop as soon as the objective is below (and the constraints hold).
+    deadline : float
+        Value of ``time.monotonic()`` at which to stop.
+    evaluations : int
+        Largest number of evaluations.
+    """
+
+    iterations: int = 300
+    tolerance: float = 1e-4
+    radius: float = 1e-3
+    target: float = -np.inf
+    deadline: float = np.inf
+    evaluations: int = 1_000_000
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Outcome of :func:`minimise`: best point, its oracle result, why it stopped, certificate and counts."""
+
+    x: FloatArray
+    result: OracleResult
+    reason: StopReason
+    stationarity: float
+    iterations: int
+    evaluations: int
+
+
+def minimise(
+    oracle: Oracle,
+    x0: FloatArray,
+    options: DescentOptions,
+    rng: np.random.Generator,
+    metric: MetricSource = diagonal_metric,
+) -> Descent:
+    """Minimise the largest soft piece from `x0` (n,), inside the domain.
+
+    The hard pieces are to be at most :data:`lftkit.tuning.descent.pieces.HARD_TARGET`.
+
+    Parameters
+    ----------
+    oracle : callable
+        From a point (n,) to an :class:`OracleResult`.
+    x0 : ndarray, shape (n,)
+    options : DescentOptions
+    rng : Generator
+        For the sampled gradients.
+    metric : callable
+        Metric at a point; asked for at the start and whenever the value has halved.
+
+    Raises
+    ------
+    ValueError
+        The start is outside the domain.
+    """
+    descent = _BundleDescent(oracle, np.array(x0, dtype=float), options, rng, metric)
+    reason: StopReason | None = None
+    try:
+        while reason is None and descent.iterations < options.iterations:
+            reason = descent.step()
+    except KeyboardInterrupt:
+        reason = StopReason.INTERRUPTED
+    return Descent(
+        descent.x,
+        descent.result,
+        reason or StopReason.ITERATIONS,
+        descent.stationarity,
+        descent.iterations,
+        descent.evaluations,
+    )
+
+
+class _BundleDescent:
+    """The running minimisation."""
+
+    def __init__(
+        self,
+        oracle: Oracle,
+        x: FloatArray,
+        options: DescentOptions,
+        rng: np.random.Generator,
+        metric_source: MetricSource,
+    ) -> None:
+        self._oracle, self._options, self._rng, self._metric_source = oracle, options, rng, metric_source
+        self.evaluations = self.iterations = self._rejected = 0
+        self.stationarity = np.inf
+        self.x, self.result = x, self._ask(x)
+        if not self.result.inside and not np.isfinite(self.result.constraint):
+            raise ValueError("x0 must be inside the domain, got an unstable loop: stabilise it first")
+        self._first_value = self._metric_value = max(abs(self.result.objective), 1e-12)
+        self._metric = metric_source(x, self.result)
+        self._curvature = LagrangianCurvature(len(x))
+        self._bundle = Bundle()
+        self._proximity = self._first_proximity()
+        self._accepted_values: list[float] = []
+
+    def _ask(self, x: FloatArray) -> OracleResult:
+        self.evaluations += 1
+        return self._oracle(x)
+
+    def _first_proximity(self) -> float:
+        """Such that a step along the largest gradient has about the length 1 / 2."""
+        return 2.0 * max(float(sl.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces) + 1e-9
+
+    def step(self) -> StopReason | None:
+        """One quadratic program and one trial; the reason to stop or None."""
+        self.iterations += 1
+        options = self._options
+        if time.monotonic() > options.deadline:
+            return StopReason.DEADLINE
+        if self.evaluations >= options.evaluations:
+            return StopReason.ITERATIONS
+        if self.result.objective < options.target and self.result.constraint <= 0:
+            return StopReason.TARGET
+        offsets, G = self._bundle.linear_model(self.x, self.result, self._metric)
+        self.stationarity = self._stationarity(offsets, G)
+        feasible = self.result.constraint <= 0
+        level = abs(self.result.objective) + 1e-6 * self._first_value if feasible else 1.0
+        stationary = self.stationarity <= options.tolerance * level
+        weights, d = self._direction(offsets, G)
+        predicted = float((offsets + G @ d).max())
+        if stationary and (self._rejected > MAX_REJECTED or predicted >= -1e-3 * options.tolerance * level):
+            return StopReason.STATIONARY
+        if predicted > -1e-12 * level or self._proximity > MAX_PROXIMITY:
+            return StopReason.STATIONARY if stationary else self._sample_gradients()
+        trial = self.x + self._metric.step(d)
+        found = self._ask(trial)
+        gained = _progress(found, self.result)
+        if gained <= ACCEPTED * predicted:
+            self._accept(trial, found, weights, d, gained / predicted)
+            return self._sample_gradients() if self._slow(level) else None
+        self._reject(found, trial, weights, d)
+        return None
+
+    def _stationarity(self, offsets: FloatArray, G: FloatArray) -> float:
+        """Norm of the smallest convex combination of the gradients that are active within the radius."""
+        r = self._options.radius
+        reach = ACTIVE_REACH * r * float(np.sqrt(np.sum(G**2, axis=1).max()))
+        near = offsets >= offsets.max() - max(reach, 1e-14)
+        G, offsets = G[near], offsets[near] - offsets.max()
+        # pieces that a step of a tenth of the radius makes active count as active
+        offsets = np.minimum(offsets + ACTIVE_RADIUS * r * np.sqrt(np.sum(G**2, axis=1)), 0.0)
+        _, value = simplex_minimum(r * r * (G @ G.T), offsets)
+        return float(np.sqrt(max(2.0 * value, 0.0)) / r)
+
+    def _direction(self, offsets: FloatArray, G: FloatArray) -> tuple[FloatArray, FloatArray]:
+        identity = np.eye(len(self.x))
+        try:
+            factor = sl.cho_factor(self._curvature.B + self._proximity * identity, lower=True)
+        except sl.LinAlgError:
+            # rounding has destroyed the definiteness of the learned curvature: start learning again
+            self._proximity = max(self._proximity, 1e-6 * self._curvature.size)
+            self._curvature.reset()
+            factor = sl.cho_factor(self._proximity * identity, lower=True)
+        QG = sl.cho_solve(factor, G.T)
+        weights, _ = simplex_minimum(G @ QG, offsets)
+        return weights, -(QG @ weights)
+
+    def _learn(self, found: OracleResult, weights: FloatArray, d: FloatArray) -> None:
+        first = self._curvature.update(self.result, found, weights, d, self._metric)
+        if first is not None:
+            self._proximity = min(self._proximity, max(0.1 * first, MIN_PROXIMITY))
+
+    def _accept(self, trial: FloatArray, found: OracleResult, weights: FloatArray, d: FloatArray, ratio: float) -> None:
+        self._learn(found, weights, d)
+        self.x, self.result = trial, found
+        self._accepted_values.append(found.objective)
+        self._bundle.clear()
+        self._rejected = 0
+        self._renew_metric()
+        if ratio > GOOD:
+            least = max(MIN_PROXIMITY, 1e-12 * self._curvature.size)
+            self._proximity = max(self._proximity * PROXIMITY_GOOD, least)
+        elif ratio < POOR:
+            self._proximity *= PROXIMITY_POOR
+
+    def _renew_metric(self) -> None:
+        """Another metric whenever the value has halved: the first point may have been near the boundary."""
+        value = abs(self.result.objective) if self.result.constraint <= 0 else self._metric_value
+        if value > METRIC_LEVEL * self._metric_value or value < METRIC_MIN_LEVEL * self._first_value:
+            return
+        self._metric_value = value
+        old, self._metric = self._metric, self._metric_source(self.x, self.result)
+        self._curvature.change_metric(old, self._metric)
+        change = float(np.sum((old.inverse @ self._metric.T) ** 2)) / len(self.x)
+        self._proximity *= change
+
+    def _reject(self, found: OracleResult, trial: FloatArray, weights: FloatArray, d: FloatArray) -> None:
+        self._rejected += 1
+        proximity = max(self._proximity, MIN_PROXIMITY_AFTER_REJECTION)
+        if not found.inside:
+            self._proximity = proximity * PROXIMITY_OUTSIDE
+            return
+        self._learn(found, weights, d)
+        self._bundle.add_rejected(found, trial)
+        self._proximity = max(self._proximity, MIN_PROXIMITY_AFTER_REJECTION) * PROXIMITY_REJECTED
+
+    def _slow(self, level: float) -> bool:
+        """The last accepted steps brought next to nothing together."""
+        recent = self._accepted_values[-SLOW_STEPS:]
+        return (
+            len(recent) == SLOW_STEPS and self.result.constraint <= 0 and recent[0] - recent[-1] < SLOW_DECREASE * level
+        )
+
+    def _sample_gradients(self) -> StopReason | None:
+        """Sample gradients around the point; give up when that has been done at every radius."""
+        nearly = self.stationarity <= NEAR_STATIONARY * self._options.tolerance * abs(self.result.objective)
+        if self._bundle.rounds >= (MAX_SAMPLINGS_NEAR if nearly else MAX_SAMPLINGS):
+            return StopReason.NEARLY_STATIONARY if nearly else StopReason.STALLED
+        deadline = self._options.deadline
+        self.evaluations += self._bundle.sample(
+            self._oracle, self.x, self._metric, self._rng, lambda: time.monotonic() > deadline
+        )
+        self._proximity = self._first_proximity()
+        self._curvature.reset()
+        self._accepted_values = []
+        return None
+
+
+def _progress(found: OracleResult, present: OracleResult) -> float:
+    if not found.inside:
+        return np.inf
+    c = max(present.constraint, 0.0)
+    return float(max(found.objective - present.objective - c, found.constraint - c))

@@ -1,0 +1,73 @@
+"""Moves to controllers of more gain, from which a descent finds what no short step shows.
+
+Where the infimum is approached only as the gains grow, the values fall along a narrow valley by a little for every
+doubling of the gain; a descent then ends far from the infimum, as if at a minimum.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.descent.metric import Metric
+from lftkit.tuning.descent.quasi_newton import quasi_newton
+from lftkit.tuning.descent.smooth_phase import Point, point_at, smooth_phase
+from lftkit.tuning.gains.exact_value import ExactValue
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.stable_state_space import StableStateSpace
+from lftkit.tuning.structures import AffineStructure, Structure
+
+FloatArray = NDArray[np.float64]
+
+GAINS = (10.0, 3.0)  # factors of the controller's gain
+FURTHER = (4.0, 1.0)  # times the last displacement
+TOLERANCE = 1e-6  # of the logarithm of the value
+
+
+def with_gain(structure: Structure, x: FloatArray, factor: float) -> FloatArray | None:
+    """Parameters of `factor` times the controller at `x` (size,).
+
+    None where the structure cannot say the parameters of a given controller, or where it or the controller forbids
+    this one (fixed entries, an unstable controller).
+    """
+    if not isinstance(structure, AffineStructure | StableStateSpace):
+        return None
+    n, K, root = structure.order, structure.gain_matrix(x), np.sqrt(factor)
+    model = StateSpace(
+        K[:n, :n], root * K[:n, n:], root * K[n:, :n], factor * K[n:, n:], structure.inputs, structure.outputs
+    )
+    try:
+        return structure.parameters_of(model)
+    except ValueError:  # entries that this controller does not have
+        return None
+
+
+def gain_moves(problem: Problem, x: FloatArray, before: FloatArray | None = None) -> list[FloatArray]:
+    """Stable points (size,) with more gain than `x`, and farther along the way from `before` to `x`."""
+    found = [with_gain(problem.structure, x, factor) for factor in GAINS]
+    if before is not None:
+        found += [x + factor * (x - before) for factor in FURTHER]
+    return [y for y in found if y is not None and problem.abscissa(y) < -problem.min_decay]
+
+
+def descended(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> tuple[Point, int]:
+    """Point that a descent from the stable point `x` (size,) leads to, and the evaluations it took.
+
+    On the exact value where the problem suits it, else a smooth phase of at most about this number of evaluations.
+    """
+    if not ExactValue.suits(problem):
+        smooth = smooth_phase(problem, x, evaluations, deadline, target)
+        return smooth.point, smooth.evaluations
+    value, identity = ExactValue(problem), np.eye(len(x))
+    found = quasi_newton(
+        value,
+        x,
+        Metric(identity, identity),
+        steps=evaluations,
+        tolerance=TOLERANCE,
+        stop=lambda: time.monotonic() > deadline,
+    )
+    return point_at(problem, found.x), value.evaluations

@@ -1,0 +1,259 @@
+"""One start: stabilise, descend smoothly, finish by the bundle method, confirm the point in another metric."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.tuning.descent.descent import Descent, DescentOptions, StopReason, minimise
+from lftkit.tuning.descent.gain_moves import descended, gain_moves
+from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
+from lftkit.tuning.descent.smooth_objective import SmoothObjective
+from lftkit.tuning.descent.smooth_phase import FEASIBLE, NEGLIGIBLE, Point, point_at, smooth_phase
+from lftkit.tuning.descent.starts import lowered_gain
+from lftkit.tuning.problem import Evaluation, Problem, worst_values
+from lftkit.tuning.status import TuningStatus
+
+FloatArray = NDArray[np.float64]
+
+STABILISING_STEPS = 120
+SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
+EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
+MAX_CYCLES = 4  # of smooth phase and bundle method
+VISIBLE = 1e-3  # relative decrease that refutes optimality
+ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
+RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
+
+
+@dataclass(frozen=True)
+class StartResult:
+    """Outcome of one start."""
+
+    status: TuningStatus
+    x: FloatArray
+    soft: float
+    hard: float
+    abscissa: float
+    stationarity: float
+    evaluations: int
+    iterations: int
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Sorts from the best to the worst: feasible ones by value, then by violation, then by instability."""
+        if not np.isfinite(self.hard) and self.hard > 0:
+            return 2, self.abscissa
+        return (1, self.hard) if self.hard > 1.0 + FEASIBLE else (0, self.soft)
+
+
+def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) -> StartResult:
+    """Stabilise and descend for a short round of the smooth phase."""
+    stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
+    if stable.result.objective >= -problem.min_decay:
+        return unstable(stable, steps)
+    found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
+    count = stable.evaluations + found.evaluations
+    status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
+    if found.point.feasible and found.point.soft < limits.target:
+        status = TuningStatus.TARGET
+    return _result(status, found.point, np.inf, count, steps)
+
+
+def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
+    """One start to its end.
+
+    Parameters
+    ----------
+    problem : Problem
+    x0 : ndarray, shape (size,)
+    seed : int
+    limits : DescentOptions
+        Of the whole start.
+    band : float
+        Peaks above this fraction of the largest enter the quadratic programs.
+    """
+    rng = np.random.default_rng(seed)
+    stable, steps = stabilise(problem, x0, rng, limits)
+    if stable.result.objective >= -problem.min_decay:
+        return unstable(stable, steps)
+
+    def oracle(x: FloatArray) -> OracleResult:
+        return _oracle_result(problem, problem.evaluate(x, band=band))
+
+    run = _Run(problem, oracle, limits, rng, stable.x, stable.evaluations)
+    try:
+        status = run.to_the_end()
+    except KeyboardInterrupt:
+        status = TuningStatus.INTERRUPTED
+    return _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
+
+
+def _result(status: TuningStatus, point: Point, stationarity: float, evaluations: int, steps: int) -> StartResult:
+    found = point.found
+    return StartResult(status, point.x, point.soft, point.hard, found.abscissa, stationarity, evaluations, steps)
+
+
+class _Run:
+    """Cycles of smooth phase and bundle method from a stable point."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        oracle: Oracle,
+        limits: DescentOptions,
+        rng: np.random.Generator,
+        x: FloatArray,
+        evaluations: int,
+    ) -> None:
+        self._problem, self._oracle, self._limits, self._rng = problem, oracle, limits, rng
+        self.point = point_at(problem, x)
+        self.evaluations, self.steps, self.stationarity = evaluations, 0, np.inf
+
+    def to_the_end(self) -> TuningStatus:
+        """Cycles until the point is confirmed or a limit is reached; the status."""
+        limits, first = self._limits, self.point
+        self.point = self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
+        negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
+        if self.point.feasible and -np.inf < self.point.soft <= negligible:
+            return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
+        confirmed = False
+        limits = replace(limits, target=max(limits.target, negligible)) if negligible else limits
+        for _ in range(MAX_CYCLES):
+            if time.monotonic() > limits.deadline:
+                return TuningStatus.OUT_OF_TIME
+            left = max(limits.iterations - self.steps, 1)
+            found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
+            self.stationarity = found.stationarity
+            self._take(point_at(self._problem, found.x))
+            self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
+            if found.reason in ENDS or self.steps >= limits.iterations:
+                break
+            confirmed = self._confirmed()
+            if confirmed or time.monotonic() > limits.deadline:
+                break
+        if found.reason is StopReason.TARGET and self._limits.target < limits.target:
+            return TuningStatus.ITERATIONS
+        late = time.monotonic() > limits.deadline
+        return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
+
+    def _take(self, point: Point) -> None:
+        """Keep `point` unless it is worse: rounding of the constraint apart, the bundle method never rises."""
+        if not self.point.better_than(point):
+            self.point = point
+
+    def _smooth(self, evaluations: int) -> Point:
+        limits = self._limits
+        smooth = smooth_phase(self._problem, self.point.x, evaluations, limits.deadline, limits.target)
+        self.evaluations += smooth.evaluations
+        return smooth.point
+
+    def _confirmed(self) -> bool:
+        """Whether no smooth phase, random direction or descent from more gain lowers the value; if one does, move."""
+        other = self._smooth(CONFIRMING_EVALUATIONS)
+        if not other.better_than(self.point, VISIBLE):
+            found, tried = _random_directions(self._problem, self.point, self._rng, self._limits.deadline)
+            self.evaluations += tried
+            if found is None and tried < RANDOM_DIRECTIONS:
+                return False
+            found = found or self._with_more_gain()
+            if found is None:
+                return time.monotonic() <= self._limits.deadline
+            other = found
+        self.point = other
+        return False
+
+    def _with_more_gain(self) -> Point | None:
+        """A point visibly better that a descent from a larger gain leads to, or None."""
+        limits = self._limits
+        for x in gain_moves(self._problem, self.point.x):
+            found, used = descended(self._problem, x, CONFIRMING_EVALUATIONS, limits.deadline, limits.target)
+            self.evaluations += used
+            if found.better_than(self.point, VISIBLE):
+                return found
+            if time.monotonic() > limits.deadline:
+                break
+        return None
+
+
+def _random_directions(
+    problem: Problem, point: Point, rng: np.random.Generator, deadline: float
+) -> tuple[Point | None, int]:
+    """A point visibly better among random ones around `point`, or None, and how many were tried by the deadline."""
+    objective = SmoothObjective(problem, point.x, point.found)
+    metric = objective.metric(point.x)
+    soft, hard = objective.largest(point.x)
+    for tried in range(RANDOM_DIRECTIONS):
+        if time.monotonic() > deadline:
+            return None, tried
+        u = rng.standard_normal(len(point.x))
+        x = point.x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
+        new_soft, new_hard = objective.largest(x)
+        promising = new_soft < soft - VISIBLE and new_hard <= 0.0 if point.feasible else new_hard < hard - VISIBLE
+        if promising:
+            new = point_at(problem, x)
+            if new.better_than(point, VISIBLE):
+                return new, tried + 1
+    return None, RANDOM_DIRECTIONS
+
+
+def unstable(stable: Descent, steps: int) -> StartResult:
+    """Result of a start that stabilised no loop."""
+    status = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}.get(
+        stable.reason, TuningStatus.NOT_STABILISED
+    )
+    return StartResult(
+        status, stable.x, np.inf, np.inf, stable.result.objective, stable.stationarity, stable.evaluations, steps
+    )
+
+
+def _status(found: Descent, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
+    early = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}
+    if found.reason in early:
+        return early[found.reason]
+    if late and not confirmed:
+        return TuningStatus.OUT_OF_TIME
+    if not point.feasible:
+        return TuningStatus.INFEASIBLE
+    if found.reason is StopReason.TARGET:
+        return TuningStatus.TARGET
+    stationary = found.reason in (StopReason.STATIONARY, StopReason.NEARLY_STATIONARY)
+    if stationary and confirmed:
+        return TuningStatus.CONVERGED
+    return TuningStatus.ITERATIONS if moved and found.reason is StopReason.ITERATIONS else TuningStatus.STALLED
+
+
+def stabilise(
+    problem: Problem, x0: FloatArray, rng: np.random.Generator, limits: DescentOptions
+) -> tuple[Descent, int]:
+    """Descend on the spectral abscissa until every model is stable with some margin; at last lower the gain."""
+    worst, _ = problem.stability_pieces(x0, 0.0)
+    band = max(0.3 * abs(worst), 1e-3)
+    if worst < -problem.min_decay:
+        return Descent(x0, OracleResult(worst, -np.inf, ()), StopReason.TARGET, 0.0, 0, 1), 0
+
+    def oracle(x: FloatArray) -> OracleResult:
+        value, pieces = problem.stability_pieces(x, band)
+        return OracleResult(value, -np.inf, tuple(pieces))
+
+    target = min(-0.1 * worst, -2.0 * problem.min_decay)
+    own = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
+    found = minimise(oracle, x0, own, rng)
+    if found.result.objective >= -problem.min_decay and found.reason not in (
+        StopReason.DEADLINE,
+        StopReason.INTERRUPTED,
+    ):
+        lowered = lowered_gain(problem, x0)
+        if lowered is not None:
+            result = OracleResult(problem.abscissa(lowered), -np.inf, ())
+            return Descent(lowered, result, StopReason.TARGET, 0.0, 0, found.evaluations), found.iterations
+    return found, found.iterations
+
+
+def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:
+    soft, hard = worst_values(problem, evaluation)
+    if not np.isfinite(soft) and soft < 0:
+        soft = 0.0  # only hard requirements: any feasible point is optimal
+    return OracleResult(soft, hard - HARD_TARGET, evaluation.pieces, evaluation.barriers)

@@ -1,0 +1,226 @@
+"""Runs the starts of a tuning run, in this process or in parallel ones, with the same result.
+
+Given starts run first, then batches of random ones: all of a batch are screened in short rounds and the best carried
+on. Batches follow until one finds nothing better. What is done depends on the work only, never on the clock: the
+deadline is a cap, and :attr:`Search.complete` says whether it was reached.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.support.progress import Progress
+from lftkit.support.workers import Workers
+from lftkit.tuning.descent.descent import DescentOptions
+from lftkit.tuning.descent.direct_search import (
+    direct_polish,
+    direct_restarts,
+    direct_screen,
+    negligible_value,
+    perturbed,
+)
+from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
+from lftkit.tuning.descent.starts import Start
+from lftkit.tuning.gains.exact_value import ExactValue
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.status import TuningStatus
+
+FloatArray = NDArray[np.float64]
+Work = Callable[[Problem, Start, DescentOptions, float], StartResult]
+
+CARRIED = 6  # starts of a batch that are carried on after the screening; no more batches than one with so few starts
+MAX_BATCHES = 20
+VANISHING = 10.0  # times the value that counts as zero: below it the infimum is zero, and only approached
+PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of the best point
+BETTER = 1e-4  # relative decrease that counts as something better
+SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
+
+
+@dataclass(frozen=True)
+class Search:
+    """Results of the starts that were begun, and whether those were all."""
+
+    results: tuple[StartResult, ...]
+    complete: bool
+
+    @property
+    def best(self) -> StartResult:
+        """The best; of equal ones the first."""
+        return min(self.results, key=lambda run: run.rank)
+
+
+def run_starts(
+    problem: Problem,
+    given: Sequence[Start],
+    batch: Callable[[int], Sequence[Start]],
+    limits: DescentOptions,
+    band: float,
+    workers: int,
+    progress: Progress,
+    batches: int = MAX_BATCHES,
+) -> Search:
+    """The given starts, then batches of others until one finds nothing better.
+
+    Parameters
+    ----------
+    problem : Problem
+    given : sequence of Start
+    batch : callable
+        The starts of a batch by its number; empty where there are none.
+    limits : DescentOptions
+        Of each start; the deadline is that of the whole.
+    band : float
+    workers : int
+        Processes.
+    progress : Progress
+    batches : int
+        Most batches.
+    """
+    runner = _Runner(problem, limits, band, workers, progress)
+    direct = ExactValue.suits(problem)
+    runner.run(direct_polish if direct and batch(0) else _full, given)
+    for number in range(batches):
+        starts = batch(number)
+        if not starts or not runner.going_on:
+            break
+        before = min((r.rank for r in runner.results), default=(3, np.inf))
+        few = len(starts) <= CARRIED
+        if few:
+            runner.run(_full, starts)
+        elif direct:
+            _run_batch(runner, _with_perturbed(starts, runner.results), direct_screen, direct_polish)
+            if runner.best.rank[0] != 2:
+                runner.run(direct_restarts, [Start(starts[0].seed, runner.best.x)])
+        else:
+            _run_batch(runner, starts, _screened, _full)
+        after = min((r.rank for r in runner.results), default=(3, np.inf))
+        fruitless = after[0] == before[0] and not after[1] < before[1] - BETTER * abs(before[1])
+        if few or (number and fruitless):
+            break
+    unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
+    if unfinished and batches > 1 and runner.best.soft > VANISHING * negligible_value(problem):
+        runner.run(_full, [Start(0, runner.best.x)])
+    return Search(tuple(runner.results), runner.complete)
+
+
+def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
+    """The starts of a batch, every second one replaced by a perturbed copy of the best point so far."""
+    best = min(results, key=lambda run: run.rank, default=None)
+    if best is None or best.rank[0] == 2:
+        return list(starts)
+    changed = []
+    for start in starts:
+        if start.number % 2:
+            rng = np.random.default_rng(start.seed)
+            changed.append(replace(start, x=perturbed(best.x, PERTURBATIONS, rng)))
+        else:
+            changed.append(start)
+    return changed
+
+
+def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Work) -> None:
+    """All starts by the work `first`, the best that differ carried on by `second`."""
+    screened = runner.run(first, starts)
+    if not runner.going_on:
+        return
+    carried: list[Start] = []
+    ranks: list[tuple[int, float]] = []
+    for k in sorted(range(len(screened)), key=lambda k: (screened[k].rank, k)):
+        kind, value = screened[k].rank
+        if len(carried) < CARRIED and not any(
+            kind == other[0] and abs(value - other[1]) <= SAME * abs(value) for other in ranks
+        ):
+            ranks.append((kind, value))
+            carried.append(Start(starts[k].seed, screened[k].x))
+    runner.run(second, carried)
+
+
+class _Runner:
+    """Results so far, and whether every start was begun."""
+
+    def __init__(self, problem: Problem, limits: DescentOptions, band: float, workers: int, progress: Progress) -> None:
+        self._problem, self._limits, self._band = problem, limits, band
+        self._workers, self._progress = workers, progress
+        self.results: list[StartResult] = []
+        self.complete = True
+
+    @property
+    def going_on(self) -> bool:
+        """Neither was a limit reached nor the run stopped by the user or by its target."""
+        return self.complete and not _ended(self.results)
+
+    @property
+    def best(self) -> StartResult:
+        """The best so far; of equal ones the first."""
+        return min(self.results, key=lambda run: run.rank)
+
+    def run(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+        """Results of the starts that are begun before the deadline, in order."""
+        if not starts or not self.going_on:
+            return []
+        serial = self._workers == 1 or len(starts) == 1
+        new = self._serial(work, starts) if serial else self._parallel(work, starts)
+        self.complete = time.monotonic() <= self._limits.deadline
+        self.results += new
+        return new
+
+    def _serial(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+        results: list[StartResult] = []
+        for start in starts:
+            try:
+                results.append(work(self._problem, start, self._limits, self._band))
+            except KeyboardInterrupt:
+                results.append(_interrupted(self._problem, start))
+            self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
+            if _ended(results) or time.monotonic() > self._limits.deadline:
+                break
+        return results
+
+    def _parallel(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+        results: list[StartResult] = []
+        remote = partial(_remote, work, self._problem, self._limits, self._band)
+        try:
+            with Workers(min(self._workers, len(starts))) as workers:
+                for result in workers.each(remote, list(enumerate(starts))):
+                    if result is not None:
+                        results.append(result)
+                    self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
+        except KeyboardInterrupt:
+            found = results or [_interrupted(self._problem, starts[0])]
+            return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
+        ends = [k for k, r in enumerate(results) if _ended([r])]
+        return results[: ends[0] + 1] if ends else results  # those that one process would have run
+
+
+def _ended(results: Sequence[StartResult]) -> bool:
+    """The user stopped the run or the target was reached."""
+    return any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
+
+
+def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    return tune_from(problem, start.parameters(problem), start.seed, limits, band)
+
+
+def _screened(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    return screen(problem, start.parameters(problem), start.seed, limits)
+
+
+def _remote(
+    work: Work, problem: Problem, limits: DescentOptions, band: float, item: tuple[int, Start]
+) -> StartResult | None:
+    """In another process, whose steady clock is this one's: nothing is begun after the deadline but the first start."""
+    number, start = item
+    if number and time.monotonic() > limits.deadline:
+        return None
+    return work(problem, start, limits, band)
+
+
+def _interrupted(problem: Problem, start: Start) -> StartResult:
+    x = start.parameters(problem)
+    return StartResult(TuningStatus.INTERRUPTED, x, np.inf, np.inf, problem.abscissa(x), np.inf, 0, 0)

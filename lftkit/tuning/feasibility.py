@@ -1,0 +1,67 @@
+"""Before a problem is called infeasible: the hard requirements alone, minimised from several starts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from lftkit.tuning.descent.descent import DescentOptions
+from lftkit.tuning.descent.pieces import HARD_TARGET
+from lftkit.tuning.descent.single_start import StartResult, tune_from
+from lftkit.tuning.descent.starts import Start, random_starts
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.status import TuningStatus
+
+ENDPOINTS, RANDOM_STARTS = 3, 4  # from which the hard requirements alone are minimised
+ENDED = (TuningStatus.CONVERGED, TuningStatus.STALLED)
+
+
+def feasibility_runs(
+    problem: Problem, runs: Sequence[StartResult], seed: int, limits: DescentOptions, band: float
+) -> list[StartResult]:
+    """Further runs where the best of `runs` violates a hard requirement: on the hard requirements alone, then on all.
+
+    The last result is feasible, or ``infeasible`` if every minimisation of the hard values ended by itself, or says
+    which limit ended one.
+    """
+    best = min(runs, key=lambda run: run.rank)
+    if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED:
+        return []
+    alone = [replace(r, hard=False) for r in problem.requirements if r.hard]
+    only_hard = Problem(
+        problem.models,
+        alone,
+        problem.structure,
+        loop_delay=problem.loop_delay,
+        pade_order=problem.pade_order,
+        min_decay=problem.min_decay,
+    )
+    limits_alone = replace(limits, target=HARD_TARGET)
+    ends = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ENDPOINTS]
+    starts = [Start(seed, run.x) for run in ends] + random_starts(RANDOM_STARTS, seed + 1, 0)
+    found: list[StartResult] = []
+    for start in starts:
+        if time.monotonic() > limits.deadline:
+            break
+        found.append(tune_from(only_hard, start.parameters(problem), start.seed, limits_alone, band))
+        if found[-1].soft <= 1.0:
+            return [tune_from(problem, found[-1].x, start.seed, limits, band)]
+        if found[-1].status is TuningStatus.INTERRUPTED:
+            break
+    return [_least_violation(problem, best, found, len(found) == len(starts))]
+
+
+def _least_violation(problem: Problem, best: StartResult, found: Sequence[StartResult], tried: bool) -> StartResult:
+    """The point of least violation with the status that all minimisations allow."""
+    stable = [run for run in found if run.rank[0] == 0]
+    limited = [run.status for run in stable if run.status not in ENDED]
+    status = TuningStatus.INFEASIBLE if tried and not limited else (limited or [TuningStatus.OUT_OF_TIME])[0]
+    least = min(stable, key=lambda run: run.soft, default=None)
+    if least is None or least.soft >= best.hard:
+        return replace(best, status=status)
+    values = problem.evaluate(least.x, gradients=False).values
+    soft = max(
+        (float(values[i].max()) for i, r in enumerate(problem.requirements) if not r.hard), default=-float("inf")
+    )
+    return replace(least, status=status, soft=soft, hard=least.soft)

@@ -1,0 +1,1 @@
+"""Closed-loop gains and exact values with gradients."""

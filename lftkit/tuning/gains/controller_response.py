@@ -1,0 +1,100 @@
+"""Frequency response of a controller given by its gain matrix, with the factors of its derivative."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.analysis.batched_linalg import solve
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+sl: Any = scipy.linalg
+
+MAX_CONDITION = 1e4  # of the eigenvectors of A_K, above which its resolvent is solved for at every frequency
+ORIGIN = 1e-12  # [rad/s] frequency at which the limit of an integrator at zero frequency is taken
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Controller at N frequencies, with the factors of its derivative ``dK(jw) = left dK right``.
+
+    Parameters
+    ----------
+    response : ndarray, shape (N, u, y), complex
+    output, state : ndarray, shapes (N, u, order) and (N, order, y), complex
+        ``C_K (jw - A_K)^-1`` and ``(jw - A_K)^-1 B_K``: with unit matrices beside them they are the factors.
+    turn : ndarray, shape (N, 1, 1), complex, or None
+        Delay that multiplies the response.
+    """
+
+    response: ComplexArray
+    output: ComplexArray
+    state: ComplexArray
+    turn: ComplexArray | None = None
+
+    def rows(self, row: ComplexArray, index: Any = slice(None)) -> ComplexArray:
+        """``row left`` (m, k, order + u) for `row` (m, k, u) at the frequencies `index`."""
+        row = row if self.turn is None else row * self.turn[index]
+        return np.concatenate([row @ self.output[index], row], axis=2)
+
+    def columns(self, column: ComplexArray, index: Any = slice(None)) -> ComplexArray:
+        """``right column`` (m, order + y, k) for `column` (m, y, k) at the frequencies `index`."""
+        return np.concatenate([self.state[index] @ column, column], axis=1)
+
+
+def controller_response(K: FloatArray, order: int, omega: FloatArray) -> ComplexArray:
+    """``D_K + C_K (jw - A_K)^-1 B_K`` at the frequencies `omega` (N,): shape (N, u, y)."""
+    return controller_at(K, order, omega).response
+
+
+def controller_at(K: FloatArray, order: int, omega: FloatArray) -> Controller:
+    """Controller with the gain matrix `K` (order + u, order + y) at the frequencies `omega` (N,), infinity allowed."""
+    n = order
+    if n == 0:
+        response = np.broadcast_to(K, (len(omega), *K.shape)).astype(complex)
+        return Controller(response, response[:, :, :0], response[:, :0])
+    finite = np.isfinite(omega)
+    w = np.where(finite, np.where(omega == 0.0, ORIGIN, omega), 1.0)
+    poles, left, right = controller_modes(K, n)
+    if left is not None and right is not None:
+        r = 1.0 / (1j * w[:, None] - poles)
+        r[~finite] = 0.0
+        state = _sums(r, left[:n], right[:, n:])
+        return Controller(K[n:, n:] + _sums(r, left[n:], right[:, n:]), _sums(r, left[n:], right[:, :n]), state)
+    resolvent = solve(
+        1j * w[:, None, None] * np.eye(n) - K[:n, :n], np.broadcast_to(np.eye(n, dtype=complex), (len(w), n, n))
+    )
+    resolvent[~finite] = 0.0
+    output, state = K[n:, :n] @ resolvent, resolvent @ K[:n, n:]
+    return Controller(K[n:, n:] + K[n:, :n] @ state, output, state)
+
+
+Modes = tuple[ComplexArray, ComplexArray | None, ComplexArray | None]
+
+
+def controller_modes(K: FloatArray, n: int) -> Modes:
+    """Poles (n,), ``[V; C_K V]`` (n + u, n) and ``V^-1 [I, B_K]`` (n, n + y); None for bad eigenvectors V."""
+    return _modes(np.ascontiguousarray(K).tobytes(), K.shape, n)
+
+
+@lru_cache(maxsize=4)
+def _modes(data: bytes, shape: tuple[int, int], n: int) -> Modes:
+    """The same, kept for the models that have the same controller."""
+    K = np.frombuffer(data).reshape(shape)
+    poles, V = sl.eig(K[:n, :n])
+    values = sl.svdvals(V)
+    if values[-1] * MAX_CONDITION <= values[0]:
+        return poles, None, None
+    return poles, np.vstack([V, K[n:, :n] @ V]), sl.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
+
+
+def _sums(r: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """``left diag(r_k) right`` for each row r_k of `r` (N, n)."""
+    products = left.T[:, :, None] * right[:, None, :]
+    return np.asarray((r @ products.reshape(len(right), -1)).reshape(len(r), len(left), -1))

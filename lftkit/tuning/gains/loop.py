@@ -1,0 +1,232 @@
+"""State-space side of a closed loop as a function of the gain matrix: poles and H2 norms with exact gradients.
+
+A controller of order n_K is a static gain for the plant extended by n_K integrators: with the gain matrix
+``K = [[A_K, B_K], [C_K, D_K]]`` the closed loop is affine in ``K (I - D22 K)^-1`` and every derivative is a product.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.norms import schur_lyapunov
+from lftkit.systems.delay import pade_delay
+from lftkit.systems.feedback import cascade
+from lftkit.systems.state_space import StateSpace
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+sl: Any = scipy.linalg
+
+
+@dataclass(frozen=True)
+class ExtendedPlant:
+    """Plant with weights folded in, extended by the controller's states.
+
+    Parameters
+    ----------
+    A, B1, B2, C1, C2 : ndarray
+        States (n + n_K), disturbances, (n_K + u), performance outputs, (n_K + y).
+    D11, D12, D21, D22 : ndarray
+    """
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    D12: FloatArray
+    D21: FloatArray
+    D22: FloatArray
+
+    @cached_property
+    def _through(self) -> bool:
+        return bool(self.D22.any())
+
+    def closed(self, K: FloatArray) -> ClosedLoop:
+        """Closed loop with the gain matrix K (n_K + u, n_K + y)."""
+        if not self._through:
+            left, right = self.B2 @ K, K @ self.C2
+            return ClosedLoop(
+                self.A + left @ self.C2,
+                self.B1 + left @ self.D21,
+                self.C1 + self.D12 @ right,
+                self.D11 + self.D12 @ (K @ self.D21),
+                self.B2,
+                self.D12,
+                self.C2,
+                self.D21,
+            )
+        inner = sl.inv(np.eye(K.shape[1]) - self.D22 @ K)
+        KS = K @ inner
+        left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
+        left_z = self.D12 + self.D12 @ KS @ self.D22
+        right, right_w = inner @ self.C2, inner @ self.D21
+        return ClosedLoop(
+            self.A + self.B2 @ KS @ self.C2,
+            self.B1 + self.B2 @ KS @ self.D21,
+            self.C1 + self.D12 @ KS @ self.C2,
+            self.D11 + self.D12 @ KS @ self.D21,
+            left,
+            left_z,
+            right,
+            right_w,
+        )
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Matrices of the closed loop and the factors of their derivatives: ``dA = left dK right`` and so on."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    left: FloatArray
+    left_z: FloatArray
+    right: FloatArray
+    right_w: FloatArray
+
+
+def extended_plant(
+    model: StateSpace,
+    measurements: tuple[str, ...],
+    commands: tuple[str, ...],
+    controller_order: int,
+    *,
+    inputs: tuple[str, ...] = (),
+    outputs: tuple[str, ...] = (),
+    weight_in: StateSpace | None = None,
+    weight_out: StateSpace | None = None,
+    scale: float = 1.0,
+    loop_delay: float = 0.0,
+    pade_order: int = 6,
+) -> ExtendedPlant:
+    """Extend `model`, with weights on the performance ports and a Padé delay on the commands.
+
+    **Sign: u = + K y.** `scale` multiplies the performance outputs.
+    """
+    cw, cu = model.input_indices(inputs), model.input_indices(commands)
+    rz, ry = model.output_indices(outputs), model.output_indices(measurements)
+    A, B, C, D = (
+        model.A,
+        model.B[:, np.r_[cw, cu]],
+        model.C[np.r_[rz, ry]],
+        model.D[np.ix_(np.r_[rz, ry], np.r_[cw, cu])],
+    )
+    nw, nu, nz, ny = len(cw), len(cu), len(rz), len(ry)
+    before = [_or_unit(weight_in, nw), pade_delay(loop_delay, pade_order, nu)]
+    after = [_or_unit(weight_out, nz), _or_unit(None, ny)]
+    core = StateSpace(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
+    whole = cascade(cascade(_stacked(before), core), _stacked(after))
+    A, B, C = balanced(whole.A, whole.B, whole.C)
+    nw, nz = before[0].D.shape[1], after[0].D.shape[0]
+    k = controller_order
+    n = whole.order
+    return ExtendedPlant(
+        sl.block_diag(A, np.zeros((k, k))),
+        np.vstack([B[:, :nw], np.zeros((k, nw))]),
+        np.block([[np.zeros((n, k)), B[:, nw:]], [np.eye(k), np.zeros((k, nu))]]),
+        scale * np.hstack([C[:nz], np.zeros((nz, k))]),
+        np.block([[np.zeros((k, n)), np.eye(k)], [C[nz:], np.zeros((ny, k))]]),
+        scale * whole.D[:nz, :nw],
+        scale * np.hstack([np.zeros((nz, k)), whole.D[:nz, nw:]]),
+        np.vstack([np.zeros((k, nw)), whole.D[nz:, :nw]]),
+        sl.block_diag(np.zeros((k, k)), whole.D[nz:, nw:]),
+    )
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Poles of a closed loop with the factors of their derivatives.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (n,), complex
+    rows, columns : ndarray, shapes (n_K + u, n) and (n_K + y, n), or None
+        ``ds_i = sum(outer(rows[:, i], columns[:, i]) * dK)``; None where derivatives were not asked for.
+    """
+
+    poles: ComplexArray
+    rows: ComplexArray | None = None
+    columns: ComplexArray | None = None
+
+    @property
+    def abscissa(self) -> float:
+        """Largest real part [rad/s]."""
+        return float(self.poles.real.max(initial=-np.inf))
+
+    def gradient(self, i: int) -> ComplexArray:
+        """Derivative of pole i with respect to the gain matrix."""
+        if self.rows is None or self.columns is None:
+            raise ValueError("this spectrum was computed without derivatives")
+        return np.asarray(np.outer(self.rows[:, i], self.columns[:, i]))
+
+    def barriers(self, max_poles: int = 6) -> list[tuple[float, FloatArray]]:
+        """Real parts of the poles that a small change of K brings to the axis soonest, with real gradients."""
+        if self.rows is None or self.columns is None:
+            return []
+        reach = sl.norm(self.rows, axis=0) * sl.norm(self.columns, axis=0)
+        reach[self.poles.imag < 0] = 0.0
+        order = np.argsort(self.poles.real / np.maximum(reach, 1e-300))[::-1][:max_poles]
+        return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
+
+
+def spectrum(loop: ClosedLoop, *, derivatives: bool) -> Spectrum:
+    """Poles of the closed loop, with derivatives if asked for."""
+    if not derivatives:
+        return Spectrum(np.asarray(sl.eigvals(loop.A, check_finite=False), dtype=complex))
+    values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
+    scale = np.sum(left.conj() * right, axis=0)
+    # a defective pole has no derivative; a large finite one still points downhill
+    scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
+    return Spectrum(
+        np.asarray(values, dtype=complex), loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
+    )
+
+
+def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:
+    """H2 norm of a stable closed loop with D = 0, and its gradient with respect to the gain matrix.
+
+    With P and X the controllability and observability Gramians, ``d trace(C P C') = 2 <X P, dA> + 2 <X B, dB> +
+    2 <C P, dC>``.
+    """
+    T, Q = sl.schur(loop.A, output="real", check_finite=False)
+    b, c = Q.T @ loop.B, loop.C @ Q
+    P = schur_lyapunov(T, b @ b.T, transposed=False)
+    square = max(float(np.sum((c @ P) * c)), 0.0)
+    value = float(np.sqrt(square))
+    if not need_gradient:
+        return value, None
+    X = schur_lyapunov(T, c.T @ c, transposed=True)
+    left, right = loop.left.T @ Q, loop.right @ Q
+    gradient = left @ (X @ P) @ right.T + left @ (X @ b) @ loop.right_w.T + loop.left_z.T @ (c @ P) @ right.T
+    return value, gradient / max(value, 1e-300)
+
+
+def _or_unit(weight: StateSpace | None, size: int) -> StateSpace:
+    if weight is not None:
+        return weight
+    return StateSpace(
+        np.zeros((0, 0)),
+        np.zeros((0, size)),
+        np.zeros((size, 0)),
+        np.eye(size),
+        (("in", size),) if size else (),  # type: ignore[arg-type]
+        (("out", size),) if size else (),  # type: ignore[arg-type]
+    )
+
+
+def _stacked(parts: list[StateSpace]) -> StateSpace:
+    A, B, C, D = (sl.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
+    n = sum(p.order for p in parts)
+    m, r = sum(p.D.shape[1] for p in parts), sum(p.D.shape[0] for p in parts)
+    A, B, C, D = A.reshape(n, n), B.reshape(n, m), C.reshape(r, n), D.reshape(r, m)
+    return StateSpace(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]

@@ -1,0 +1,75 @@
+"""Starts of a controller of order n from the best one of order n - 1, with the same transfer function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.systems.ports import read_only
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.structures import AffineStructure
+
+FloatArray = NDArray[np.float64]
+sl: Any = scipy.linalg
+
+SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
+INPUT = 0.3  # size of the new state's input, relative to the gain of the controller
+
+
+def lower_order(structure: object) -> AffineStructure | None:
+    """The structure without its last state; None where that is not one of the same kind, or has no parameters."""
+    if not isinstance(structure, AffineStructure) or structure.order == 0:
+        return None
+    last = structure.order - 1
+    touching = (structure.rows == last) | (structure.columns == last)
+    kept, dropped = structure.parameters[~touching], structure.parameters[touching]
+    fixed = structure.base.copy()
+    fixed[last, last] = 0.0
+    if np.any(fixed[last]) or np.any(fixed[:, last]) or np.intersect1d(kept, dropped).size or kept.size == 0:
+        return None
+    return replace(
+        structure,
+        order=last,
+        base=read_only(np.delete(np.delete(structure.base, last, axis=0), last, axis=1)),
+        rows=_without(structure.rows[~touching], last),
+        columns=_without(structure.columns[~touching], last),
+        parameters=np.unique(kept, return_inverse=True)[1].astype(np.intp),
+        coefficients=structure.coefficients[~touching],
+    )
+
+
+def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, problem: Problem) -> list[FloatArray]:
+    """Parameters of controllers with the transfer function of `lower` at `x`: the new state decays and acts on nothing.
+
+    Its input is not zero, so that its effect has a slope. Empty where the structure cannot take the new state.
+    """
+    n, K = lower.order, lower.gain_matrix(x)
+    rng = np.random.default_rng(n)
+    found = []
+    for speed in _speeds(problem.models):
+        A = sl.block_diag(K[:n, :n], [[-speed]])
+        size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
+        B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
+        C = np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))])
+        try:
+            model = StateSpace(A, B, C, K[n:, n:], structure.inputs, structure.outputs)
+            found.append(structure.parameters_of(model))
+        except ValueError:  # fixed entries that such a state does not have
+            return []
+    return found
+
+
+def _speeds(models: Sequence[StateSpace]) -> list[float]:
+    sizes = np.abs(sl.eigvals(models[0].A)) if len(models[0].A) else np.ones(1)
+    sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
+    return [float(s) for s in np.quantile(sizes, SPEEDS)]
+
+
+def _without(index: NDArray[np.intp], last: int) -> NDArray[np.intp]:
+    return np.where(index > last, index - 1, index).astype(np.intp)

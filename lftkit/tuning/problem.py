@@ -1,0 +1,357 @@
+"""A design problem: models, requirements and a structure; its values and gradients at any controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.systems.delay import pade_delay
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.descent.pieces import Piece
+from lftkit.tuning.gains.gains import LoopGains
+from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
+from lftkit.tuning.gains.plant_responses import PlantResponses
+from lftkit.tuning.requirements import (
+    ClosedLoopPoles,
+    ControllerPoles,
+    H2Gain,
+    HinfGain,
+    Requirement,
+    check_names,
+)
+from lftkit.tuning.structures import Structure
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+MIN_DECAY = 1e-6
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Values of all requirements at one controller.
+
+    Parameters
+    ----------
+    abscissa : float
+        Largest real part of the closed-loop poles over the models [rad/s].
+    values : ndarray, shape (requirements, models)
+        Normalised values; infinite where the loop is unstable.
+    peak_frequencies : ndarray, shape (requirements, models)
+        Frequencies [rad/s] of the values.
+    pieces : tuple of Piece
+        Everything active or nearly so.
+    barriers : tuple of (margin, gradient)
+        Real parts [rad/s] of the closed-loop poles that reach the axis soonest, with their gradients.
+    poles : tuple of ndarray, complex
+        Closed-loop poles of every model [rad/s]; empty where a loop is unstable.
+    """
+
+    abscissa: float
+    values: FloatArray
+    peak_frequencies: FloatArray
+    pieces: tuple[Piece, ...]
+    barriers: tuple[tuple[float, FloatArray], ...] = ()
+    poles: tuple[ComplexArray, ...] = ()
+
+
+class Problem:
+    """Values and exact gradients of a tuning problem.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The active models; all have the ports that the structure and the requirements name.
+    requirements : sequence of requirements
+    structure : Structure
+    loop_delay : float
+        Delay of the loop [s]: exact in the H-infinity gains, Padé of order `pade_order` in poles and H2 norms.
+    pade_order : int
+    min_decay : float
+        A loop counts as stable when every pole decays faster than this [rad/s].
+
+    Raises
+    ------
+    ValueError
+        A port that does not exist, sizes that do not fit, an H2 requirement whose norm is infinite for every
+        controller of the structure.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[StateSpace],
+        requirements: Sequence[Requirement],
+        structure: Structure,
+        *,
+        loop_delay: float = 0.0,
+        pade_order: int = 6,
+        min_decay: float = MIN_DECAY,
+    ) -> None:
+        check_names(requirements)
+        if not models:
+            raise ValueError("a design needs at least one model, got none")
+        self.requirements = tuple(requirements)
+        self.structure = structure
+        self.loop_delay = loop_delay
+        self.pade_order = pade_order
+        self.min_decay = min_decay
+        self.models: tuple[StateSpace, ...] = ()
+        self._bare: list[ExtendedPlant] = []
+        self.gains: list[LoopGains] = []
+        self._variances: list[dict[int, ExtendedPlant]] = []
+        self._measurements = tuple(p.name for p in structure.inputs)
+        self._commands = tuple(p.name for p in structure.outputs)
+        self.hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
+        self.h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
+        self.gain_numbers = self.hinf + self.h2
+        for model in models:
+            self.add_model(model)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by what it was made of: small, and a copy in another process computes the same bits."""
+        return _rebuilt, (
+            self.models,
+            self.requirements,
+            self.structure,
+            self.loop_delay,
+            self.pade_order,
+            self.min_decay,
+        )
+
+    def add_model(self, model: StateSpace) -> None:
+        """Make one more model active."""
+        _check_sizes(model, self.structure)
+        common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
+        order = self.structure.order
+        bare = extended_plant(model, self._measurements, self._commands, order, **common)
+        variances = {}
+        for i in self.h2:
+            r = self.requirements[i]
+            assert isinstance(r, H2Gain)
+            variances[i] = extended_plant(
+                model,
+                self._measurements,
+                self._commands,
+                order,
+                inputs=r.inputs,
+                outputs=r.outputs,
+                weight_in=r.weight_in,
+                weight_out=r.weight_out,
+                scale=1.0 / r.bound,
+                **common,
+            )
+            self._refuse_feedthrough(variances[i], r.name)
+        gains: Any = tuple(self.requirements[i] for i in self.gain_numbers)
+        loop = LoopGains(
+            PlantResponses(model, self._measurements, self._commands, gains, self.loop_delay),
+            tuple(range(len(self.hinf))),
+        )
+        self.gains.append(loop)
+        self._bare.append(bare)
+        self._variances.append(variances)
+        self.models = (*self.models, model)
+
+    def _refuse_feedthrough(self, plant: ExtendedPlant, name: str) -> None:
+        x = np.random.default_rng(0).standard_normal(self.structure.size)
+        if np.abs(plant.closed(self.structure.gain_matrix(x)).D).max(initial=0.0) > 1e-12:
+            raise ValueError(
+                f"H2 requirement {name!r} has a direct feedthrough, so its norm is infinite: use a strictly proper "
+                "weight or a structure with feedthrough=False"
+            )
+
+    def abscissa(self, x: FloatArray) -> float:
+        """Largest real part of the closed-loop poles over all models [rad/s]."""
+        K = self.structure.gain_matrix(x)
+        return max(spectrum(plant.closed(K), derivatives=False).abscissa for plant in self._bare)
+
+    def order(self, k: int) -> int:
+        """Order of the closed loop of model k."""
+        return len(self._bare[k].A)
+
+    def abscissa_of(self, k: int, K: FloatArray) -> float:
+        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s]."""
+        return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
+
+    def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
+        """Pieces of the pole requirements of all models."""
+        pieces: list[Piece] = []
+        for k, plant in enumerate(self._bare):
+            pieces += self._pole_pieces(x, K, k, spectrum(plant.closed(K), derivatives=True), band, True)
+        return pieces
+
+    def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
+        """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
+        K = self.structure.gain_matrix(x)
+        spectra = [spectrum(plant.closed(K), derivatives=True) for plant in self._bare]
+        worst = max(s.abscissa for s in spectra)
+        pieces = []
+        for k, s in enumerate(spectra):
+            near = np.flatnonzero((s.poles.real >= worst - band) & (s.poles.imag >= 0))
+            for i in near[np.argsort(-s.poles.real[near])][:8]:
+                g = self.structure.pullback(x, np.real(s.gradient(int(i))))
+                pieces.append(Piece(float(s.poles[i].real), g, False, 0, k, float(abs(s.poles[i]))))
+        return worst, pieces
+
+    def evaluate(
+        self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, h2_once: bool = False
+    ) -> Evaluation:
+        """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
+        of their kind.
+
+        With an unstable loop (abscissa above ``-min_decay``) every value is infinite. With `h2_once` the H2 norms are
+        computed at the first model and taken for those of all: where they do not depend on the model.
+        """
+        K = self.structure.gain_matrix(x)
+        shape = (len(self.requirements), len(self.models))
+        values, frequencies = np.full(shape, np.inf), np.zeros(shape)
+        spectra: list[Spectrum] = []
+        for plant in self._bare:
+            spectra.append(spectrum(plant.closed(K), derivatives=gradients))
+            if not spectra[-1].abscissa < -self.min_decay:
+                return Evaluation(spectra[-1].abscissa, values, frequencies, ())
+        pieces: list[Piece] = []
+        values[:] = -np.inf
+        for k in range(len(self.models)):
+            pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)
+            if not (h2_once and k):
+                pieces += self._variance_pieces(x, K, k, gradients)
+            pieces += self._pole_pieces(x, K, k, spectra[k], band, gradients)
+        for piece in pieces:
+            if piece.value > values[piece.requirement, piece.model]:
+                values[piece.requirement, piece.model] = piece.value
+                frequencies[piece.requirement, piece.model] = piece.peak_frequency
+        if h2_once:
+            values[list(self.h2)] = values[list(self.h2), :1]
+        kept = _active(pieces, band) if gradients else ()
+        pairs = [pair for s in spectra for pair in s.barriers()]
+        barriers = tuple((real + self.min_decay, _pulled(self.structure, x, gradient)) for real, gradient in pairs)
+        return Evaluation(
+            max(s.abscissa for s in spectra),
+            values,
+            frequencies,
+            tuple(kept),
+            barriers,
+            tuple(s.poles for s in spectra),
+        )
+
+    def _gain_pieces(
+        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
+    ) -> list[Piece]:
+        if not self.hinf:
+            return []
+        found = self.gains[k].peaks(
+            K,
+            self.structure.order,
+            closed_loop_poles=own.poles,
+            band=band if gradients else 0.95,
+            gradients=gradients,
+        )
+        pieces = []
+        for i, peaks in zip(self.hinf, found):
+            for peak in peaks:
+                g = _pulled(self.structure, x, peak.gradient)
+                pieces.append(Piece(peak.value, g, self.requirements[i].hard, i, k, peak.omega))
+        return pieces
+
+    def _variance_pieces(self, x: FloatArray, K: FloatArray, k: int, gradients: bool) -> list[Piece]:
+        pieces = []
+        for i, plant in self._variances[k].items():
+            value, gradient = h2_value(plant.closed(K), gradients)
+            g = _pulled(self.structure, x, gradient)
+            pieces.append(Piece(value, g, self.requirements[i].hard, i, k, 0.0))
+        return pieces
+
+    def _pole_pieces(
+        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
+    ) -> list[Piece]:
+        pieces: list[Piece] = []
+        n = self.structure.order
+        for i, r in enumerate(self.requirements):
+            if isinstance(r, ClosedLoopPoles):
+                poles_of = own
+            elif isinstance(r, ControllerPoles) and k == 0 and n:
+                poles_of = spectrum(_alone(K, n), derivatives=gradients)
+            else:
+                continue
+            values, slopes, number = r.pieces(poles_of.poles)
+            upper = (poles_of.poles[number].imag >= 0) & self._counted(r, poles_of.poles[number])
+            values = np.where(upper, values, -np.inf)
+            top = float(values.max(initial=-np.inf))
+            chosen = np.flatnonzero(upper & (values >= top - (1 - band) * abs(top)))
+            for c in chosen[np.argsort(-values[chosen])][: 8 if gradients else 1]:
+                full = np.real(np.conj(slopes[c]) * poles_of.gradient(int(number[c]))) if gradients else None
+                g = _pulled(self.structure, x, full)
+                pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(poles_of.poles[number[c]]))))
+        return pieces
+
+    def _counted(self, r: Requirement, poles: ComplexArray) -> NDArray[np.bool_]:
+        """Poles that a requirement speaks of: those of the delay's approximation do not count."""
+        if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
+            return np.ones(len(poles), dtype=bool)
+        return np.asarray(np.abs(poles) < delay_radius(self.loop_delay, self.pade_order))
+
+
+def _rebuilt(
+    models: tuple[StateSpace, ...],
+    requirements: tuple[Requirement, ...],
+    structure: Structure,
+    loop_delay: float,
+    pade_order: int,
+    min_decay: float,
+) -> Problem:
+    return Problem(models, requirements, structure, loop_delay=loop_delay, pade_order=pade_order, min_decay=min_decay)
+
+
+def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:
+    """Largest soft and largest hard value (minus infinity where there is none)."""
+    hard = np.array([r.hard for r in problem.requirements])
+    soft_value = float(evaluation.values[~hard].max(initial=-np.inf))
+    return soft_value, float(evaluation.values[hard].max(initial=-np.inf))
+
+
+def delay_radius(delay: float, order: int) -> float:
+    """Circle [rad/s] outside which poles are taken for those of the Padé approximation."""
+    return 0.7 * float(np.abs(scipy.linalg.eigvals(pade_delay(delay, order).A)).min())
+
+
+def _alone(K: FloatArray, n: int) -> ClosedLoop:
+    """The controller itself as a closed loop: ``dA = dK[:n, :n]``."""
+    left, right = np.eye(n, K.shape[0]), np.eye(K.shape[1], n)
+    empty = np.zeros((0, 0))
+    return ClosedLoop(K[:n, :n], empty, empty, empty, left, empty, right, empty)
+
+
+def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piece]:
+    kept: list[Piece] = []
+    for hard in (False, True):
+        own = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
+        if own:
+            level = band * max(own[0].value, 1.0) if hard else own[0].value - (1 - band) * abs(own[0].value)
+            kept += [p for p in own if p.value >= level][:max_pieces]
+    return kept
+
+
+def _pulled(structure: Structure, x: FloatArray, gradient: FloatArray | None) -> FloatArray:
+    return np.zeros(0) if gradient is None else np.asarray(structure.pullback(x, gradient), dtype=float)
+
+
+def _check_sizes(model: StateSpace, structure: Structure) -> None:
+    for what, ports, there in (
+        ("measurement", structure.inputs, model.outputs),
+        ("command", structure.outputs, model.inputs),
+    ):
+        sizes = {p.name: p.size for p in there}
+        for port in ports:
+            if port.name not in sizes:
+                raise ValueError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
+            if sizes[port.name] != port.size:
+                raise ValueError(
+                    f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, "
+                    f"the controller has {port.size}"
+                )

@@ -1,0 +1,236 @@
+"""Robust structured design: tune on a few models, find the worst others, add them, repeat.
+
+The scheme of Apkarian, Dao and Noll (2015): the active set stays small because only parameter values that are really
+worst enter it, of every requirement one for each of its highest peaks; it ends when nothing worse is found.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lftkit.support.progress import Progress
+from lftkit.support.threads import one_thread
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.descent.single_start import tune_from
+from lftkit.tuning.descent.starts import start_checked
+from lftkit.tuning.feasibility import feasibility_runs
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.structures import Structure
+from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_of, result_of, tune
+from lftkit.tuning.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: value on the tuned set and worst value found (soft and hard), models and seconds so far."""
+
+    models: int
+    soft: float
+    hard: float
+    worst_soft: float
+    worst_hard: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class RobustResult:
+    """Outcome of :func:`tune_robust`.
+
+    Parameters
+    ----------
+    status : str
+        ``converged``: nothing worse than `slack` was found, and the last tuning was ``converged`` or ``target``;
+        otherwise the status of the tuner, ``iterations`` (rounds ran out) or ``out_of_time``.
+    advice : str
+    tuning : TuningResult
+        Controller, values and certificate on the active models.
+    worst : tuple of WorstCase
+        Worst value found of every requirement over the whole box, with the parameters.
+    active : tuple of mapping
+        Parameter values of the active models.
+    rounds : tuple of Round
+    """
+
+    status: str
+    advice: str
+    tuning: TuningResult
+    worst: tuple[WorstCase, ...]
+    active: tuple[Mapping[str, float], ...]
+    rounds: tuple[Round, ...]
+
+    @property
+    def controller(self) -> StateSpace:
+        """The tuned controller."""
+        return self.tuning.controller
+
+
+def tune_robust(
+    build: Build,
+    box: Box,
+    requirements: Sequence[Requirement],
+    structure: Structure,
+    *,
+    nominal: Mapping[str, float] | None = None,
+    active: Sequence[Mapping[str, float]] = (),
+    initial: Sequence[ArrayLike] = (),
+    loop_delay: float = 0.0,
+    slack: float = 0.01,
+    max_rounds: int = 12,
+    options: TuningOptions | None = None,
+    search: WorstCaseOptions | None = None,
+) -> RobustResult:
+    """Tune `structure` so that the requirements hold for all parameters in `box`.
+
+    Parameters
+    ----------
+    build : callable
+        From parameter values by name to a :class:`StateSpace`.
+    box : mapping of str to (lowest, highest)
+    requirements, structure, initial, loop_delay
+        As in :func:`lftkit.tuning.tune`.
+    nominal : mapping, optional
+        First active parameters; the middle of the box otherwise.
+    active : sequence of mapping
+        More parameters that are active from the beginning.
+    slack : float
+        A worst case counts only if it exceeds the tuned value by more than this fraction.
+    max_rounds : int
+    options : TuningOptions, optional
+        The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
+    search : WorstCaseOptions, optional
+
+    Returns
+    -------
+    RobustResult
+    """
+    options, search = options or TuningOptions(), search or WorstCaseOptions()
+    start_time = time.monotonic()
+    middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
+    chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
+    state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, start_time)
+    return state.run(chosen, [start_checked(x, structure.size) for x in initial], slack, max_rounds)
+
+
+@dataclass
+class _Rounds:
+    """The outer loop."""
+
+    build: Build
+    box: Box
+    requirements: tuple[Requirement, ...]
+    structure: Structure
+    loop_delay: float
+    options: TuningOptions
+    search: WorstCaseOptions
+    start_time: float
+
+    def run(
+        self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, max_rounds: int
+    ) -> RobustResult:
+        models = [self.build(p).renamed(_label(p)) for p in chosen]
+        problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
+        rounds: list[Round] = []
+        tuning: TuningResult | None = None
+        worst: tuple[WorstCase, ...] = ()
+        status = "iterations"
+        with one_thread(), Progress("robust design", self.options.progress) as progress:
+            for number in range(max_rounds):
+                left = self.start_time + self.options.wall_limit - time.monotonic()
+                if left <= 0.0 and tuning is not None:
+                    status = "out_of_time"
+                    break
+                tuning = self._tuned(problem, tuning, given, max(left, 1.0))
+                worst = self._worst(tuning, number)
+                rounds.append(self._round(problem, tuning, worst))
+                progress.print(_line(number, rounds[-1]))
+                new = self._new(tuning, worst, chosen, slack)
+                if tuning.status in ("interrupted", "not_stabilised"):
+                    status = tuning.status
+                    break
+                if not new:
+                    status = "converged" if tuning.status in ("converged", "target") else tuning.status
+                    break
+                if number + 1 == max_rounds:
+                    break  # what is found now is a worst case, but was never tuned on
+                for parameters in new:
+                    chosen.append(parameters)
+                    problem.add_model(self.build(parameters).renamed(_label(parameters)))
+        assert tuning is not None
+        return RobustResult(status, _advice(status, tuning), tuning, worst, tuple(chosen), tuple(rounds))
+
+    def _tuned(
+        self, problem: Problem, before: TuningResult | None, given: list[FloatArray], left: float
+    ) -> TuningResult:
+        if before is None:
+            options = replace(self.options, wall_limit=left, progress=False)
+            return tune(
+                problem.models,
+                self.requirements,
+                self.structure,
+                initial=given,
+                loop_delay=self.loop_delay,
+                options=options,
+            )
+        start_time = time.monotonic()
+        limits = limits_of(self.options, start_time + left)
+        runs = [tune_from(problem, before.x, self.options.seed, limits, self.options.band)]
+        runs += feasibility_runs(problem, runs, self.options.seed, limits, self.options.band)
+        return result_of(problem, runs, time.monotonic() - start_time)
+
+    def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:
+        left = self.start_time + self.options.wall_limit - time.monotonic()
+        effort = replace(
+            self.search, seed=self.search.seed + number, wall_limit=max(1.0, min(self.search.wall_limit, left))
+        )
+        return worst_case(
+            self.build, self.box, tuning.controller, self.requirements, loop_delay=self.loop_delay, options=effort
+        )
+
+    def _round(self, problem: Problem, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> Round:
+        soft = max((w.value for w, r in zip(worst, self.requirements) if not r.hard), default=-np.inf)
+        hard = max((w.value for w, r in zip(worst, self.requirements) if r.hard), default=-np.inf)
+        return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.start_time)
+
+    def _new(
+        self, tuning: TuningResult, worst: tuple[WorstCase, ...], chosen: list[dict[str, float]], slack: float
+    ) -> list[dict[str, float]]:
+        new: list[dict[str, float]] = []
+        for w, r in zip(worst, self.requirements):
+            level = max(1.0, tuning.hard) if r.hard else tuning.soft
+            for value, parameters in ((w.value, w.parameters), *w.others):
+                if value > level * (1.0 + slack) and all(self._differs(parameters, c) for c in chosen + new):
+                    new.append(dict(parameters))
+        return new
+
+    def _differs(self, a: Mapping[str, float], b: Mapping[str, float]) -> bool:
+        return any(abs(a[n] - b[n]) > 1e-4 * (high - low) for n, (low, high) in self.box.items() if n in b)
+
+
+def _label(parameters: Mapping[str, float]) -> str:
+    return ", ".join(f"{k}={v:.6g}" for k, v in parameters.items())
+
+
+def _line(number: int, r: Round) -> str:
+    hard = "" if r.hard == -np.inf else f"; hard {r.hard:.4g}, worst {r.worst_hard:.4g}"
+    return (
+        f"round {number + 1}: {r.models} models, tuned {r.soft:.4g}, worst found {r.worst_soft:.4g}{hard} "
+        f"({r.seconds:.0f} s)"
+    )
+
+
+def _advice(status: str, tuning: TuningResult) -> str:
+    if status == "converged":
+        return "no worse parameters were found; a longer search or other seeds may still find some"
+    if status == "iterations":
+        return "worse parameters were still found in the last round: allow more rounds"
+    if status == "out_of_time":
+        return "the wall limit was reached; the best point so far is given with the worst case found for it"
+    return tuning.advice

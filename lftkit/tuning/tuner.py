@@ -1,0 +1,324 @@
+"""The tuner: minimise the worst soft requirement over all active models subject to the hard ones.
+
+Every start first stabilises all models (descent on the spectral abscissa), then descends on the requirements. Starts
+run in parallel processes; the best of them is certified on the assembled closed loops by another route.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lftkit.support.progress import Progress
+from lftkit.support.threads import one_thread
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.certificate import Certificate, certify
+from lftkit.tuning.descent.descent import DescentOptions
+from lftkit.tuning.descent.single_start import StartResult, tune_from
+from lftkit.tuning.descent.smooth_phase import FEASIBLE
+from lftkit.tuning.descent.start_runner import MAX_BATCHES, Search, run_starts
+from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked
+from lftkit.tuning.feasibility import feasibility_runs
+from lftkit.tuning.full_order import reduced_starts
+from lftkit.tuning.gains.exact_value import ExactValue
+from lftkit.tuning.nested_orders import embedded, lower_order
+from lftkit.tuning.problem import MIN_DECAY, Problem, worst_values
+from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.structures import AffineStructure, Structure, controller
+
+FloatArray = NDArray[np.float64]
+
+AGREEMENT = 1e-3  # of tuned values and certificate
+LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
+MAX_REFINEMENTS = 2  # of the grid where they differ
+
+
+@dataclass(frozen=True)
+class TuningOptions:
+    """Limits of a tuning run.
+
+    Parameters
+    ----------
+    starts : int
+        Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
+        more than six, batches follow until one finds nothing better.
+    seed : int
+        Same seed, same result bit for bit (as long as the wall limit is not what ends the run).
+    wall_limit : float
+        Seconds for the whole run: a cap, after which the status is ``out_of_time``.
+    workers : int
+        Processes; with more than one, guard the calling script by ``if __name__ == "__main__":``.
+    iterations : int
+        Most quadratic programs of a start.
+    tolerance : float
+        See :class:`lftkit.tuning.descent.descent.DescentOptions`.
+    target : float
+        Stop as soon as the worst soft value is below, hard ones kept.
+    band : float
+        Peaks above this fraction of the largest enter the quadratic programs.
+    progress : bool
+        Show a progress line.
+    """
+
+    starts: int = 24
+    seed: int = 0
+    wall_limit: float = 600.0
+    workers: int = 1
+    iterations: int = 300
+    tolerance: float = 1e-4
+    target: float = -np.inf
+    band: float = 0.3
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        if self.starts < 0 or self.workers < 1 or self.iterations < 1:
+            raise ValueError(
+                "expected starts >= 0, workers >= 1 and iterations >= 1, got "
+                f"{self.starts}, {self.workers} and {self.iterations}"
+            )
+        if not self.wall_limit > 0:
+            raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
+        if not 0 < self.band < 1:
+            raise ValueError(f"band must be between 0 and 1, got {self.band}")
+
+
+@dataclass(frozen=True)
+class TuningResult:
+    """A tuned controller with its certificate.
+
+    Parameters
+    ----------
+    status : TuningStatus
+    advice : str
+        What to do about it.
+    controller : StateSpace
+        Best point so far.
+    x : ndarray, shape (size,)
+        Its parameters.
+    soft, hard : float
+        Worst soft and hard values (normalised) over requirements and models; minus infinity where there are none.
+    values : ndarray, shape (requirements, models)
+    peak_frequencies : ndarray, shape (requirements, models)
+        Frequencies of the values [rad/s].
+    abscissa : float
+        Largest real part of the closed-loop poles [rad/s].
+    stationarity : float
+        Norm of the smallest convex combination of the nearly active scaled gradients.
+    certificate : Certificate or None
+        Norms and eigenvalues recomputed on the assembled closed loops; None where the loop is unstable.
+    seconds : float
+    evaluations, iterations : int
+        Of all starts.
+    starts : tuple of float
+        Final worst soft value of every start (infinite: not stabilised or not feasible).
+    """
+
+    status: TuningStatus
+    advice: str
+    controller: StateSpace
+    x: FloatArray
+    soft: float
+    hard: float
+    values: FloatArray
+    peak_frequencies: FloatArray
+    abscissa: float
+    stationarity: float
+    certificate: Certificate | None
+    seconds: float
+    evaluations: int
+    iterations: int
+    starts: tuple[float, ...]
+    requirement_names: tuple[str, ...] = field(default=())
+
+    @property
+    def feasible(self) -> bool:
+        """All hard requirements met."""
+        return self.hard <= 1.0 + FEASIBLE
+
+
+def tune(
+    models: Sequence[StateSpace],
+    requirements: Sequence[Requirement],
+    structure: Structure,
+    *,
+    initial: Sequence[ArrayLike] = (),
+    loop_delay: float = 0.0,
+    min_decay: float = MIN_DECAY,
+    options: TuningOptions | None = None,
+) -> TuningResult:
+    """Tune `structure` against `requirements` on all `models` at once.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        Active models, for instance one plant at several parameter values.
+    requirements : sequence
+        :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles`, soft or hard.
+    structure : Structure
+    initial : sequence of array_like, shape (size,)
+        Given starts, taken before the random ones.
+    loop_delay : float
+        Delay of the loop [s].
+    min_decay : float
+        Stable means that every closed-loop pole decays faster than this [rad/s].
+    options : TuningOptions, optional
+
+    Returns
+    -------
+    TuningResult
+
+    Raises
+    ------
+    ValueError
+        Ports that do not exist, sizes that do not fit, no start at all.
+
+    Examples
+    --------
+    A disturbance on 1 / (s + 1) with u = k y: the loop's gain is 1 / (1 - k), the command's -k / (1 - k) is
+    held at 0.8.
+
+    >>> plant = StateSpace([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
+    ...               [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
+    >>> from lftkit.tuning.structures import gain
+    >>> from lftkit.tuning.requirements import HinfGain
+    >>> result = tune([plant], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)],
+    ...               gain([("y", 1)], [("u", 1)]))
+    >>> str(result.status), round(result.controller.D.item(), 2), round(result.soft, 3)
+    ('converged', -4.0, 0.2)
+    """
+    options = options or TuningOptions()
+    start_time = time.monotonic()
+    deadline = start_time + options.wall_limit
+    problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
+    given = [start_checked(x, structure.size) for x in initial]
+    if not given and not options.starts:
+        raise ValueError("nothing to start from: give initial parameters or starts >= 1")
+    # one thread: the matrices are small, and the result must not depend on how many cores there are
+    with one_thread(), Progress("tuning", options.progress) as progress:
+        search = _search(problem, given, options, deadline, progress)
+        runs = list(search.results)
+        runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
+        runs = [*runs, *_refined(problem, runs, options, deadline)]
+        result = result_of(problem, runs, time.monotonic() - start_time)
+    cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
+    status = TuningStatus.OUT_OF_TIME if cut else result.status
+    return replace(result, status=status, advice=status.advice)
+
+
+def _search(
+    problem: Problem,
+    given: Sequence[FloatArray],
+    options: TuningOptions,
+    deadline: float,
+    progress: Progress,
+    batches: int = MAX_BATCHES,
+) -> Search:
+    """Given starts, the best controller of one order less (found in the same way), batches of random starts.
+
+    Beside the one of lower order stand reduced full-order controllers.
+    """
+    limits = limits_of(options, deadline)
+    common = limits, options.band, options.workers, progress
+    first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
+    ended = any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in first.results)
+    if not options.starts or ended or not first.complete:
+        return first
+    nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
+    starts = given_starts([*nested, *reduced_starts(problem)], options.seed)
+    rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
+    return Search(first.results + rest.results, all_of_it and rest.complete)
+
+
+def _from_lower_order(
+    problem: Problem, options: TuningOptions, deadline: float, progress: Progress
+) -> tuple[list[FloatArray], bool]:
+    """Starts from the best of one order less, and whether its search was complete within half of the time left."""
+    lower = lower_order(problem.structure)
+    if lower is None:
+        return [], True
+    try:
+        smaller = Problem(
+            problem.models,
+            problem.requirements,
+            lower,
+            loop_delay=problem.loop_delay,
+            pade_order=problem.pade_order,
+            min_decay=problem.min_decay,
+        )
+    except ValueError:  # an H2 norm that is infinite for every controller of the lower order
+        return [], True
+    now = time.monotonic()
+    batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
+    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches)
+    if search.best.rank[0] == 2:
+        return [], search.complete
+    assert isinstance(problem.structure, AffineStructure)
+    return embedded(problem.structure, lower, search.best.x, problem), search.complete
+
+
+def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:
+    """Limits of one start."""
+    return DescentOptions(options.iterations, options.tolerance, target=options.target, deadline=deadline)
+
+
+def _refined(
+    problem: Problem, runs: Sequence[StartResult], options: TuningOptions, deadline: float
+) -> list[StartResult]:
+    """Further runs from the best point, on grids refined at the peaks of the certificate that the tuner had missed."""
+    added: list[StartResult] = []
+    for _ in range(MAX_REFINEMENTS):
+        best = added[-1] if added else min(runs, key=lambda run: run.rank)
+        if best.rank[0] == 2 or time.monotonic() > deadline:
+            break
+        found = problem.evaluate(best.x, gradients=False)
+        K = controller(problem.structure, best.x)
+        certificate = certify(problem.models, K, problem.requirements, problem.loop_delay)
+        if _agree(certificate, found.values) or not np.all(np.isfinite(certificate.values)):
+            break
+        for k, loop in enumerate(problem.gains):
+            loop.add(certificate.peak_frequencies[list(problem.hinf), k])
+        added.append(tune_from(problem, best.x, options.seed, limits_of(options, deadline), options.band))
+    return added
+
+
+def _agree(certificate: Certificate, values: FloatArray) -> bool:
+    known = np.isfinite(values)
+    scale = np.maximum(np.abs(values[known]), 1e-6 * float(np.abs(values[known]).max(initial=0.0))) + 1e-9
+    low, high = certificate.values[known] - values[known], certificate.upper[known] - values[known]
+    return bool(np.all(np.maximum(np.abs(low), np.abs(high)) <= AGREEMENT * scale))
+
+
+def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
+    """Best of several starts, certified; of equal ones the last."""
+    best = min(reversed(runs), key=lambda run: run.rank)
+    found = problem.evaluate(best.x, gradients=False)
+    soft, hard = worst_values(problem, found)
+    K = controller(problem.structure, best.x)
+    stable = found.abscissa < -problem.min_decay
+    certificate = certify(problem.models, K, problem.requirements, problem.loop_delay) if stable else None
+    status = best.status
+    if certificate is not None and not _agree(certificate, found.values):
+        status = TuningStatus.INACCURATE
+    return TuningResult(
+        status,
+        status.advice,
+        K,
+        best.x,
+        soft,
+        hard,
+        found.values,
+        found.peak_frequencies,
+        found.abscissa,
+        best.stationarity,
+        certificate,
+        seconds,
+        sum(r.evaluations for r in runs),
+        sum(r.iterations for r in runs),
+        tuple(r.soft if r.hard <= 1.0 + FEASIBLE else np.inf for r in runs),
+        tuple(r.name for r in problem.requirements),
+    )

@@ -1,0 +1,1 @@
+"""Figures of the plant and the designs."""

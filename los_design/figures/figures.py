@@ -1,0 +1,237 @@
+"""Pictures of the design: the four stages over sampled parameters with their templates, and the controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import SampledSystem, UncertainSystem
+from lftkit.analysis.batched_linalg import largest_gains, singular_values
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import frequency_response
+from los_design.figures.plant_figures import STYLE
+from los_design.search.worst_points import load_worst_points
+from los_design.synthesis.store import continuous, load_designs
+from los_design.verification.verification import ARCSEC
+from los_estimator.kalman import kalman_observer
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop_norms import disturbance_response, loop_grid
+from pointing_analysis.files.atomic_output import atomic_file
+from titop_plant.interface import FORCES, FRAME_TICKS, LOOP_DELAY, MIRROR
+from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.budget import MAX_SENSITIVITY
+from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+STAGES = {
+    "none": ("payload hard-mounted", "#444444"),
+    "isolator": ("isolator", "#2a9d4a"),
+    "fsm": ("isolator + FSM", "#c2308f"),
+    "fsm+pma": ("isolator + FSM + PMA", "#1f5fa8"),
+}
+
+
+LOWEST, HIGHEST, BINS = 1e-2, 2e3, 420
+"""Frequencies of the curves [rad/s]; each point is the largest value within one of these bins."""
+
+WIDTHS = (2.6, 2.0, 1.4, 0.8)
+"""Widths of the curves of the stages: where two are the same, the wider one shows on both sides of the other."""
+
+
+FIGURES = ("stages_implemented", "stages_implemented_nominal", "controllers", "sensitivity")
+"""Names of the pictures, and of their files."""
+
+TITLES = {
+    "stages_implemented": "Worst case over the parameters, robust design, as implemented",
+    "stages_implemented_nominal": "The same parameters, nominal design, as implemented",
+}
+
+
+def draw(output: Path, samples: int, seed: int = 0, names: Sequence[str] = FIGURES) -> list[Path]:
+    """Draw pictures as PNG and SVG into a folder; returns their paths.
+
+    Parameters
+    ----------
+    output : Path
+    samples : int
+        Random parameter points beside the worst ones of each stage.
+    seed : int
+    names : sequence of str
+        Of :data:`FIGURES`.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, or a number of samples that is negative.
+    """
+    if unknown := [name for name in names if name not in FIGURES]:
+        raise ValueError(f"names must be of {', '.join(FIGURES)}, got {unknown[0]!r}")
+    if samples < 0:
+        raise ValueError(f"samples must not be negative, got {samples}")
+    parameters = load_parameters()
+    output.mkdir(parents=True, exist_ok=True)
+    paths: list[Path] = []
+    settings: Any = STYLE
+    with mpl.rc_context(settings):
+        for name in names:
+            if name == "controllers":
+                figure = _controllers(parameters)
+            elif name == "sensitivity":
+                figure = _sensitivities(parameters, samples, seed)
+            else:
+                system: UncertainSystem = control_loop_plant(telescope(), parameters)
+                random = system.sample_values(np.random.default_rng(seed), samples)
+                members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
+                figure = _stages(parameters, load_designs(name.removeprefix("stages_")), TITLES[name], members)
+            paths += save_figure(figure, output / name)
+    return paths
+
+
+def stage_curves(
+    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], stage: str, values: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
+    if stage in ("none", "isolator"):
+        system = telescope(None, stage != "none").system
+        data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].data_at(values)
+        omega = frequency_grid(linalg.eigvals(data.A), LOWEST, HIGHEST, points=300, offsets=(0.0, 1.5, 3.0))
+        response = frequency_response(data, omega)
+    else:
+        plant = control_loop_plant(telescope(), parameters).data_at(values)
+        sensitivity = float(parameters["fsm"]["los_sensitivity"])
+        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
+        omega = loop_grid(plant, loop.hold[:-2, :-2], LOWEST, HIGHEST)
+        response = disturbance_response(loop, plant, omega)[:, :2]
+    return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
+
+
+def worst_members() -> dict[str, list[dict[str, float]]]:
+    """Worst parameter values of each stage for the APE, slow and fast tones; the first of each is the nominal one."""
+    found = load_worst_points()
+    return {stage: [{}, *(dict(found[stage][name].parameters) for name in ("APE", "slow", "fast"))] for stage in STAGES}
+
+
+def _stages(
+    parameters: Parameters,
+    pair: tuple[SampledSystem, SampledSystem],
+    title: str,
+    members: Mapping[str, Sequence[Mapping[str, float]]],
+) -> Figure:
+    """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
+    figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    table = parameters["weights"]
+    edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    for (stage, (label, colour)), width in zip(STAGES.items(), WIDTHS):
+        largest = np.full((2, BINS), np.nan)
+        for values in members[stage]:
+            omega, los = stage_curves(parameters, pair, stage, values)
+            error = los * rpe_weight(omega, table["rpe_window"])
+            index = np.clip(np.searchsorted(edges, omega) - 1, 0, BINS - 1)
+            for row, curve in enumerate((los / ARCSEC, 1e3 * error / ARCSEC)):
+                np.fmax.at(largest[row], index, curve)
+        for axes, curve in zip((left, right), largest):
+            there = ~np.isnan(curve)
+            axes.loglog(middle[there], curve[there], color=colour, lw=width, label=label)
+    left.axhline(table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label="APE 10 arcsec")
+    for limit, style in ((table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")):
+        value = 1e3 * limit / ARCSEC
+        right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")
+    left.set(xlim=(LOWEST, 30.0), ylim=(1e-2, 300.0), title="line of sight [arcsec]")
+    right.set(xlim=(1.0, 1500.0), ylim=(1.0, 2e4), title="relative error, 20 ms [mas]")
+    for axes, place in ((left, "lower left"), (right, "upper left")):
+        axes.set_xlabel("frequency [rad/s]")
+        axes.secondary_xaxis("top", functions=(_to_hertz, _to_radians)).set_xlabel("[Hz]")
+        axes.legend(loc=place, fontsize="small")
+    figure.suptitle(title)
+    return figure
+
+
+def _to_hertz(omega: FloatArray) -> FloatArray:
+    return omega / (2.0 * np.pi)
+
+
+def _to_radians(hertz: FloatArray) -> FloatArray:
+    return hertz * (2.0 * np.pi)
+
+
+def _controllers(parameters: Parameters) -> Figure:
+    k_fsm, k_pma = load_designs("implemented")
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    omega = np.geomspace(1e-2, 3e3, 400)
+    kalman = kalman_observer(parameters, telescope().bodies[1], lead=LOOP_DELAY)
+    for system, colour, label in (
+        (kalman, "#999999", "Kalman observer"),
+        (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
+    ):
+        for port, style in (("accel_Ip", "-"), ("camera_los", "--")):
+            gains = largest_gains(frequency_response(system["los_estimate", port].data_at({}), omega))
+            left.loglog(omega, gains, color=colour, ls=style, label=f"{label}: {port}")
+    left.set(title="Observer, largest singular value", xlabel="frequency [rad/s]", ylabel="estimate per input [rad/SI]")
+    left.legend()
+    gains = singular_values(frequency_response(continuous(k_pma).data_at({}), omega))
+    right.loglog(omega, np.maximum(gains, 1e-12 * gains.max()), color="#1f5fa8", lw=0.9)
+    right.set(
+        title="K_PMA, singular values",
+        xlabel="frequency [rad/s]",
+        ylabel="force per acceleration [N/SI]",
+        ylim=(1e-4 * gains.max(), 2.0 * gains.max()),
+    )
+    return figure
+
+
+def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
+    """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
+    system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
+    worst, open_loop = load_worst_points(), OpenLoop(system, parameters)
+    rng = np.random.default_rng(seed)
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    for axes, (stage, name, channels, title) in zip(
+        figure.subplots(1, 2, sharey=True),
+        (
+            ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
+            ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
+        ),
+    ):
+        loop = ImplementedLoop(open_loop, *pair, stage)
+        members = [{}, *system.sample_values(rng, samples), dict(worst[stage][name].parameters)]
+        points = np.array([loop.point(values) for values in members])
+        peak = worst[stage][name].omega  # of a mode that is narrower than the steps of the grid
+        omega = np.union1d(np.geomspace(0.1, 3e3, 500), peak * np.linspace(0.98, 1.02, 41))
+        S = [loop.sensitivities(loop.at(float(w)), points)[:, channels, channels] for w in omega]
+        gains = np.array([largest_gains(at) for at in S])
+        axes.semilogx(omega, gains[:, -1], color="#c2308f", lw=2.4, label="worst point found")
+        for k in range(1, len(members) - 1):
+            axes.semilogx(omega, gains[:, k], color="#7fa3cc", lw=0.6, label="random points" if k == 1 else None)
+        axes.semilogx(omega, gains[:, 0], color="#143f70", lw=0.9, label="nominal")
+        axes.axhline(MAX_SENSITIVITY, color="#b00020", ls="--", lw=1.3, label="limit: 6 dB, 29 deg")
+        axes.set(title=title, xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]), ylim=(0.0, 2.4))
+        axes.legend(loc="lower right")
+    figure.axes[0].set_ylabel("largest singular value of S")
+    return figure
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
+    paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
+    with (
+        mpl.rc_context({"svg.hashsalt": "los-testbed"}),
+        atomic_file(paths[0]) as png,
+        atomic_file(paths[1]) as svg,
+    ):
+        figure.savefig(png, format="png", dpi=115, metadata={"Software": None})
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    return paths

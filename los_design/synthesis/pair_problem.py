@@ -1,0 +1,277 @@
+"""K_FSM and K_PMA together on the implemented loop: samples of the telescope, gains, noise.
+
+The controllers' continuous state spaces are tuned as they will be sampled (bilinear), behind the washout of the
+accelerometers, with one tick of delay; a camera value that is held between frames is the mean of the delays of one
+frame period. So the tuned loop is that of :class:`los_loop.implemented_loop.ImplementedLoop`, and what is tuned is
+what :class:`los_design.search.worst_case_search.Search` measures.
+
+The gains are those of :func:`los_loop.implemented_loop.loop_metrics` for the two stages, with the shares of the
+budget as limits. Those of the mirror alone have the suffix ``, alone``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.problem import FORCE_SHARE
+from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit.tuning.frequency_domain import (
+    ControllerBlock,
+    GrowingSamples,
+    PlantSamples,
+    ResponseGain,
+    ResponseNoise,
+    ResponseProblem,
+)
+from los_estimator.problem import ORDER as OBSERVER_ORDER
+from los_loop.implemented_loop import HIGHEST
+from los_loop.open_loop import OpenLoop
+from titop_plant.interface import (
+    ACCELERATIONS,
+    CAMERA,
+    COMMANDS,
+    DT,
+    FORCES,
+    FRAME_TICKS,
+    MEASUREMENTS,
+    MIRROR,
+    PLATFORM,
+)
+from titop_plant.telescope.budget import (
+    BAND_EDGE,
+    TUNED_FORCE_SENSITIVITY,
+    TUNED_SENSITIVITY,
+    error_budget,
+)
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+OBSERVER, ACTUATORS = 0, 1
+ALONE, BOTH = (OBSERVER,), (OBSERVER, ACTUATORS)
+ALONE_SUFFIX = ", alone"
+LOWEST = 1e-4
+"""Lowest frequency of the samples [rad/s]: poles that cross the origin show there."""
+FINE, FINE_STEP = (120.0, 800.0), 0.003
+"""Band of the structure's modes and the relative step of its grid."""
+AROUND = np.arange(-4, 5) * 8e-4
+"""Relative distances of the frequencies around a worst point."""
+MODE_OFFSETS = (-5e-3, -2.5e-3, -1e-3, -3e-4, 3e-4, 1e-3, 2.5e-3, 5e-3)
+"""The same around the telescope's own modes: below the band of the fine grid they are narrower than its steps."""
+NOISE_FREQUENCIES = ((1e-2, 0.5, 60), (0.5, 20.0, 500), (20.0, 1000.0, 700), (1000.0, np.pi / DT, 120))
+
+
+LEAST_DECAY = 5e-4
+"""Of the controllers' own poles [rad/s]: they are stable without the loop, and no transient lasts for hours."""
+
+TUNED = 0.985
+"""Part of the limits of APE, mirror and force that is tuned for."""
+
+
+def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
+    """The two controllers; those in `tuned` have free entries (no direct path from the camera to the estimate)."""
+    washout = float(parameters["sensors"]["washout"])
+    mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
+
+    def bilinear(omega: FloatArray) -> ComplexArray:
+        z = np.exp(1j * omega * DT)
+        return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
+
+    def high_pass(omega: FloatArray) -> ComplexArray:
+        return np.asarray(bilinear(omega) / (bilinear(omega) + washout))
+
+    def sensors(omega: FloatArray) -> ComplexArray:
+        factors = np.ones((len(omega), MEASUREMENTS), complex)
+        factors[:, ACCELERATIONS] = high_pass(omega)[:, None]
+        factors[:, CAMERA] = np.mean(np.exp(-1j * omega[:, None] * DT * np.arange(FRAME_TICKS)), axis=1)[:, None]
+        return factors
+
+    def platform(omega: FloatArray) -> ComplexArray:
+        return np.asarray(np.repeat(high_pass(omega)[:, None], PLATFORM.stop - PLATFORM.start, axis=1))
+
+    def delay(omega: FloatArray) -> ComplexArray:
+        return np.asarray(np.exp(-1j * omega * DT))
+
+    estimates, forces = MIRROR.stop - MIRROR.start, FORCES.stop - FORCES.start
+    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + MEASUREMENTS), OBSERVER in tuned)
+    free[OBSERVER_ORDER:, OBSERVER_ORDER + CAMERA.start : OBSERVER_ORDER + CAMERA.stop] = False
+    laws = np.full((ACTUATOR_ORDER + forces, ACTUATOR_ORDER + PLATFORM.stop - PLATFORM.start), ACTUATORS in tuned)
+    return (
+        ControllerBlock(
+            "K_FSM",
+            OBSERVER_ORDER,
+            slice(0, MEASUREMENTS),
+            MIRROR,
+            bilinear,
+            sensors,
+            lambda omega: mirror * delay(omega),
+            free,
+            LEAST_DECAY,
+        ),
+        ControllerBlock("K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, platform, delay, laws, LEAST_DECAY),
+    )
+
+
+def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
+    """What a gain of 1 stands for in a stage: shares of the budget [rad], and limits with what tuning leaves."""
+    budget = error_budget(parameters)
+    both = stage == BOTH
+    found = {
+        "fast": budget.fast if both else budget.fast_mirror,
+        "slow": budget.tone if both else budget.slow,
+        "APE": TUNED * parameters["weights"]["ape_limit"],
+        "mirror": TUNED * parameters["fsm"]["authority"],
+        "sensitivity, mirror": TUNED_SENSITIVITY,
+    }
+    if both:
+        found["force"] = TUNED * FORCE_SHARE * parameters["pma"]["authority"]
+        found["sensitivity, forces"] = TUNED_FORCE_SENSITIVITY
+    return found
+
+
+def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
+    """What is asked of the stages; 1 is the entry of :func:`limits`."""
+    window = parameters["weights"]["rpe_window"]
+    bands = {"slow": (LOWEST, BAND_EDGE), "fast": (BAND_EDGE, HIGHEST)}
+    places = {
+        "mirror": (MIRROR, None),
+        "force": (FORCES, None),
+        "sensitivity, mirror": (MIRROR, MIRROR),
+        "sensitivity, forces": (FORCES, FORCES),
+    }
+
+    def gain(stage: tuple[int, ...], name: str, limit: float) -> ResponseGain:
+        low, high = bands.get(name, (LOWEST, HIGHEST))
+
+        def scale(omega: FloatArray) -> FloatArray:
+            weight = rpe_weight(omega, window) if name in bands else np.ones(len(omega))
+            return np.asarray(np.where((omega >= low) & (omega < high), weight / limit, 0.0))
+
+        outputs, inputs = places.get(name, (None, None))
+        return ResponseGain(named(name, stage), stage, outputs, inputs, scale, hard=name in places)
+
+    return tuple(gain(stage, name, limit) for stage in stages for name, limit in limits(parameters, stage).items())
+
+
+def named(name: str, stage: tuple[int, ...]) -> str:
+    """Name of a requirement of a stage."""
+    return name if stage == BOTH else name + ALONE_SUFFIX
+
+
+def noise_frequencies() -> FloatArray:
+    """Frequencies [rad/s] at which the density of the noise is summed."""
+    parts = [np.geomspace(low, high, count) for low, high, count in NOISE_FREQUENCIES]
+    return np.asarray(np.unique(np.concatenate(parts))[:-1], dtype=float)
+
+
+def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
+    """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
+    parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
+    budget, table, omega = error_budget(parameters), parameters["sensors"], nominal.omega
+    amplitude = np.r_[
+        np.tile(table["accelerometer_noise"], 3),
+        np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
+        np.full(2, table["strain_gauge_noise"]),
+    ]
+    step = np.gradient(omega) * (DT / np.pi) * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
+    density = np.broadcast_to(amplitude, (len(omega), MEASUREMENTS))
+    shares = {ALONE: budget.noise, BOTH: budget.total_noise}
+    return tuple(ResponseNoise(named("noise -> RPE", s), s, nominal, density, step, shares[s]) for s in stages)
+
+
+def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
+    """Samples of all parameter points (N, 7) of the unit cube at all frequencies."""
+    found = []
+    for begin in range(0, len(omega), 50):
+        found += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
+    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), MEASUREMENTS, COMMANDS)
+
+
+def grid() -> FloatArray:
+    """Frequencies [rad/s] at which every parameter point is sampled."""
+    low, high = FINE
+    parts = [
+        np.geomspace(0.02, BAND_EDGE, 160),
+        np.geomspace(BAND_EDGE, low, 60),
+        np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
+        np.geomspace(high, HIGHEST, 25),
+    ]
+    return np.asarray(np.unique(np.concatenate(parts)), dtype=float)
+
+
+class Samples:
+    """Samples that grow with the parameter points; what is there is not computed again.
+
+    Parameters
+    ----------
+    open_loop : OpenLoop
+    threads : int
+        The result does not depend on their number.
+    """
+
+    def __init__(self, open_loop: OpenLoop, threads: int = 1) -> None:
+        self.open_loop, self._threads = open_loop, threads
+        nominal = open_loop.point({})
+        low: FloatArray = np.asarray(np.geomspace(LOWEST, 0.02, 20), dtype=float)
+        self._samples = GrowingSamples(sample(open_loop, low, nominal[None]))
+        near = _near_modes(open_loop, nominal, FINE[0], HIGHEST)
+        self._samples.append(sample(open_loop, near, nominal[None]))
+
+    def add(self, points: FloatArray) -> None:
+        """Parameter points (N, 7), each on the whole grid and at its slow modes."""
+        self._samples.append(sample(self.open_loop, grid(), points))
+
+        def at_modes(point: FloatArray) -> PlantSamples:
+            return sample(self.open_loop, _near_modes(self.open_loop, point, 0.1, FINE[0]), point[None])
+
+        with ThreadPoolExecutor(self._threads) as pool:
+            for part in pool.map(at_modes, points):
+                self._samples.append(part)
+
+    def add_around(self, omega: float, point: FloatArray) -> None:
+        """A worst point with the frequencies close to it."""
+        self._samples.append(sample(self.open_loop, np.asarray(omega * (1.0 + AROUND), dtype=float), point[None]))
+
+    @cached_property
+    def at_noise_frequencies(self) -> PlantSamples:
+        """Samples of the nominal point at the frequencies of :func:`noises`."""
+        return sample(self.open_loop, noise_frequencies(), self.open_loop.point({})[None])
+
+    def all(self) -> PlantSamples:
+        """All samples."""
+        return self._samples.all()
+
+
+def _near_modes(open_loop: OpenLoop, point: FloatArray, low: float, high: float) -> FloatArray:
+    """Frequencies around the modes of a parameter point."""
+    modes = open_loop.modes(point, low, high)
+    return np.sort(np.concatenate([modes * (1.0 + offset) for offset in MODE_OFFSETS]))
+
+
+def pair_problem(
+    samples: Samples, stages: Sequence[tuple[int, ...]], tuned: Sequence[int], threads: int = 1
+) -> ResponseProblem:
+    """The design problem of one or both controllers.
+
+    Parameters
+    ----------
+    samples : Samples
+    stages : sequence of {ALONE, BOTH}
+        Whose requirements count.
+    tuned : sequence of {OBSERVER, ACTUATORS}
+    threads : int
+    """
+    parameters = samples.open_loop.parameters
+    return ResponseProblem(
+        blocks(parameters, tuned),
+        samples.all(),
+        gains(parameters, stages),
+        noises(samples, stages),
+        threads,
+    )

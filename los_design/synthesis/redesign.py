@@ -1,0 +1,245 @@
+"""Control design for a telescope, from its parameters to a folder of verified designs.
+
+The folder holds ``k_fsm.json``, ``k_pma.json``, ``worst_points.json`` and ``verification.json``. A step whose file is
+there and was made for the same parameters, seed and effort is not repeated, and a design of the controllers goes on
+in its descent or after its last search (``rounds.json``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lftkit import SampledSystem
+from lftkit.support.threads import one_thread
+from lftkit.support.workers import Workers
+from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.search.worst_points import (
+    WorstPoint,
+    load_worst_points,
+    store_worst_points,
+    worst_of,
+)
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.synthesis import design_pair
+from los_design.verification.verification import (
+    ImplementedCheck,
+    broken_requirements,
+    check_implemented,
+    verification_points,
+)
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from pointing_analysis.files.atomic_output import write_text
+from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.parameters import Parameters, parameters_hash
+
+Report = Callable[[str], None]
+EFFORTS = ("full", "short")
+ROUNDS_FILE = "rounds.json"
+"""State of a design between its rounds; it stays where the wall limit ended the design, which can then go on."""
+OUT_OF_TIME = "out_of_time"
+SAMPLES = {"full": 200, "short": 20}
+"""Random parameter points of the verification, beside the nominal one and all corners (short: every eighth corner)."""
+SEARCHES = {
+    "full": SearchOptions(ascents=150, seed=77),
+    "short": SearchOptions(frequencies=200, points=40, ascents=40, iterations=20, seed=77),
+}
+
+
+@dataclass(frozen=True)
+class DesignSummary:
+    """Result of :func:`design_all`.
+
+    Parameters
+    ----------
+    folder : Path
+    check : ImplementedCheck
+        Of the pair, at verification points and at the worst points found.
+    not_met : list of str
+        One line for each requirement that is not met; empty if all are.
+    """
+
+    folder: Path
+    check: ImplementedCheck
+    not_met: list[str]
+
+    @property
+    def met(self) -> bool:
+        """Whether every requirement is met."""
+        return not self.not_met
+
+    @property
+    def gammas(self) -> dict[str, list[float]]:
+        """Gammas in the paper's order, mirror alone and with the proof-mass actuators."""
+        return {"fsm": self.check.fsm, "pma": self.check.pma}
+
+
+def design_all(
+    parameters: Parameters,
+    folder: Path,
+    *,
+    seed: int = 0,
+    effort: str = "full",
+    report: Report = lambda text: None,
+    resume: bool = True,
+    wall_limit: float = 3600.0,
+    nominal: bool = False,
+    workers: int = 1,
+) -> DesignSummary:
+    """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of :func:`titop_plant.telescope.parameters.load_parameters`.
+    folder : Path
+        Made if it does not exist.
+    seed : int
+    effort : {"full", "short"}
+    report : callable
+        Receives one line for each step and round.
+    resume : bool
+        Keep the steps that are there already.
+    wall_limit : float
+        Of the rounds [s]; the last thorough search and the verification come after it. A design that it ended goes on
+        in another call.
+    nominal : bool
+        Tune at the nominal parameters alone; the verification is that of the whole box.
+    workers : int
+        Processes; the result does not depend on their number.
+
+    Raises
+    ------
+    ValueError
+        Unknown effort, or a folder that cannot be written to.
+    """
+    if effort not in EFFORTS:
+        raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
+    _check_writable(folder)
+    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit, nominal=nominal, workers=workers)
+    with one_thread(), Workers(workers) as processes:
+        assembled = build_telescope(parameters)
+
+        key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
+        k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
+        report("worst points of the stages")
+        found = search_stages(parameters, k_fsm, k_pma, SEARCHES[effort], processes)
+        adversarial = adversarial_points(found, (k_fsm, k_pma))
+        basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
+        worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
+        store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
+        system = control_loop_plant(assembled, parameters)
+        at = verification_points(parameters, system, SAMPLES[effort], seed + 1)
+        at = at if effort == "full" else [at[0], *at[1:129:8], *at[129:]]
+        report(f"verification at {len(at) + len(adversarial)} parameter points")
+        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=processes)
+    not_met = broken_requirements(check)
+    content = {"implemented": check.to_mapping(), "not_met": not_met}
+    write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
+    return DesignSummary(folder, check, not_met)
+
+
+def search_stages(
+    parameters: Parameters,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    options: SearchOptions,
+    workers: Workers | None = None,
+) -> dict[str, dict[str, list[WorstPoint]]]:
+    """Worst points of all bands by stage and requirement: APE, slow and fast tones, and what else a stage has.
+
+    The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
+    """
+    open_loops = {
+        isolated: OpenLoop(control_loop_plant(build_telescope(parameters, isolated=isolated), parameters), parameters)
+        for isolated in (False, True)
+    }
+    known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
+    for stage, system in zip(MIRROR_STAGES, (k_fsm, k_pma)):
+        known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
+    return {
+        stage: Search(ImplementedLoop(open_loops[stage != STAGES[0]], k_fsm, k_pma, stage), options).run(
+            starts=known[stage], workers=workers
+        )
+        for stage in STAGES
+    }
+
+
+def _found_in_design(stage: str, case: Mapping[str, Any]) -> WorstPoint:
+    """A worst case of a provenance as a start: frequency and parameters."""
+    none = np.zeros(0, dtype=complex)
+    value, omega = float(case["value"]), float(case["omega"])
+    return WorstPoint(stage, case["requirement"], value, 1.0, omega, dict(case["parameters"]), none, none)
+
+
+def adversarial_points(
+    found: Mapping[str, Mapping[str, Sequence[WorstPoint]]], pair: Sequence[SampledSystem]
+) -> list[dict[str, float]]:
+    """Different parameters of the worst points of all bands with fine control, and those that a design was tuned at."""
+    points = [dict(p.parameters) for stage in MIRROR_STAGES for table in found[stage].values() for p in table]
+    points += [dict(values) for system in pair for values in system.provenance.get("active_models", []) if values]
+    return list({tuple(values.items()): values for values in points}.values())
+
+
+def digest(system: SampledSystem) -> str:
+    """Twelve hexadecimal digits that name the matrices of a controller."""
+    content = b"".join(np.ascontiguousarray(getattr(system, key)).tobytes() for key in "ABCD")
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def _key(parameters: Parameters, seed: int, effort: str) -> dict[str, Any]:
+    return {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
+
+
+def _pair(
+    folder: Path,
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    key: dict[str, Any],
+    resume: bool,
+    report: Report,
+) -> tuple[SampledSystem, SampledSystem]:
+    """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
+    files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
+    if resume and all(path.exists() for path in files):
+        k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)
+        same = all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma))
+        if same and not (k_fsm.provenance["status"] == OUT_OF_TIME and rounds.exists()):
+            report("k_fsm.json, k_pma.json: kept")
+            return k_fsm, k_pma
+    if not resume:
+        rounds.unlink(missing_ok=True)
+    made = design_pair(telescope, parameters, options, report, (rounds, key))
+    k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
+    k_fsm.to_file(files[0])
+    k_pma.to_file(files[1])
+    if k_fsm.provenance["status"] != OUT_OF_TIME:
+        rounds.unlink(missing_ok=True)
+    report(f"k_fsm.json, k_pma.json: {k_fsm.provenance['status']}")
+    return k_fsm, k_pma
+
+
+def _check_writable(folder: Path) -> None:
+    """Make the folder and a file in it before hours of work.
+
+    Raises
+    ------
+    ValueError
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None

@@ -1,0 +1,143 @@
+"""Start of a design of the implemented loop: stored for the reference telescope, the best of several for others.
+
+For another telescope the starts are the stored pair of controllers, the stored start, and the Kalman observer with the
+stored K_PMA and with random ones. Those that stabilise it are compared at few parameter points, the best ones after a
+short descent. With its margins the stored pair stabilises telescopes that differ much from the reference: isolators of
+a 25th or four times of the stiffness, 200 kg more in the payload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit import SampledSystem, StateSpace
+from lftkit.tuning.frequency_domain import DescentOptions, ResponseProblem, descend, parameters_of
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
+from los_design.synthesis.rounds import Task, first_points
+from los_design.synthesis.starts import random_law, stored_start
+from los_design.synthesis.store import continuous, load_designs
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+
+FloatArray = NDArray[np.float64]
+Pair = Sequence[FloatArray]
+"""Gain matrices ``[A, B; C, D]`` of K_FSM and K_PMA."""
+Report = Callable[[str], None]
+CORNERS = 8
+"""Random corners of the box at which a start must be stable, beside the nominal point."""
+LAW_SEEDS, LAW_GAINS = (2, 3, 4), (100.0, 10.0, 1.0, 0.0)
+"""Random K_PMA beside the Kalman observer: of each seed the one with the largest of these gains that is stable."""
+POINTS, STEPS, COMPARED, GOOD = 6, 12, 2, 1.0
+"""Random points of a comparison, steps of its descents, how many starts descend, and the value that ends it."""
+STORED_START, STORED_PAIR, KALMAN = "the stored start", "the stored pair", "the Kalman observer with the stored K_PMA"
+
+
+def choose_start(
+    task: Task,
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    observer: SampledSystem | None,
+    report: Report,
+) -> FloatArray:
+    """Entries of both gain matrices that a design begins with.
+
+    Parameters
+    ----------
+    task : Task
+    telescope, parameters
+        Assembled telescope and its parameters.
+    options : DesignOptions
+    observer : SampledSystem or None
+        K_FSM that is given, if it is not tuned.
+    report : callable
+        Receives one line for each start that is compared.
+
+    Raises
+    ------
+    ValueError
+        No start stabilises the telescope.
+    """
+    given = None if observer is None else gain_matrix(continuous(observer).data_at({}))
+    own, at = blocks(parameters, task.tuned), _corners(task, options.seed)
+
+    def stable(pair: Pair) -> bool:
+        x = parameters_of(own, pair)
+        return all(task.stable(x, values) for values in at)
+
+    stored = [given if given is not None else gain_matrix(stored_start("k-fsm")), gain_matrix(stored_start("k-pma"))]
+    if is_reference(parameters) and stable(stored):
+        return parameters_of(own, stored)
+    report("another telescope than that of the stored start: starts are compared")
+    k_fsm, k_pma = (gain_matrix(continuous(system).data_at({})) for system in load_designs("implemented"))
+    starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
+    if given is None:
+        starts[KALMAN] = [_kalman(telescope, parameters, options), k_pma]
+    if ACTUATORS in task.tuned:
+        first = starts[STORED_PAIR if given is not None else KALMAN][0]
+        for seed in LAW_SEEDS:
+            laws = ([first, gain_matrix(random_law(seed, gain))] for gain in LAW_GAINS)
+            starts[f"a random K_PMA, seed {seed}"] = next((start for start in laws if stable(start)), [])
+    found = {name: parameters_of(own, start) for name, start in starts.items() if start and stable(start)}
+    if not found:
+        raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
+    return _best(task, found, 0 if options.nominal else POINTS, report)
+
+
+def is_reference(parameters: Parameters) -> bool:
+    """Whether these are the parameters that the stored controllers were designed for."""
+    return parameters_hash(parameters) == parameters_hash(load_parameters())
+
+
+def _corners(task: Task, seed: int) -> list[dict[str, float]]:
+    """The nominal point and random corners."""
+    loop, rng = task.samples.open_loop, np.random.default_rng(seed)
+    return [{}, *(loop.values(point) for point in np.round(rng.uniform(size=(CORNERS, len(loop.names)))))]
+
+
+def _kalman(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> FloatArray:
+    structure = observer_structure(observer_plant(telescope, parameters, **options.hold_delays), camera_hold=True)
+    return structure.gain_matrix(kalman_start(structure, telescope, parameters, lead=options.loop_delay))
+
+
+def _best(task: Task, found: Mapping[str, FloatArray], count: int, report: Report) -> FloatArray:
+    """The start with the lowest largest value after a short descent at few points."""
+    samples, points = Samples(task.samples.open_loop), first_points(task, count)
+    samples.add(np.array(points))
+    problem = pair_problem(samples, task.stages, task.tuned, task.workers.count)
+    at = [samples.open_loop.values(point) for point in points]
+    values = {name: largest(problem, x) for name, x in found.items()}
+    reached: list[tuple[float, FloatArray]] = []
+    for name in sorted(found, key=lambda name: values[name])[:COMPARED]:
+        x = descended(task, problem, found[name])
+        if not all(task.stable(x, point) for point in at):
+            x = found[name]
+        value = largest(problem, x)
+        report(f"start from {name}: {values[name]:.4f}, after a short descent {value:.4f}")
+        reached.append((value, x))
+        if value < GOOD:
+            break
+    return min(reached, key=lambda entry: entry[0])[1]
+
+
+def descended(task: Task, problem: ResponseProblem, x: FloatArray) -> FloatArray:
+    """Result of a short descent."""
+    if not np.isfinite(largest(problem, x)):
+        return x
+    return descend(problem, x, task.stable, DescentOptions(iterations=STEPS, target=0.97)).x
+
+
+def largest(problem: ResponseProblem, x: FloatArray) -> float:
+    """Largest value of all gains and noises; infinite where a loop is singular."""
+    value = max(float(problem.values(x).max()), float(problem.noise(x).max(initial=0.0)))
+    return value if np.isfinite(value) else np.inf
+
+
+def gain_matrix(system: StateSpace) -> FloatArray:
+    """``[A, B; C, D]``."""
+    return np.block([[system.A, system.B], [system.C, system.D]])

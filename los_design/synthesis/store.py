@@ -1,0 +1,69 @@
+"""Stored designs: their files, and the continuous controllers in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+
+from lftkit import Port, SampledSystem, UncertainSystem, state_space
+from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+
+DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
+VARIANTS = ("implemented", "implemented_nominal", "paper", "paper_nominal")
+
+
+def design_file(kind: str, variant: str = "implemented") -> Path:
+    """File of a stored design.
+
+    Raises
+    ------
+    ValueError
+        Unknown kind or variant.
+    """
+    if kind not in DESIGN_PACKAGES or variant not in VARIANTS:
+        raise ValueError(
+            f"kind and variant must be one of {', '.join(DESIGN_PACKAGES)} and one of {', '.join(VARIANTS)}, "
+            f"got {kind!r} and {variant!r}"
+        )
+    stem = kind.replace("-", "_") + ("" if variant == "implemented" else f"_{variant}")
+    return Path(str(import_module(DESIGN_PACKAGES[kind]).__file__)).parent / "designs" / f"{stem}.json"
+
+
+def continuous(system: SampledSystem) -> UncertainSystem:
+    """The continuous controller that a stored design was sampled from, without washout.
+
+    Raises
+    ------
+    ValueError
+        The file does not hold it.
+    """
+    matrices = system.provenance.get("continuous")
+    if not isinstance(matrices, Mapping):
+        raise ValueError(f"{system.name}: the file holds no continuous controller, only the sampled one")
+    return state_space(matrices["A"], matrices["B"], matrices["C"], matrices["D"], system.inputs, system.outputs)
+
+
+def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
+    """Stored K_FSM and K_PMA of a variant.
+
+    Raises
+    ------
+    ValueError
+        A file is missing; the message says which command makes it.
+    """
+    result = []
+    for kind in ("k-fsm", "k-pma"):
+        path = design_file(kind, variant)
+        if not path.exists():
+            flags = ("" if "implemented" in variant else " --loop-delay 0") + (
+                " --nominal" if "nominal" in variant else ""
+            )
+            raise ValueError(f"there is no {path.name}: make it with `los-testbed design {kind}{flags}`")
+        result.append(SampledSystem.from_file(path))
+    return result[0], result[1]
+
+
+def design_ports(kind: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Input and output ports of a kind of design."""
+    return {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}[kind]

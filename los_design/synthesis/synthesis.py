@@ -1,0 +1,324 @@
+"""Synthesis of the two controllers: design problem, tuner, sampled controller with its provenance.
+
+Designs of the implemented loop are tuned on its frequency responses, in rounds (:mod:`los_design.synthesis.rounds`):
+tune, search the sampled loop for worse parameters, add them. Those of the paper's continuous problem use the tuner of
+:mod:`lftkit.tuning` and its scheme.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.skyhook import sampled_controller
+from lftkit import SampledSystem, StateSpace, state_space
+from lftkit.support.workers import Workers
+from lftkit.tuning import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
+from lftkit.tuning.frequency_domain import gain_matrices
+from los_design.search.worst_case_search import SearchOptions
+from los_design.search.worst_points import WorstPoint, load_worst_points
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
+from los_design.synthesis.provenance import commit
+from los_design.synthesis.round_state import Outcome
+from los_design.synthesis.rounds import STAGE_NAMES, Effort, Task, design_in_rounds
+from los_design.synthesis.start_choice import choose_start, is_reference
+from los_design.synthesis.starts import random_start, screened
+from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
+from los_estimator.kalman import sampled_observer
+from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
+
+START_SEEDS = (2,)
+MAX_ITERATIONS, MAX_ROUNDS, MAX_NOMINAL_ITERATIONS = 40, 4, 250
+"""Effort of a robust design of the paper's problem (iterations in each round) and of a nominal one. These limits end a
+design, not the wall limit: otherwise the result would depend on the speed of the machine."""
+WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
+"""Effort of the worst-case search of the paper's problem, see :class:`lftkit.tuning.WorstCaseOptions`."""
+
+QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6, confirmed=0.8)
+THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6, confirmed=0.8)
+EFFORT = Effort(rounds=30, points=30, first=60, iterations=24, target=0.97, searches=(QUICK, THOROUGH))
+SHORT_SEARCH = SearchOptions(
+    frequencies=150, points=24, ascents=30, iterations=12, patience=1, several=6, confirmed=0.8
+)
+SHORT_EFFORT = Effort(rounds=8, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
+NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
+"""Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
+
+Report = Callable[[str], None]
+
+
+def _silent(text: str) -> None:
+    """Report nothing."""
+
+
+def design_observer(
+    telescope: Telescope, parameters: Parameters, options: DesignOptions, report: Report = _silent
+) -> SampledSystem:
+    """Tune K_FSM from the Kalman observer.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    options : DesignOptions
+    report : callable
+        Receives one line for each step.
+
+    Returns
+    -------
+    SampledSystem
+        K_FSM with the washout, ports of :mod:`los_estimator.runtime`; its provenance holds command, commit, parameters
+        hash, seed, status, tuned values and the continuous controller.
+    """
+    if options.implemented:
+        return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"])[0]
+    plant = observer_plant(telescope, parameters)
+    structure = observer_structure(plant)
+    starts = [kalman_start(structure, telescope, parameters)]
+    active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
+    requirements = observer_requirements(parameters, implemented=False)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    return _sampled("k-fsm", result.controller.matrices, parameters, options, _provenance("k-fsm", result, options))
+
+
+def design_actuators(
+    telescope: Telescope,
+    parameters: Parameters,
+    observer: SampledSystem,
+    options: DesignOptions,
+    report: Report = _silent,
+) -> SampledSystem:
+    """Tune K_PMA with the mirror loop of an observer closed, from random starts.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    observer : SampledSystem
+        K_FSM with its continuous form in the provenance.
+    options : DesignOptions
+    report : callable
+        Receives one line for each step.
+
+    Returns
+    -------
+    SampledSystem
+        K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
+    """
+    if options.implemented:
+        return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer)[1]
+    plant = actuator_plant(telescope, parameters, continuous(observer))
+    structure = actuator_structure(plant)
+    starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
+    requirements = actuator_requirements(parameters, implemented=False)
+    active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
+    result = _run(plant, requirements, structure, starts, active, parameters, options)
+    return _sampled("k-pma", result.controller.matrices, parameters, options, _provenance("k-pma", result, options))
+
+
+def design_pair(
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    report: Report = _silent,
+    kept: tuple[Path, Mapping[str, Any]] | None = None,
+) -> tuple[SampledSystem, SampledSystem]:
+    """Tune both controllers of the implemented loop together.
+
+    Parameters
+    ----------
+    telescope, parameters
+        Assembled telescope and its parameters.
+    options : DesignOptions
+    report : callable
+        Receives one line for each step.
+    kept : (Path, mapping), optional
+        As in :func:`los_design.synthesis.rounds.design_in_rounds`.
+
+    Returns
+    -------
+    (K_FSM, K_PMA)
+        With the same provenance.
+    """
+    if not options.implemented:
+        raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
+    return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), ["k-fsm", "k-pma"], kept=kept)
+
+
+def _implemented(
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    report: Report,
+    tuned: tuple[int, ...],
+    kinds: Sequence[str],
+    observer: SampledSystem | None = None,
+    kept: tuple[Path, Mapping[str, Any]] | None = None,
+) -> tuple[SampledSystem, SampledSystem]:
+    """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""
+    begin = time.monotonic()
+    effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
+    with Workers(options.workers) as workers:
+        task = _task(telescope, parameters, options, tuned, workers)
+        start = partial(choose_start, task, telescope, parameters, options, observer, report)
+        outcome = design_in_rounds(task, start, effort, report, kept)
+    common = {
+        "command": _command("all" if len(kinds) > 1 else kinds[0], options),
+        "commit": ", ".join(outcome.commits),
+        "seed": options.seed,
+        "loop_delay": options.loop_delay,
+        "status": outcome.status,
+        "seconds": round(time.monotonic() - begin, 1),
+        "active_models": outcome.active,
+    }
+    found = []
+    matrices_of = gain_matrices(blocks(parameters, tuned), outcome.x)
+    for stage, system, M in zip((ALONE, BOTH), task.sampled(outcome.x), matrices_of, strict=True):
+        A, B, C, D = _state_space(M)
+        matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
+        found.append(replace(system, provenance={**common, **_values(outcome, stage), "continuous": matrices}))
+    return found[0], found[1]
+
+
+def _task(
+    telescope: Telescope, parameters: Parameters, options: DesignOptions, tuned: tuple[int, ...], workers: Workers
+) -> Task:
+    """The task for a telescope, with no parameter points yet."""
+    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
+
+    def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
+        k_fsm, k_pma = (
+            _sampled(kind, _state_space(M), parameters, options, None)
+            for kind, M in zip(DESIGN_PACKAGES, gain_matrices(blocks(parameters, tuned), x))
+        )
+        return k_fsm, k_pma
+
+    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters), options.workers)
+    known: tuple[WorstPoint, ...] = ()
+    if not (options.nominal or is_reference(parameters)):
+        names = [STAGE_NAMES[stage] for stage in stages]
+        known = tuple(point for name in names for point in load_worst_points()[name].values())
+    return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers, known)
+
+
+def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
+    """Tuned values and worst cases of a stage: that of the mirror alone for K_FSM, of both controllers for K_PMA."""
+
+    def own(name: str) -> bool:
+        return name.endswith(ALONE_SUFFIX) == (stage == ALONE)
+
+    tuned = {name.removesuffix(ALONE_SUFFIX): float(f"{v:.6g}") for name, v in outcome.tuned.items() if own(name)}
+    worst = [
+        {**case, "requirement": case["requirement"].removesuffix(ALONE_SUFFIX)}
+        for case in outcome.worst_cases()
+        if own(case["requirement"])
+    ]
+    return {"tuned_values": tuned, "worst_cases": worst}
+
+
+def _state_space(M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    return M[:ORDER, :ORDER], M[:ORDER, ORDER:], M[ORDER:, :ORDER], M[ORDER:, ORDER:]
+
+
+def _sampled(
+    kind: str,
+    matrices: Sequence[FloatArray],
+    parameters: Parameters,
+    options: DesignOptions,
+    provenance: Mapping[str, Any] | None,
+) -> SampledSystem:
+    """Sampled controller with the washout."""
+    A, B, C, D = matrices
+    system = state_space(A, B, C, D, *design_ports(kind))
+    sample = sampled_observer if kind == "k-fsm" else sampled_controller
+    name = f"K_{kind[2:].upper()}, {options.variant}"
+    washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
+    return sample(system, washout, name=name, basis=basis, provenance=provenance)
+
+
+def _tuning(options: DesignOptions, iterations: int, target: float = -np.inf) -> TuningOptions:
+    return TuningOptions(
+        starts=options.starts,
+        seed=options.seed,
+        wall_limit=options.wall_limit,
+        workers=options.workers,
+        iterations=iterations,
+        tolerance=1e-3,
+        target=target,
+        progress=options.progress,
+    )
+
+
+def _run(
+    plant: Any,
+    requirements: Any,
+    structure: Any,
+    starts: Sequence[Any],
+    active: Sequence[Mapping[str, float]],
+    parameters: Parameters,
+    options: DesignOptions,
+) -> RobustResult | TuningResult:
+    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
+    tuning = _tuning(options, MAX_NOMINAL_ITERATIONS if options.nominal else MAX_ITERATIONS)
+    if options.nominal:
+        models: list[StateSpace] = [plant(nominal)]
+        return tune(models, requirements, structure, initial=starts, loop_delay=options.delay, options=tuning)
+    search = WorstCaseOptions(**WORST_CASE_SEARCH, seed=options.seed)
+    return tune_robust(
+        plant,
+        parameter_box(parameters),
+        requirements,
+        structure,
+        nominal=nominal,
+        active=active,
+        initial=starts,
+        loop_delay=options.delay,
+        max_rounds=MAX_ROUNDS,
+        options=tuning,
+        search=search,
+    )
+
+
+def _command(kind: str, options: DesignOptions) -> str:
+    flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
+    if kind == "all":
+        flags = " --nominal" if options.nominal else ""
+        flags += f" --seed {options.seed}" + (" --effort short" if options.short else "")
+    return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
+
+
+def _provenance(kind: str, result: RobustResult | TuningResult, options: DesignOptions) -> dict[str, Any]:
+    """How a design of the paper's problem was made, for its file."""
+    tuning = result if isinstance(result, TuningResult) else result.tuning
+    content: dict[str, Any] = {
+        "command": _command(kind, options),
+        "commit": commit(),
+        "seed": options.seed,
+        "loop_delay": options.loop_delay,
+        "status": str(result.status),
+        "seconds": round(tuning.seconds, 1),
+        "tuned_values": {
+            name: float(f"{value:.6g}") for name, value in zip(tuning.requirement_names, tuning.values.max(axis=1))
+        },
+        "continuous": {key: getattr(tuning.controller, key).tolist() for key in "ABCD"},
+    }
+    if isinstance(result, RobustResult):
+        content["active_models"] = [dict(values) for values in result.active]
+        content["worst_cases"] = [
+            {"requirement": w.requirement, "value": w.value, "omega": w.omega, "parameters": dict(w.parameters)}
+            for w in result.worst
+        ]
+    return content

@@ -1,0 +1,1 @@
+"""Verification and certification of designs."""

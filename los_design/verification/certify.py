@@ -1,0 +1,413 @@
+"""Guaranteed bounds of the figures of a pair of controllers, over the whole box of the telescope's parameters.
+
+The loop that is proven is that of :mod:`los_loop.implemented_loop`: commands held for a tick, one tick of delay,
+images of held commands through the nominal telescope, the camera's hold by its fundamental. The band of a figure is cut
+into parts; each is proven by itself and kept in a file, so that an interrupted proof goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof, Strip, prove_level
+from lftkit.proofs.sampled_loop.build import modal
+from lftkit.proofs.sampled_loop.checker import covered, windows_of
+from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
+from lftkit.proofs.sampled_loop.proof import Interval, packed, unpacked
+from lftkit.proofs.state_space.checker import ProofError
+from lftkit.support.workers import Workers
+from lftkit.systems.ports import FloatArray
+from los_design.search.worst_points import WorstPoint
+from los_loop.implemented_loop import DISTURBANCE_IN, HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
+from pointing_analysis.files.atomic_output import atomic_file
+from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
+from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.telescope.parameters import Parameters
+
+ComplexArray = NDArray[np.complex128]
+Box = tuple[Interval, ...]
+ANGLE = "solar_array.tau"
+LOWEST = 1e-2
+"""Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
+NYQUIST = math.pi / DT
+PART = 0.04
+"""Length of a part of a band, of log frequency."""
+SLOWEST_PARTS = (0.01, 0.3)
+"""Upper ends of the first parts of a band that begins at zero [rad/s]."""
+
+
+PROBES, MOST_OTHERS = 6, 3
+"""Windows of another proof that are tried, and most other proofs."""
+
+
+@dataclass(frozen=True)
+class FigureBounds:
+    """Bounds of one figure, over its limit.
+
+    Parameters
+    ----------
+    stage, figure : str
+    lower : float
+        Largest value found.
+    upper : float
+        Proven; infinite where parts are not covered.
+    point : mapping of str to float
+        Parameters of the largest value.
+    frequency : float
+        Its frequency [rad/s].
+    status : str
+        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered),
+        ``unstable`` (the nominal loop was not proven stable; nothing else was tried).
+    uncovered : list of (low, high)
+        Frequencies [rad/s] of the parts that are not covered.
+    stable : bool
+        Whether the proof shows that every member is stable; its band must be the whole one.
+    proof : str or None
+        Name of its file.
+    strips, windows : int
+    seconds : float
+        Processor time of the proof.
+    """
+
+    stage: str
+    figure: str
+    lower: float
+    upper: float
+    point: dict[str, float]
+    frequency: float
+    status: str
+    uncovered: list[Interval]
+    stable: bool = False
+    proof: str | None = None
+    strips: int = 0
+    windows: int = 0
+    seconds: float = 0.0
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For JSON; an infinite upper bound is null."""
+        return {**vars(self), "upper": self.upper if math.isfinite(self.upper) else None}
+
+
+def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
+    """The implemented loop with one figure, in the form of the proofs.
+
+    The rotation by theta is the square of a Cayley map in tan(theta / 4); the first of the two factors, in tan(theta /
+    2), is the whole rotation: 16 of the 32 occurrences are left.
+    """
+    system = loop.system
+    names, q = system.channels, len(system.channels)
+    angles = [k for k, name in enumerate(names) if name == ANGLE]
+    dropped = {channel for number, channel in enumerate(angles) if number % 4 >= 2}
+    kept = [channel for channel in range(q) if channel not in dropped]
+    if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
+        raise ValueError(f"the nominal value of {ANGLE} must be 0")
+    rows = [*kept, *range(q, system.C.shape[0])]
+    columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
+    poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
+    K_poles, K_B, K_C, K_D = _controllers(loop)
+    frame = np.ones(MEASUREMENTS, dtype=np.int64)
+    frame[CAMERA] = FRAME_TICKS
+    weights = loop.parameters["weights"]
+    wheels = [
+        [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
+        for a in np.tile(weights["wheel_imbalance"], 4)
+    ]
+    drives = [[loop.parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
+    commands = metric.rows.start >= 2
+    first = metric.rows.start - (2 if commands else 0)
+    order = [names[channel] for channel in kept]
+    return LoopModel(
+        DT,
+        poles,
+        C,
+        B,
+        system.D[np.ix_(rows, columns)],
+        K_poles,
+        K_C,
+        K_B,
+        K_D,
+        frame,
+        tuple(tuple(i for i, name in enumerate(order) if name == p.name) for p in system.parameters),
+        tuple(p.name == ANGLE for p in system.parameters),
+        np.array([*wheels, *drives], dtype=float),
+        float(weights["rpe_window"]) if metric.relative else 0.0,
+        tuple(range(first, first + metric.rows.stop - metric.rows.start)),
+        metric.limit,
+        commands,
+    )
+
+
+def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
+    """Poles, B, C, D of both controllers as one, from measurements to commands, for the loops that are closed."""
+    D = np.zeros((COMMANDS, MEASUREMENTS))
+    poles: list[ComplexArray] = [np.zeros(0, complex)]
+    into, out = [], []
+    for gain, system, rows, columns in (
+        (loop.stage_gains[0], loop.pair[0], slice(0, 2), slice(0, MEASUREMENTS)),
+        (loop.stage_gains[1], loop.pair[1], slice(2, COMMANDS), PLATFORM),
+    ):
+        if not gain:
+            continue
+        p, b, c = modal(system.A, system.B, system.C) if system.order else (np.zeros(0, complex), system.B, system.C)
+        B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
+        B[:, columns], C[rows], D[rows, columns] = b, gain * c, gain * system.D
+        poles.append(p)
+        into.append(B)
+        out.append(C)
+    empty = np.zeros((0, MEASUREMENTS), complex), np.zeros((COMMANDS, 0), complex)
+    return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
+
+
+def box_of(loop: ImplementedLoop) -> Box:
+    """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
+    return tuple(
+        (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
+        if p.name == ANGLE
+        else (p.lower - p.nominal, p.upper - p.nominal)
+        for p in loop.system.parameters
+    )
+
+
+def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
+    chosen = {}
+    for name, metric in loop_metrics(parameters, stage).items():
+        if metric.columns != DISTURBANCE_IN:
+            continue
+        low, high = metric.band
+        band = (0.0 if low <= LOWEST else low, NYQUIST if high >= HIGHEST else high)
+        chosen[name] = replace(metric, band=band)
+    return chosen
+
+
+def parts_of(band: Interval) -> list[Interval]:
+    """A band cut into parts."""
+    low, high = band
+    first = min(max(low, SLOWEST_PARTS[-1]), high)
+    count = math.ceil(math.log(high / first) / PART)
+    cuts = {low, first, high, *(first * (high / first) ** (k / count) for k in range(1, count))}
+    cuts |= {at for at in SLOWEST_PARTS if low < at < high}
+    return list(itertools.pairwise(sorted(cuts)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a band to be proven."""
+
+    model: LoopModel
+    box: Box
+    band: Interval
+    level: float
+    until: float
+    file: Path
+    others: tuple[Path, ...] = ()
+    """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
+
+
+@dataclass(frozen=True)
+class PartResult:
+    """Outcome of a part; `finished` is false where time was up."""
+
+    strips: tuple[Strip, ...]
+    uncovered: list[Interval]
+    lower: float
+    point: list[float]
+    omega: float
+    windows: int
+    seconds: float
+    finished: bool
+
+
+def prove_part(part: Part) -> PartResult:
+    """Prove a part, or read what was proven before."""
+    parameters = len(part.box)
+    if part.file.exists():
+        with np.load(part.file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
+    if time.monotonic() > part.until:
+        return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
+    known = next((strips for strips in map(_strips, part.others) if _useful(part, strips)), ())
+    found = prove_level(part.model, part.box, part.band, part.level, until=part.until, known=known)
+    summary: dict[str, Any] = {
+        "uncovered": sorted({band for _, band in found.uncovered}),
+        "lower": found.lower,
+        "point": [] if found.point is None else found.point.tolist(),
+        "omega": found.omega,
+        "windows": found.windows,
+        "seconds": found.seconds,
+        "finished": time.monotonic() <= part.until,
+    }
+    result = PartResult(tuple(found.strips), **summary)
+    if result.finished:
+        arrays = {**packed(found.strips, parameters), "summary": np.frombuffer(json.dumps(summary).encode(), np.uint8)}
+        with atomic_file(part.file) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    return result
+
+
+def _strips(file: Path) -> tuple[Strip, ...]:
+    """Strips of a part that was proven, none if it was not covered."""
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    if json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
+        return ()
+    return unpacked(arrays, arrays["boxes"].shape[1])
+
+
+def _useful(part: Part, strips: tuple[Strip, ...]) -> bool:
+    """Whether strips of another proof cover a part, and most of some windows hold for it."""
+    try:
+        names = ("",) * len(part.box)
+        covered(LoopProof(part.model, names, part.box, part.band, part.level, strips))
+    except ProofError:
+        return False
+    tried = [(strip, number) for strip in strips for number in range(len(strip.nodes) - 1)]
+    tried = tried[:: math.ceil(len(tried) / PROBES)]
+    held = sum(windows_of(part.model, strip, number, part.level, 2) > 0 for strip, number in tried)
+    return held >= 0.6 * len(tried)
+
+
+def certify_figure(
+    loop: ImplementedLoop,
+    name: str,
+    level: float | None,
+    gap: float,
+    known: Sequence[WorstPoint],
+    folder: Path,
+    workers: Workers,
+    until: float,
+    report: Callable[[int, int], None],
+) -> FigureBounds:
+    """Bounds of one figure; its proof goes to ``STAGE-FIGURE.npz`` in the folder.
+
+    Parameters
+    ----------
+    loop : ImplementedLoop
+    name : str
+    level : float or None
+        To be proven; None: as far above the largest value known as the gap says.
+    gap : float
+        Relative.
+    known : sequence of WorstPoint
+        Of a search; the lower bound.
+    folder : Path
+    workers : Workers
+    until : float
+        ``time.monotonic()`` after which it stops.
+    report : callable
+        Told how many parts are done, and of how many.
+    """
+    metric = figures_of(loop.parameters, loop.stage)[name]
+    model, box = telescope_model(loop, metric), box_of(loop)
+    lower, omega, values = 0.0, 0.0, {p.name: p.nominal for p in loop.system.parameters}
+    for point in known:
+        if point.requirement == name and point.stage == loop.stage:
+            gain = float(loop.gain(loop.at(point.omega), metric, loop.point(dict(point.parameters)))[0])
+            if gain > lower:
+                lower, omega, values = gain, point.omega, dict(point.parameters)
+    target = (1.0 + 0.95 * gap) * lower if level is None else level
+    if not target > 0.0:
+        raise ValueError(f"a level, or a worst point of {name}, must be given")
+    if lower >= target:
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
+    if not nominal_stable(loop):
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
+    parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)
+    found: list[PartResult] = []
+    for result in workers.each(prove_part, parts):
+        found.append(result)
+        report(len(found), len(parts))
+        if result.lower > lower:
+            lower, omega, values = result.lower, result.omega, _values(loop, result.point)
+    uncovered = [(float(low), float(high)) for result in found for low, high in result.uncovered]
+    status = "violated" if lower >= target else "open" if uncovered else "proven"
+    strips = [strip for result in found for strip in result.strips]
+    bounds = FigureBounds(
+        loop.stage,
+        name,
+        lower,
+        math.inf,
+        values,
+        omega,
+        status,
+        uncovered,
+        strips=len(strips),
+        windows=sum(r.windows for r in found),
+        seconds=sum(r.seconds for r in found),
+    )
+    if status != "proven":
+        return bounds
+    about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
+    names = tuple(p.name for p in loop.system.parameters)
+    proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
+    file = f"{loop.stage}-{name}.npz"
+    with atomic_file(folder / file) as temporary:
+        proof.to_file(temporary)
+    return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT))
+
+
+def _parts(
+    model: LoopModel, box: Box, level: float, until: float, folder: Path, stage: str, metric: LoopMetric
+) -> list[Part]:
+    """Parts of a band; their files are in a folder ``STAGE-FIGURE-DIGEST-LEVEL``."""
+    start = f"{stage}-{metric.name}-{_digest(model, box)}-"
+    kept = folder / f"{start}{level!r}"
+    kept.mkdir(parents=True, exist_ok=True)
+    others: list[tuple[bool, float, Path]] = []
+    for other in sorted(folder.glob(f"{stage}-*-*-*")):
+        with suppress(ValueError):
+            distance = abs(math.log(float(other.name.rsplit("-", 1)[1]) / level))
+            others.append((not other.name.startswith(start), distance, other))
+    found = []
+    for band in parts_of(metric.band):
+        file = f"{band[0]:.9g}-{band[1]:.9g}.npz"
+        same = tuple(other / file for *_, other in sorted(others) if other != kept and (other / file).exists())
+        found.append(Part(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
+    return found
+
+
+@lru_cache(maxsize=4)
+def nominal_stable(loop: ImplementedLoop) -> bool:
+    """Whether the nominal loop was proven stable."""
+    metric = next(iter(figures_of(loop.parameters, loop.stage).values()))
+    return nominal_windows(telescope_model(loop, metric)) > 0
+
+
+def _digest(model: LoopModel, box: Box) -> str:
+    """Of all that a proof is about but its band and level."""
+    key = hashlib.sha256(repr((box, model.window, model.rows, model.scale, model.commands)).encode())
+    for array in (
+        model.poles,
+        model.C,
+        model.B,
+        model.D,
+        model.K_poles,
+        model.K_C,
+        model.K_B,
+        model.K_D,
+        model.weights,
+    ):
+        key.update(np.ascontiguousarray(array).tobytes())
+    return key.hexdigest()[:12]
+
+
+def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:
+    """Parameter values of deviations from the nominal ones."""
+    return {
+        p.name: math.tan(0.25 * value) if p.name == ANGLE else p.nominal + value
+        for p, value in zip(loop.system.parameters, point)
+    }

@@ -1,0 +1,338 @@
+"""Independent verification of the stored designs: gammas of the paper's problem and of the sampled loop."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements
+from lftkit import SampledSystem, StateSpace, UncertainSystem
+from lftkit.support.workers import Workers
+from lftkit.tuning import certify
+from los_design.synthesis.store import continuous
+from los_design.verification.stage_check import StageCheck, check_stage, grid
+from los_estimator.problem import observer_plant, observer_requirements
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.margins import Margins, delay_margin, rounded
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop_norms import noise_metrics
+from titop_plant.interface import FORCES, FRAME_TICKS, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.budget import MAX_SENSITIVITY, combined_level
+from titop_plant.telescope.parameters import Parameters, parameter_corners
+
+ARCSEC = np.pi / 648000.0
+MAS = 1e-3 * ARCSEC
+DELAY_POINTS, DELAY_FREQUENCIES = 40, 400
+FSM_NAMES = ("APE", "RPE", "mirror", "sensitivity, mirror")
+PMA_NAMES = ("APE", "RPE", "mirror", "sensitivity, mirror", "sensitivity, forces")
+Values = Mapping[str, float]
+FloatArray = NDArray[np.float64]
+PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
+PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
+
+
+def verification_points(
+    parameters: Parameters, system: UncertainSystem, samples: int, seed: int = 0
+) -> list[dict[str, float]]:
+    """Nominal, all corners, and random points."""
+    return [{}, *parameter_corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
+
+
+@dataclass(frozen=True)
+class ImplementedCheck:
+    """Worst values over parameter points of a pair of implemented designs; infinite where a point is unstable.
+
+    Parameters
+    ----------
+    alone, both : StageCheck
+        The mirror alone, and with the proof-mass actuators.
+    noise : dict of str to (float, float)
+        By stage, at the nominal point: line of sight due to sensor noise [rad rms], plain and as relative error.
+    platform_noise : float
+        Line of sight due to the platform's accelerometers with both controllers [rad rms], the paper's figure.
+    delay : dict of str to float
+        Guaranteed delay margins [s]: ``fsm``, ``pma, mirror``, ``pma, forces``.
+    parameters : mapping
+        Telescope parameters.
+    """
+
+    alone: StageCheck
+    both: StageCheck
+    noise: dict[str, tuple[float, float]]
+    platform_noise: float
+    delay: dict[str, float]
+    parameters: Parameters
+
+    @property
+    def count(self) -> int:
+        """Parameter points."""
+        return len(self.alone.stable)
+
+    @property
+    def stable(self) -> int:
+        """Points at which the loops of both stages are stable."""
+        return int(np.sum(self.alone.stable & self.both.stable))
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether both stages are stable at every point and at the nominal one."""
+        return self.stable == self.count and math.isfinite(self.platform_noise)
+
+    def gamma(self, stage: str, requirement: str) -> float:
+        """Worst gamma of a requirement; ``RPE`` is the worse of slow and fast tones."""
+        check = self.alone if stage == "fsm" else self.both
+        if not check.stable.all():
+            return math.inf
+        names = ("slow", "fast") if requirement == "RPE" else (requirement,)
+        return max((check.worst[n].gamma for n in names if n in check.worst), default=math.inf)
+
+    @property
+    def fsm(self) -> list[float]:
+        """Gammas of the mirror alone in the paper's order: APE, RPE (100 mas), mirror."""
+        return [self.gamma("fsm", name) for name in ("APE", "RPE", "mirror")]
+
+    @property
+    def pma(self) -> list[float]:
+        """Gammas with both controllers in the paper's order: APE, RPE (40 mas), noise to APE, force."""
+        noise = self.platform_noise / self.parameters["weights"]["ape_limit"]
+        return [self.gamma("fsm+pma", "APE"), self.gamma("fsm+pma", "RPE"), noise, self.gamma("fsm+pma", "force")]
+
+    def tone(self, stage: str, requirement: str) -> float:
+        """Worst amplitude of slow or fast tones [mas]."""
+        weights = self.parameters["weights"]
+        limit = weights["rpe_limit"] if stage == "fsm" else weights["rpe_limit_fine"]
+        return self.gamma(stage, requirement) * float(limit) / MAS
+
+    def total(self, stage: str) -> float:
+        """Relative error that 99.7 % of the windows keep beside the worst tone [mas]."""
+        tone, noise = max(self.tone(stage, "slow"), self.tone(stage, "fast")), self.noise[stage][1] / MAS
+        return combined_level(tone, noise) if math.isfinite(tone + noise) else math.inf
+
+    def total_ape(self, stage: str) -> float:
+        """Line of sight that 99.7 % of the instants keep beside the tone that is worst for it [arcsec].
+
+        Reported, not required: the limit of the absolute error is asked of tones alone, as in the paper.
+        """
+        limit = float(self.parameters["weights"]["ape_limit"]) / ARCSEC
+        tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0] / ARCSEC
+        return combined_level(tone, noise) if math.isfinite(tone + noise) else math.inf
+
+    @property
+    def reduction(self) -> float:
+        """Worst fast tone of the mirror alone over that with both controllers [dB]."""
+        one, two = self.tone("fsm", "fast"), self.tone("fsm+pma", "fast")
+        return 20.0 * math.log10(one / two) if math.isfinite(one + two) and two > 0.0 else math.nan
+
+    @property
+    def amplification(self) -> tuple[float, float]:
+        """Largest ratio of the worst relative errors of both stages at one frequency [dB], and that frequency [rad/s].
+
+        Frequencies at which both are below a tenth of 40 mas do not count.
+        """
+        omega, weights = grid(), self.parameters["weights"]
+        ratio = float(weights["rpe_limit"]) / float(weights["rpe_limit_fine"])
+        one, two = (
+            np.maximum(check.envelope["slow"], check.envelope["fast"]) * factor
+            for check, factor in ((self.alone, ratio), (self.both, 1.0))
+        )
+        found = np.where((two > 0.1) & (one > 0.0), two / np.maximum(one, 1e-12), 0.0)
+        k = int(found.argmax())
+        return (20.0 * math.log10(found[k]) if found[k] > 0.0 else -math.inf), float(omega[k])
+
+    def margins(self) -> dict[str, Margins]:
+        """What the peaks of the sensitivities guarantee."""
+        pairs = {
+            "fsm": (self.alone, "sensitivity, mirror"),
+            "pma, mirror": (self.both, "sensitivity, mirror"),
+            "pma, forces": (self.both, "sensitivity, forces"),
+        }
+        return {
+            name: Margins(MAX_SENSITIVITY * check.worst[metric].gamma, self.delay[name])
+            for name, (check, metric) in pairs.items()
+            if metric in check.worst
+        }
+
+    def lost_margins(self) -> list[str]:
+        """One text for each changed loop that is unstable somewhere."""
+        lines = []
+        for check in (self.alone, self.both):
+            counts = Counter(name for names in check.unstable_changes for name in names)
+            lines += [f"{check.stage}: {name} unstable at {n} points" for name, n in counts.items()]
+        return lines
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Metrics for the JSON line; ``"inf"`` where a loop is unstable."""
+        stages = {"fsm": self.alone, "pma": self.both}
+        names = {"fsm": "fsm", "pma": "fsm+pma"}
+        db, at = self.amplification
+        return {
+            "samples": self.count,
+            "stable_samples": self.stable,
+            "fsm": [rounded(v) for v in self.fsm],
+            "pma": [rounded(v) for v in self.pma],
+            "margins": {
+                **{name: margin.to_mapping() for name, margin in self.margins().items()},
+                "unstable_changes": self.lost_margins(),
+            },
+            "worst_point": {
+                f"{short} {name}": {
+                    "gamma": rounded(p.gamma),
+                    "rad_s": rounded(p.omega),
+                    "channel": p.channel,
+                    "parameters": dict(p.parameters),
+                }
+                for short, check in stages.items()
+                for name, p in check.worst.items()
+            },
+            "noise": {
+                short: {
+                    "ape_arcsec_rms": rounded(self.noise[stage][0] / ARCSEC),
+                    "rpe_mas_rms": rounded(self.noise[stage][1] / MAS),
+                }
+                for short, stage in names.items()
+            },
+            "tones_mas": {
+                short: {name: rounded(self.tone(stage, name)) for name in ("slow", "fast")}
+                for short, stage in names.items()
+            },
+            "total_mas": {short: rounded(self.total(stage)) for short, stage in names.items()},
+            "total_ape_arcsec": {short: rounded(self.total_ape(stage)) for short, stage in names.items()},
+            "fast_tones_reduction_db": rounded(self.reduction),
+            "largest_amplification_db": {"db": rounded(db), "rad_s": rounded(at)},
+        }
+
+
+def check_implemented(
+    system: UncertainSystem,
+    parameters: Parameters,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    at: Iterable[Values],
+    tick: Callable[[], None] = lambda: None,
+    changes: bool = True,
+    workers: Workers | None = None,
+) -> ImplementedCheck:
+    """Evaluate a pair of implemented designs at the given parameter points.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
+        :func:`titop_plant.simulation.build.control_loop_plant` makes it.
+    parameters : mapping
+        Telescope parameters (weights, sensors, authority).
+    k_fsm, k_pma : SampledSystem
+    at : iterable of mapping
+        Parameter points; noise is evaluated at the nominal point whatever they are.
+    tick : callable
+        Called twice for each point.
+    changes : bool
+        Check gains and one more tick of delay, too.
+    workers : Workers, optional
+        Processes; the result does not depend on them.
+    """
+    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters)
+    alone, both = (
+        check_stage(ImplementedLoop(open_loop, *pair, stage), points, changes=changes, tick=tick, workers=workers)
+        for stage in MIRROR_STAGES
+    )
+    nominal, noise = system.data_at({}), {}
+    for stage in MIRROR_STAGES:
+        found = noise_metrics(nominal, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+        noise[stage] = found
+    platform = noise_metrics(
+        nominal, *pair, parameters, loop=MIRROR_STAGES[-1], frame_ticks=FRAME_TICKS, sensors="platform"
+    )
+    delay = _delays(open_loop, pair, points)
+    return ImplementedCheck(alone, both, noise, platform[0], delay, parameters)
+
+
+def _delays(open_loop: OpenLoop, pair: tuple[SampledSystem, SampledSystem], points: list[Values]) -> dict[str, float]:
+    """Guaranteed delay margins [s] at up to :data:`DELAY_POINTS` of the points."""
+    some = points[:: max(1, len(points) // DELAY_POINTS)]
+    found = {}
+    omega: FloatArray = np.asarray(np.geomspace(0.1, 2500.0, DELAY_FREQUENCIES), dtype=float)
+    for name, stage, channels in (
+        ("fsm", "fsm", MIRROR),
+        ("pma, mirror", "fsm+pma", MIRROR),
+        ("pma, forces", "fsm+pma", FORCES),
+    ):
+        loop = ImplementedLoop(open_loop, *pair, stage)
+        cube = np.array([loop.point(dict(values)) for values in some])
+        found[name] = delay_margin(loop, channels, cube, omega)
+    return found
+
+
+def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedCheck]) -> list[str]:
+    """One line for each loop that is unstable somewhere; empty if the verification holds.
+
+    Parameters
+    ----------
+    paper : mapping
+        Result of :func:`check_paper`.
+    checks : mapping
+        Name to result of :func:`check_implemented`.
+    """
+    found = [
+        f"the paper's problem, {kind}: unstable" for kind, gammas in paper.items() if not np.isfinite(gammas).all()
+    ]
+    for name, check in checks.items():
+        if check.stable < check.count:
+            found.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")
+        elif not check.all_stable:
+            found.append(f"{name}: unstable at the nominal point")
+    return found
+
+
+def broken_requirements(check: ImplementedCheck) -> list[str]:
+    """One line for each requirement of the implemented loop that a pair of designs breaks; empty if all are met."""
+    lines = [
+        f"{stage}: {name} {gamma:.3f} of its limit, must be at most 1"
+        for stage, names in (("fsm", FSM_NAMES), ("fsm+pma", PMA_NAMES))
+        for name in names
+        if not (gamma := check.gamma(stage, name)) <= 1.0
+    ]
+    if not check.gamma("fsm+pma", "force") <= FORCE_SHARE:
+        lines.append(f"fsm+pma: force {check.gamma('fsm+pma', 'force'):.3f} of the authority, must be at most 0.5")
+    fine = float(check.parameters["weights"]["rpe_limit_fine"]) / MAS
+    if not check.total("fsm+pma") <= fine:
+        lines.append(f"fsm+pma: tones and noise {check.total('fsm+pma'):.1f} mas, must be at most {fine:g} mas")
+    return lines + check.lost_margins()
+
+
+def check_paper(
+    telescope: Telescope, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, at: list[Values]
+) -> dict[str, list[float]]:
+    """Worst certified gammas of the continuous designs over the points, in the paper's order; infinite if unstable."""
+    observer, actuators = continuous(k_fsm), continuous(k_pma)
+    first = observer_plant(telescope, parameters)
+    second = actuator_plant(telescope, parameters, observer)
+    forces = _certified(
+        second,
+        actuators,
+        tuple(port.name for port in K_PMA_INPUTS),
+        actuator_requirements(parameters, implemented=False),
+        at,
+    )
+    forces[3] *= FORCE_SHARE  # over the whole authority, as the paper counts
+    return {
+        "fsm": _certified(first, observer, MEASURED, observer_requirements(parameters, implemented=False), at),
+        "pma": forces,
+    }
+
+
+def _certified(
+    plant: Any, controller: UncertainSystem, measured: tuple[str, ...], requirements: Any, at: list[Values]
+) -> list[float]:
+    data = controller.data_at({})
+    ports = tuple(plant.system.output_port(name) for name in measured)
+    K = StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K")
+    certificate = certify([plant(values) for values in at], K, requirements, 0.0)
+    return [float(f"{v:.5g}") for v in np.max(certificate.values, axis=1)]

@@ -1,0 +1,1 @@
+"""The loop of telescope, observer and controller: sampled matrices, responses, tones, margins."""

@@ -1,0 +1,278 @@
+"""Response of the implemented loop as a linear fractional function of the parameters, with gradients.
+
+At one frequency the loop of the sampled controllers is closed around the telescope's LFT; what remains is a small
+matrix with the 48 Delta channels, and every response at any parameter values is a solution of order 48::
+
+    T(w, Delta) = T11 + T12 Delta (I - M Delta)^-1 T21
+    d sigma / d Delta_c = Re( (sigma-left vector side)_c (right vector side)_c )
+
+Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
+line of sight (2), the 8 commands applied to the plant.
+
+Commands are held for a tick (:mod:`los_loop.open_loop`). The hold of the
+camera value between frames is its fundamental, the mean of the delays of one frame period: sidebands are left out.
+:func:`los_loop.sampled_loop_norms.tone_response` has both exactly and confirms what is found here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import SampledSystem
+from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
+from los_loop.open_loop import OpenLoop, closed_lft
+from titop_plant.interface import (
+    CAMERA,
+    COMMANDS,
+    DT,
+    FORCE_STAGES,
+    FRAME_TICKS,
+    MEASUREMENTS,
+    MIRROR_STAGES,
+    PLATFORM,
+    TRUTH,
+    DesignBasis,
+)
+from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.telescope.budget import BAND_EDGE, MAX_SENSITIVITY
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+LOS, MIRROR_OUT, FORCE_OUT = slice(0, 2), slice(2, 4), slice(4, 10)
+DISTURBANCE_IN, MIRROR_IN, FORCE_IN = slice(0, 22), slice(22, 24), slice(24, 30)
+HIGHEST = 3000.0
+"""Highest frequency of a search [rad/s]: just below half of the sampling rate."""
+STEP = 1e-6
+"""Of log frequency, to both sides, for the slope of a gain."""
+
+
+@dataclass(frozen=True)
+class LoopMetric:
+    """A gain of the implemented loop that has a limit.
+
+    Parameters
+    ----------
+    name : str
+    rows, columns : slice
+        Of the outputs (line of sight, commands) and inputs (disturbances, added commands).
+    limit : float
+        Gain that counts as 1.
+    band : (float, float)
+        Frequencies [rad/s] at which it counts.
+    relative : bool
+        Whether the weight of the relative error is applied.
+    disturbed : bool
+        Whether the inputs are normalised disturbances.
+    """
+
+    name: str
+    rows: slice
+    columns: slice
+    limit: float
+    band: tuple[float, float] = (1e-2, HIGHEST)
+    relative: bool = False
+    disturbed: bool = True
+
+
+def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Metrics of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
+
+    The limit of slow and fast tones is 100 mas without the proof-mass actuators, 40 mas with them; that of a
+    sensitivity is 2.
+    """
+    weights = parameters["weights"]
+    rpe = weights["rpe_limit_fine"] if stage in FORCE_STAGES else weights["rpe_limit"]
+    los = LoopMetric("APE", LOS, DISTURBANCE_IN, weights["ape_limit"])
+    found = [
+        los,
+        replace(los, name="slow", limit=rpe, band=(1e-2, BAND_EDGE), relative=True),
+        replace(los, name="fast", limit=rpe, band=(BAND_EDGE, HIGHEST), relative=True),
+    ]
+    if stage in MIRROR_STAGES:
+        found.append(LoopMetric("mirror", MIRROR_OUT, DISTURBANCE_IN, parameters["fsm"]["authority"]))
+        found.append(LoopMetric("sensitivity, mirror", MIRROR_OUT, MIRROR_IN, MAX_SENSITIVITY, disturbed=False))
+    if stage in FORCE_STAGES:
+        found.append(LoopMetric("force", FORCE_OUT, DISTURBANCE_IN, parameters["pma"]["authority"]))
+        found.append(LoopMetric("sensitivity, forces", FORCE_OUT, FORCE_IN, MAX_SENSITIVITY, disturbed=False))
+    return {metric.name: metric for metric in found}
+
+
+@dataclass(frozen=True)
+class ClosedAt:
+    """The loop at one frequency as an LFT in Delta: matrix from (Delta, disturbances, commands added) to outputs.
+
+    `open` and `control` are what was closed: the LFT of the telescope, and commands by measurements.
+    """
+
+    omega: float
+    M: ComplexArray
+    T12: ComplexArray
+    T21: ComplexArray
+    T11: ComplexArray
+    open: ComplexArray
+    control: ComplexArray
+
+
+class ImplementedLoop:
+    """The loop of one stage around the uncertain telescope.
+
+    Parameters
+    ----------
+    open_loop : OpenLoop
+    k_fsm, k_pma : SampledSystem
+    stage : {"none", "isolator", "fsm", "fsm+pma"}
+        The loops that are closed; for ``none`` the system is that of the hard-mounted payload.
+    """
+
+    def __init__(self, open_loop: OpenLoop, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> None:
+        self.open = open_loop
+        self.system, self.parameters, self.stage = open_loop.system, open_loop.parameters, stage
+        self.names = open_loop.names
+        self.pair = (k_fsm, k_pma)
+        self.stage_gains = self._stage_gains(k_fsm)
+
+    def _stage_gains(self, k_fsm: SampledSystem) -> tuple[float, float]:
+        mirror = 0.0
+        if self.stage in MIRROR_STAGES:
+            own = DesignBasis(los_sensitivity=float(self.parameters["fsm"]["los_sensitivity"]))
+            mirror = -1.0 / DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(own)
+        return mirror, 1.0 if self.stage in FORCE_STAGES else 0.0
+
+    def point(self, values: dict[str, float]) -> FloatArray:
+        """Parameter values (nominal where none is given) as a point of the unit cube."""
+        return self.open.point(values)
+
+    def values(self, point: FloatArray) -> dict[str, float]:
+        """Parameter values of a point of the unit cube."""
+        return self.open.values(point)
+
+    def delta(self, point: FloatArray) -> FloatArray:
+        """Entries of Delta, shape (..., 48), from points of the unit cube, shape (..., 7)."""
+        return self.open.delta(point)
+
+    def control(self, omega: float) -> ComplexArray:
+        """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
+        return np.asarray(self.controls(np.array([omega]))[0])
+
+    def controls(self, omega: FloatArray) -> ComplexArray:
+        """What :meth:`control` gives at N frequencies [rad/s], shape (N, 8, 22)."""
+        z = np.exp(1j * omega * DT)
+        out = np.zeros((len(omega), COMMANDS, MEASUREMENTS), complex)
+        k_fsm, k_pma = self.pair
+        mirror, forces = self.stage_gains
+        if mirror:
+            out[:, :2] = mirror * _sampled_responses(k_fsm, z)
+            out[:, :2, CAMERA] *= np.mean(z[:, None] ** -np.arange(FRAME_TICKS), axis=1)[:, None, None]
+        if forces:
+            out[:, 2:, PLATFORM] = _sampled_responses(k_pma, z)
+        return np.asarray(out / z[:, None, None])
+
+    def at(self, omega: float) -> ClosedAt:
+        """Close the loop at a frequency [rad/s]."""
+        lft = self.open.at(np.array([omega]))[0]
+        q = self.open.channels
+        y, u = q + MEASUREMENTS, lft.shape[1] - COMMANDS
+        K, held, into = self.control(omega), lft[:, u:], lft[:, :u]
+        returned = np.asarray(np.eye(COMMANDS) - K @ held[q:y], dtype=complex)
+        given = np.asarray(np.hstack([K, np.eye(COMMANDS)]), dtype=complex)
+        command = solve(returned[None], given[None])[0]
+        applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
+        whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
+        rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
+        return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:], lft, K)
+
+    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
+        """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency.
+
+        The slope is ``Re(l dP r)`` for the open loop P with its controllers: the signals r that the right singular
+        vector causes in the closed loop, and what reaches the left one from signals l added there. Only the numbers
+        ``l P r`` are computed at the two frequencies beside.
+        """
+        M, delta, scale = closed.M, self.delta(point), self.scale(metric, closed.omega)
+        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
+        loop = linalg.lu_factor(np.eye(len(M)) - M * delta, check_finite=False)
+        # T12 Delta (I - M Delta)^-1, and T12 (I - Delta M)^-1 = T12 + T12 Delta (I - M Delta)^-1 M
+        inner = linalg.lu_solve(loop, (T12 * delta).T, trans=1, check_finite=False).T
+        U, s, Vh = linalg.svd(T11 + inner @ T21, full_matrices=False, check_finite=False)
+        value, left, right = float(s[0]) * scale, U[:, 0].conj(), Vh[0].conj()
+        z = linalg.lu_solve(loop, T21 @ right, check_finite=False)
+        outer = left @ inner
+        row = left @ T12 + outer @ M
+        slope = scale * np.real(row * z)
+        gradient = np.bincount(self.open.channel, slope, minlength=len(self.names)) * self.open.width
+        change = scale * self._change(closed, metric, (left, outer), (right, np.asarray(z * delta)))
+        weights = [self.scale(metric, closed.omega * float(np.exp(step))) for step in (STEP, -STEP)]
+        return value, np.asarray(gradient), (change + value * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
+
+    def _change(
+        self,
+        closed: ClosedAt,
+        metric: LoopMetric,
+        left: tuple[ComplexArray, ComplexArray],
+        right: tuple[ComplexArray, ComplexArray],
+    ) -> float:
+        """First-order change of a gain, not normalised, between the frequencies STEP below and above that of `closed`.
+
+        `left`, `right`: singular vector of the metric (left: conjugate), and signals at outputs and inputs of Delta.
+        """
+        added, measured = slice(CHANNELS, CHANNELS + COMMANDS), slice(len(closed.M), len(closed.M) + MEASUREMENTS)
+        inputs: ComplexArray = np.zeros(CHANNELS + COMMANDS, complex)
+        outputs: ComplexArray = np.zeros(TRUTH + COMMANDS, complex)
+        inputs[metric.columns], outputs[metric.rows] = right[0], left[0]
+        commands = closed.T12[TRUTH:] @ right[1] + closed.T11[TRUTH:] @ inputs
+        by_commands = outputs @ closed.T11[:, added] + left[1] @ closed.T21[:, added]
+        row = np.concatenate([left[1], by_commands @ closed.control, outputs[LOS]])
+        column = np.concatenate([right[1], inputs[:CHANNELS], commands])
+        both = closed.omega * np.exp([STEP, -STEP])
+        plant = self.open.between(both, row, column)
+        control = by_commands @ self.controls(both) @ (closed.open[measured] @ column)
+        return float((plant + control)[0].real - (plant + control)[1].real)
+
+    def singular_vectors(
+        self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
+    ) -> tuple[float, ComplexArray, ComplexArray]:
+        """Normalised gain with its left and right singular vectors."""
+        T = self.responses(closed, metric, self.delta(point)[None])[0]
+        U, s, Vh = linalg.svd(T, full_matrices=False)
+        return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj()
+
+    def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
+        """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
+        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
+        return closed_lft(closed.M, T12, T21, T11, delta)
+
+    def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
+        """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
+        whole = LoopMetric("sensitivity", slice(2, 10), slice(22, 30), 1.0, disturbed=False)
+        return self.responses(closed, whole, self.delta(points))
+
+    def scale(self, metric: LoopMetric, omega: float) -> float:
+        """Weight of the relative error, where it applies, over the limit."""
+        weight = 1.0
+        if metric.relative:
+            weight = float(rpe_weight(omega, self.parameters["weights"]["rpe_window"]))
+        return weight / metric.limit
+
+    def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:
+        """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
+        T = self.responses(closed, metric, self.delta(points))
+        return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
+
+    def all_gains(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> FloatArray:
+        """All normalised singular values at a point of the unit cube, largest first."""
+        T = self.responses(closed, metric, self.delta(point)[None])
+        return np.asarray(singular_values(T)[0] * self.scale(metric, closed.omega))
+
+
+def _sampled_responses(system: SampledSystem, z: ComplexArray) -> ComplexArray:
+    if system.order == 0:
+        return np.asarray(np.broadcast_to(system.D, (len(z), *system.D.shape)), dtype=complex)
+    shifted = np.asarray(z[:, None, None] * np.eye(system.order) - system.A, dtype=complex)
+    entered = np.broadcast_to(system.B.astype(complex), (len(z), *system.B.shape))
+    return np.asarray(system.D + system.C @ solve(shifted, entered))

@@ -1,0 +1,159 @@
+"""The telescope's LFT with its commands held: what a sampled controller sees at one frequency.
+
+A command in force is held for a tick. Its fundamental, with the factor ``h = (1 - exp(-i w dt)) / (i w dt)``, drives
+the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the **nominal** telescope: they are above
+4700 rad/s for tones below 1500 rad/s, and what the parameters change there is below 1e-4 of the loop.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import UncertainSystem
+from lftkit.analysis.batched_linalg import solve
+from lftkit.analysis.eigenvectors import eigenpairs
+from lftkit.analysis.frequency_response import FrequencyResponse
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
+from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.telescope.parameters import Parameters
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class OpenLoop:
+    """Responses of the uncertain telescope to normalised disturbances and held commands.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        As :func:`titop_plant.simulation.build.control_loop_plant` makes it.
+    parameters : mapping
+        Telescope parameters.
+    """
+
+    def __init__(self, system: UncertainSystem, parameters: Parameters) -> None:
+        self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
+        self.names = tuple(p.name for p in system.parameters)
+        self.channels = len(system.channels)
+        self.channel = np.array([self.names.index(c) for c in system.channels])
+        self.nominal = np.array([p.nominal for p in system.parameters])
+        self.low = np.array([p.lower for p in system.parameters])
+        self.width = np.array([p.upper for p in system.parameters]) - self.low
+        self._response = FrequencyResponse.of(system.A, system.B, system.C, system.D)
+        self._u = slice(self.channels, self.channels + COMMANDS)
+        values, vectors = eigenpairs(system.A)
+        self._poles = values
+        self._left = system.C[self.channels :] @ vectors
+        self._right = linalg.solve(vectors, system.B[:, self._u])
+        self._flow, self._growth = _held(values)
+
+    def point(self, values: dict[str, float]) -> FloatArray:
+        """Parameter values (nominal where none is given) as a point of the unit cube."""
+        table = dict(zip(self.names, self.nominal))
+        full = np.array([float(values.get(name, table[name])) for name in self.names])
+        return np.asarray((full - self.low) / self.width)
+
+    def values(self, point: FloatArray) -> dict[str, float]:
+        """Parameter values of a point of the unit cube."""
+        return dict(zip(self.names, (self.low + np.clip(point, 0.0, 1.0) * self.width).tolist()))
+
+    def delta(self, point: FloatArray) -> FloatArray:
+        """Entries of Delta, shape (..., channels), from points of the unit cube, shape (..., 7)."""
+        return np.asarray((self.low + point * self.width - self.nominal)[..., self.channel])
+
+    def modes(self, point: FloatArray, low: float, high: float) -> FloatArray:
+        """Frequencies [rad/s] of the telescope's own modes between two frequencies, at a point of the unit cube."""
+        poles: ComplexArray = np.asarray(linalg.eigvals(self.system.data_at(self.values(point)).A), dtype=complex)
+        found: FloatArray = np.abs(poles[poles.imag > 0.0])
+        return np.asarray(np.unique(np.round(found[(found > low) & (found < high)], 9)))
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """The LFT at N frequencies [rad/s].
+
+        Returns
+        -------
+        ndarray, complex
+            Shape (N, channels + 24, channels + 30): from Delta, normalised disturbances (22) and held commands (8) to
+            Delta, measurements (22) and the controlled line of sight (2).
+        """
+        q = self.channels
+        G = self._response.at(omega)
+        out = np.empty((len(omega), q + MEASUREMENTS + TRUTH, q + CHANNELS + COMMANDS), complex)
+        size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
+        D = self.system.D[q:, self._u]
+        images, holds = self._images(omega), _hold(omega)
+        for k, hold in enumerate(holds):
+            held = G[k][:, self._u] * hold
+            # images of the held command through the nominal telescope; the direct path is sampled as it is
+            held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * D
+            out[k, :, :q] = G[k][:, :q]
+            out[k, :, q : q + CHANNELS] = G[k][:, self._u.stop :] * size[k]
+            out[k, :, q + CHANNELS :] = held
+        return out
+
+    def between(self, omega: FloatArray, row: ComplexArray, column: ComplexArray) -> ComplexArray:
+        """``row P(w) column`` for the matrices P of :meth:`at` at N frequencies [rad/s], without them: shape (N,).
+
+        Parameters
+        ----------
+        omega : ndarray, shape (N,)
+        row, column : ndarray, complex, shapes (channels + 24,) and (channels + 30,)
+        """
+        q, hold = self.channels, _hold(omega)
+        commands = column[q + CHANNELS :]
+        columns = np.empty((len(column), len(omega)), complex)
+        columns[:q] = column[:q, None]
+        columns[self._u] = commands[:, None] * hold
+        columns[self._u.stop :] = column[q : q + CHANNELS, None] * weight_amplitudes(self.parameters, omega).T
+        images = self._images(omega) @ (row[q:] @ self._left * (self._right @ commands))
+        direct = row[q:] @ self.system.D[q:, self._u] @ commands
+        return np.asarray(self._response.between(omega, row, columns) + images + (1.0 - hold) * direct)
+
+    def _images(self, omega: FloatArray) -> ComplexArray:
+        """Factors of the nominal telescope's modes in the images of held commands, shape (N, modes)."""
+        s = 1j * omega[:, None]
+        return np.asarray(self._growth / (np.exp(s * DT) - self._flow) - _hold(omega)[:, None] / (s - self._poles))
+
+    def closed_over(self, lft: ComplexArray, points: FloatArray) -> ComplexArray:
+        """Responses at one frequency for parameter points: Delta is closed.
+
+        Parameters
+        ----------
+        lft : ndarray, complex
+            One matrix of :meth:`at`.
+        points : ndarray, shape (N, 7)
+            Of the unit cube.
+
+        Returns
+        -------
+        ndarray, complex, shape (N, 24, 30)
+        """
+        q = self.channels
+        return closed_lft(lft[:q, :q], lft[q:, :q], lft[:q, q:], lft[q:, q:], self.delta(points))
+
+
+def closed_lft(
+    M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: FloatArray
+) -> ComplexArray:
+    """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns)."""
+    # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory
+    loop, each = np.ascontiguousarray(M.T) * -delta[:, :, None], np.arange(len(M))
+    loop[:, each, each] += 1.0
+    z = solve(loop, T12.T * delta[:, :, None]).swapaxes(1, 2)
+    return np.asarray(T11 + z @ T21)
+
+
+def _held(poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """What modal coordinates p keep over a tick, ``e^(p dt)``, and gain by a held input, ``(e^(p dt) - 1) / p``."""
+    x = poles * DT
+    growth = np.where(np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(poles == 0.0, 1.0, poles))
+    return np.exp(x), np.asarray(growth)
+
+
+def _hold(omega: FloatArray) -> ComplexArray:
+    """Factor of the fundamental of a held command."""
+    s = 1j * omega
+    return np.asarray((1.0 - np.exp(-s * DT)) / (s * DT))

@@ -1,0 +1,290 @@
+"""Pointing metrics of the implemented loop, from the sampled matrices: gains, noise, stability.
+
+Independent of the tuner: the plant is sampled exactly, commands act one tick late, controllers are the sampled files.
+A disturbance tone is not held but integrated over each tick, so its response at the ticks is exact at every frequency.
+The zero-order hold of the camera value between frames makes the loop periodic: a tone at w causes a response also at
+the sidebands w + k w_frame. Gains include the power of the sidebands, noise is the mean variance over a frame period,
+and stability is that of the product of the one-tick matrices over a period. **The metrics of an unstable loop are
+infinite.**
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import SampledSystem, StateSpace
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.eigenvectors import eigenpairs
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.systems.sampling import sampled
+from los_loop.sampled_loop import SampledLoop, sampled_loop
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
+from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import relative_error_weight, rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+SIDEBANDS = 4
+"""Sidebands of the camera's frame rate that are included on each side."""
+
+
+@dataclass(frozen=True)
+class SampledLoopMetrics:
+    """Largest values of one loop at one parameter point, normalised unless stated otherwise; infinite if unstable.
+
+    Parameters
+    ----------
+    ape, rpe, rpe_fine : float
+        Peak gain from normalised disturbances to the line of sight, over 10 arcsec; weighted with the window of 20 ms,
+        over 100 and 40 mas.
+    mirror, force : float
+        Peak gain to the commands, over 5.3 mrad and over 31.6 N.
+    noise_ape, noise_rpe : float
+        Line of sight due to sensor noise [rad rms, both axes], plain and weighted with the window of 20 ms; NaN where
+        not asked for.
+    radius : float
+        Largest growth factor per tick (:meth:`SampledLoop.spectral_radius`); stable below 1.
+    omega_rpe : float
+        Frequency of the peak of `rpe` [rad/s]; NaN if unstable.
+    """
+
+    ape: float
+    rpe: float
+    rpe_fine: float
+    mirror: float
+    force: float
+    noise_ape: float
+    noise_rpe: float
+    radius: float
+    omega_rpe: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion decays."""
+        return self.radius < 1.0
+
+
+def sampled_loop_metrics(
+    plant: StateSpace,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    parameters: Parameters,
+    *,
+    loop: str,
+    frame_ticks: int,
+    noise: bool = True,
+    sensors: str | None = None,
+) -> SampledLoopMetrics:
+    """All metrics of the implemented loop at one parameter point.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        As for :func:`los_loop.sampled_loop.sampled_loop`.
+    k_fsm, k_pma : SampledSystem
+    parameters : mapping
+        Telescope parameters (weights, sensors, authority).
+    loop : {"isolator", "fsm", "fsm+pma"}
+    frame_ticks : int
+        Ticks between camera frames.
+    noise : bool
+        Compute the noise metrics too (a Lyapunov equation).
+    sensors : {None, "platform"}
+        Noise of all sensors, or of the accelerometers of the payload base only.
+    """
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    radius = closed.spectral_radius()
+    if not radius < 1.0:
+        inf = np.inf
+        return SampledLoopMetrics(inf, inf, inf, inf, inf, inf, inf, radius, omega_rpe=np.nan)
+    omega, response, relative = weighted_response(closed, plant, parameters)
+    table = parameters["weights"]
+    los = largest_gains(response[:, :2])
+    mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
+    force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
+    rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
+    return SampledLoopMetrics(
+        float(los.max()) / table["ape_limit"],
+        float(relative.max()) / table["rpe_limit"],
+        float(relative.max()) / table["rpe_limit_fine"],
+        float(mirror.max()) / parameters["fsm"]["authority"],
+        float(force.max()) / parameters["pma"]["authority"],
+        *rms,
+        radius,
+        float(omega[relative.argmax()]),
+    )
+
+
+def weighted_response(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, low: float = 1e-2
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad].
+
+    The gain is the largest root mean square of the weighted line of sight over the frame period, times the square
+    root of 2: the amplitude of a tone of that power.
+    """
+    omega = loop_grid(plant, loop.hold[:-2, :-2], low)
+    return omega, *weighted_gains(loop, plant, parameters, omega)
+
+
+def weighted_gains(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """What :func:`weighted_response` gives, at the frequencies `omega` (k,) [rad/s]."""
+    tone = tone_response(loop, plant, omega)
+    size = weight_amplitudes(parameters, omega)[:, None, :]
+    window = parameters["weights"]["rpe_window"]
+    weight = rpe_weight(omega, window)[:, None, None]
+    stack = [weight * tone.fundamental[:, :2] * size]
+    if tone.camera is not None:
+        power = np.zeros((omega.size, 2, 2), complex)
+        for shift, gain in tone.sidebands:
+            weighted = rpe_weight(np.abs(omega + shift), window)[:, None, None] * gain
+            power += weighted.conj().swapaxes(1, 2) @ weighted
+        values, vectors = np.linalg.eigh(power)
+        root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.conj().swapaxes(1, 2)
+        stack.append(root @ tone.camera * size)
+    relative = np.linalg.norm(np.concatenate(stack, axis=1), ord=2, axis=(1, 2))
+    return np.asarray(tone.fundamental * size), np.asarray(relative)
+
+
+def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
+    """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
+    closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
+    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, offsets=(0.0, 3.0))
+
+
+@dataclass(frozen=True)
+class ToneResponse:
+    """Response to tones ``exp(i w t)`` on the 22 disturbance inputs.
+
+    Parameters
+    ----------
+    fundamental : ndarray, shape (k, 10, 22)
+        Line of sight (2) and commands (8) at w.
+    camera : ndarray, shape (k, 2, 22), or None
+        Camera value at its frames; None where every tick has a frame.
+    sidebands : list of (shift, gain)
+        Line of sight at w + shift [rad/s] due to the camera value, gains of shape (k, 2, 2).
+    """
+
+    fundamental: ComplexArray
+    camera: ComplexArray | None
+    sidebands: list[tuple[float, ComplexArray]]
+
+
+def disturbance_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ComplexArray:
+    """Line of sight (2) and commands (8) at the frequency of tones on the 22 inputs, shape (k, 10, 22), complex."""
+    return tone_response(loop, plant, omega).fundamental
+
+
+def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ToneResponse:
+    """Response at the ticks, the zero-order-hold camera value closed around the rest of the loop.
+
+    Sidebands beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With a frame period of
+    at most ``2 SIDEBANDS + 1`` ticks all of them are included and the response is exact.
+    """
+    n, size, ticks = loop.plant_order, loop.hold.shape[0] - 2, loop.frame_ticks
+    A, N = loop.hold[:size, :size], loop.noise_hold[:size]
+    if ticks == 1:
+        A, N = loop.frame[:size, :size], loop.noise_frame[:size]
+    outputs = np.zeros((10, size))
+    outputs[:2], outputs[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+    enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
+    mu, W = eigenpairs(A)
+    right, left = linalg.inv(W), np.vstack([outputs, read]) @ W
+    z = np.exp(1j * omega * DT)
+    rows = left[None] / (z[:, None, None] - mu)  # (k, 12, size), to be followed by `right`
+    # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
+    through = plant.D[:MEASUREMENTS, COMMANDS:]
+    forced = _forced(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
+    if ticks == 1:
+        return ToneResponse(forced[:, :10], None, [])
+    forced[:, 10:] += loop.noise_frame[size:] @ through
+    entry, ends = right @ enter, np.vstack([left[:2], left[10:]])
+    loop_gain, sidebands = np.zeros((omega.size, 2, 2), complex), []
+    count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
+    for k in range(-(count // 2), count - count // 2):
+        shift = 2.0 * np.pi * k / (ticks * DT)
+        zk = np.exp(1j * (omega + shift) * DT)
+        hold = np.mean(zk[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+        gain = (ends[None] / (zk[:, None, None] - mu)) @ entry * hold
+        loop_gain += gain[:, 2:]
+        if k:
+            sidebands.append((shift, gain[:, :2]))
+    camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, 10:])
+    hold = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+    return ToneResponse(forced[:, :10] + rows[:, :10] @ entry @ (hold * camera), camera, sidebands)
+
+
+def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) and `right` (size, n)."""
+    values, vectors = eigenpairs(plant.A)
+    drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
+    z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
+    near = np.abs(s - values) < 1e-9
+    factor = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
+    return np.asarray((rows @ (right @ vectors) * factor[:, None, :]) @ drive)
+
+
+def noise_metrics(
+    plant: StateSpace,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    parameters: Parameters,
+    *,
+    loop: str,
+    frame_ticks: int,
+    sensors: str | None = None,
+) -> tuple[float, float]:
+    """Line of sight due to sensor noise [rad rms, both axes], plain and as relative error; infinite if unstable.
+
+    The arguments are those of :func:`sampled_loop_metrics`.
+    """
+    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    return _noise(closed, parameters, sensors) if closed.spectral_radius() < 1.0 else (np.inf, np.inf)
+
+
+def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
+    """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
+    table: Any = parameters["sensors"]
+    sigma = np.r_[
+        np.tile(table["accelerometer_noise"], 3),
+        np.full(2, table["camera_noise"]),
+        np.full(2, table["strain_gauge_noise"]),
+    ]
+    if sensors == "platform":
+        sigma[6:] = 0.0
+    w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
+    n, m = loop.hold.shape[0], w.order
+
+    def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        whole = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
+        drive = np.vstack([N * sigma, np.zeros((m, sigma.size))])
+        return whole, drive @ drive.T
+
+    outputs = (
+        np.hstack([loop.truth, np.zeros((2, m))]),
+        np.hstack([w.D @ loop.truth, w.C]),
+    )
+    frame, hold = extended(loop.frame, loop.noise_frame), extended(loop.hold, loop.noise_hold)
+    ticks = [frame] + [hold] * (loop.frame_ticks - 1)
+    period: FloatArray = np.eye(n + m)
+    accumulated: FloatArray = np.zeros((n + m, n + m))
+    for A, Q in ticks:
+        period, accumulated = A @ period, A @ accumulated @ A.T + Q
+    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, accumulated), dtype=float)
+    power = np.zeros(2)
+    for A, Q in ticks:
+        power += [np.trace(C @ P @ C.T) for C in outputs]
+        P = A @ P @ A.T + Q
+    plain, relative = np.sqrt(np.maximum(power / len(ticks), 0.0))
+    return float(plain), float(relative)

@@ -1,0 +1,109 @@
+"""The steady state in which a run of the implemented loop starts: tones and sensor bias, nothing left to decay.
+
+Modes of the arrays ring for minutes and the washout answers the bias of the accelerometers for a minute: a run that is
+evaluated from its first second on must start in the steady state **of the loop that runs**, with the camera at its
+frame rate and the commands one tick late. The loop is periodic with the camera period; its steady state under tones and
+a constant bias is one solve for each tone (:meth:`los_loop.tone_model.LoopModel.phasors`) and one for the bias.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from los_loop.sampled_loop import SampledLoop
+from los_loop.tone_model import LoopModel
+from titop_plant.interface import COMMANDS
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoopStart:
+    """States of the parts of the loop at tick 0, before its measurement.
+
+    Parameters
+    ----------
+    plant : ndarray, shape (n,)
+        State of the plant.
+    command : ndarray, shape (8,)
+        Command that tick 0 applies, within the limits of the actuators [rad, N].
+    k_fsm, k_pma : ndarray
+        States of the sampled controllers.
+    camera : ndarray, shape (2,)
+        Camera value that is held [rad].
+    """
+
+    plant: FloatArray
+    command: FloatArray
+    k_fsm: FloatArray
+    k_pma: FloatArray
+    camera: FloatArray
+
+    def to_mapping(self) -> dict[str, list[float]]:
+        """Plain values for JSON."""
+        return {entry.name: getattr(self, entry.name).tolist() for entry in fields(self)}
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> LoopStart:
+        """Read what :meth:`to_mapping` wrote.
+
+        Raises
+        ------
+        ValueError
+            A state is missing or no list of numbers.
+        """
+        try:
+            return cls(**{entry.name: np.array(values[entry.name], float) for entry in fields(cls)})
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"a start must hold {', '.join(e.name for e in fields(cls))}, got {error}") from None
+
+
+def steady_start(model: LoopModel, bias: FloatArray, orders: tuple[int, int]) -> LoopStart:
+    """Steady state of the loop at tick 0.
+
+    Parameters
+    ----------
+    model : LoopModel
+        The loop with the tones of the run.
+    bias : ndarray, shape (22,)
+        Constant part of the measurement [m/s2, rad/s2, rad].
+    orders : (int, int)
+        Orders of K_FSM and K_PMA.
+
+    Raises
+    ------
+    ValueError
+        A loop that is not stable: it has no steady state.
+    """
+    radius = model.loop.spectral_radius()
+    if not radius < 1.0:
+        raise ValueError(
+            f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
+        )
+    n = model.plant.A.shape[0]
+    by_bias = bias_state(model.loop, bias)
+    if not (model.loop.hold[n : n + COMMANDS].any() or model.loop.frame[n : n + COMMANDS].any()):
+        by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
+    state = model.phasors().imag.sum(axis=1) + by_bias
+    ends = np.cumsum([0, n, COMMANDS, *orders, 2])
+    x, v, f, p, c = (state[a:b] for a, b in itertools.pairwise(ends))
+    return LoopStart(plant=x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c)
+
+
+def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
+    """State at tick 0 in the periodic steady state that a constant `bias` (22,) of the measurement makes."""
+    state: FloatArray = np.zeros(loop.hold.shape[0])
+    for k in range(loop.frame_ticks):
+        A, drive = (loop.hold, loop.noise_hold) if k else (loop.frame, loop.noise_frame)
+        state = A @ state + drive @ bias
+    return np.asarray(linalg.solve(np.eye(state.size) - loop.period, state))
+
+
+__all__ = ["LoopStart", "bias_state", "steady_start"]

@@ -1,0 +1,270 @@
+"""Transmissibility of a stage at the frequencies of the disturbance, measured and modelled.
+
+The disturbance of a run is a set of tones, each on several of the 22 channels at once. For each tone
+
+    measured = amplitude fitted to the recorded line of sight / amplitude of the disturbance
+    model    = |H(i w) a| / |a|,  H the response of the implemented loop
+
+with the norm of both axes above and the norm of the 22 channels below, **forces in N and torques in Nm
+weighted equally**. Of the record the model uses the tones only.
+
+H is exact: plant sampled with the tones integrated, commands one tick late, zero-order hold of the camera value between
+its frames. The hold makes the loop periodic; the response to a tone is the tone times a function with the period of N
+ticks, and H is the mean of that function, which is what a fit of the tone to the record gives.
+
+H is the steady state, in which a run starts unless it is told to start at rest. The model is also simulated from the
+start of the run, with the limits of the commands, and its record fitted in the same way (`expected`). It differs from H
+after a start at rest, where a record of seconds shows the slow decay of lightly damped modes, and at the limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import StateSpace
+from lftkit.support.threads import one_thread
+from lftkit.systems.sampled_system import SampledSystem
+from los_loop.sampled_loop import SampledLoop, sampled_loop
+from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.read.run import Run
+from pointing_analysis.spectra.prediction import ToneComparison
+from pointing_analysis.spectra.spectra import background, lines
+from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.simulation.build import PlantConfig, command_limits, plant_and_tones, sample
+from titop_plant.simulation.disturbances import Tones
+from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+WINDOW = 0.02
+
+
+@dataclass(frozen=True)
+class ToneResponse:
+    """One tone of the disturbance and the response of the line of sight.
+
+    Parameters
+    ----------
+    omega : float
+        rad/s.
+    disturbance : float
+        Norm of the amplitudes on the 22 channels [N, Nm].
+    measured, expected, model : float
+        Amplitude of the line of sight [rad], norm of both axes: in the record; in the simulated record from the
+        same start; of the model in steady state.
+    """
+
+    omega: float
+    disturbance: float
+    measured: float
+    expected: float
+    model: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Values for JSON: transmissibility in mas per N."""
+        scale = self.disturbance * RAD_PER_MAS
+        return {
+            "rad_s": round(self.omega, 6),
+            "disturbance_n": float(f"{self.disturbance:.6g}"),
+            "measured_mas_per_n": float(f"{self.measured / scale:.5g}"),
+            "model_same_start_mas_per_n": float(f"{self.expected / scale:.5g}"),
+            "model_settled_mas_per_n": float(f"{self.model / scale:.5g}"),
+        }
+
+
+@dataclass(frozen=True)
+class LoopModel:
+    """The implemented loop with the tones of a run.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    plant : StateSpace
+        Continuous, inputs: commands, disturbances.
+    omega : ndarray, shape (K,)
+        Frequencies [rad/s], rising.
+    amplitude : ndarray, shape (22, K), complex
+        Phasors on the disturbance inputs [N, Nm].
+    limits : ndarray, shape (8,)
+        Largest commands: mirror [rad], actuators [N].
+    steady : bool
+        Whether a run starts in the steady state of the loop, or at rest.
+    """
+
+    loop: SampledLoop
+    plant: StateSpace
+    omega: FloatArray
+    amplitude: ComplexArray
+    limits: FloatArray
+    steady: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        physical: PlantConfig,
+        controllers: Mapping[str, SampledSystem],
+        *,
+        loop: str,
+        authority: tuple[float, float],
+        steady: bool = True,
+    ) -> LoopModel:
+        """Model of a run. Tones of the same frequency are added up as phasors.
+
+        Parameters
+        ----------
+        physical : PlantConfig
+            Telescope and disturbance of the run.
+        controllers : mapping
+            ``k_fsm`` and ``k_pma``.
+        loop : {"none", "isolator", "fsm", "fsm+pma"}
+            Stage.
+        authority : (float, float)
+            Largest commands of the run: mirror [rad], actuators [N].
+        steady : bool
+            As the attribute.
+
+        Raises
+        ------
+        ValueError
+            A telescope outside its family.
+        """
+        plant, tones = plant_and_tones(physical)
+        closed = sampled_loop(
+            plant,
+            controllers["k_fsm"],
+            controllers["k_pma"],
+            loop=loop,
+            frame_ticks=frame_ticks(physical.camera_rate),
+            los_sensitivity=float(load_parameters(physical.parameters or REFERENCE)["fsm"]["los_sensitivity"]),
+        )
+        limits = command_limits(physical)
+        for columns, limit in zip((MIRROR, FORCES), authority):
+            limits[columns] = np.minimum(limits[columns], limit)
+        omega = np.unique(tones.frequency)
+        amplitude = np.zeros((tones.amplitude.shape[0], omega.size), complex)
+        for k, w in enumerate(omega):
+            amplitude[:, k] = tones.amplitude[:, tones.frequency == w].sum(axis=1)
+        present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
+        return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits, steady)
+
+    def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Forcing by unit phasors: of the next state with a frame and without (n, K), of the line of sight."""
+        n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
+        zeros = np.zeros(self.omega.size)
+        tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
+        step = sample(self.plant, tones, 1).step[:, n + COMMANDS :]
+        # Columns act on the real and imaginary parts of the phasor in turn.
+        factors = step[:, 1::2] + 1j * step[:, 0::2]
+        drive = np.zeros((size, self.omega.size), complex)
+        drive[:n] = factors[:n]
+        measured = factors[n : n + MEASUREMENTS]
+        frame, hold = drive + self.loop.noise_frame @ measured, drive + self.loop.noise_hold @ measured
+        return np.asarray(frame, complex), np.asarray(hold, complex), np.asarray(factors[n + MEASUREMENTS :], complex)
+
+    def settled(self) -> ComplexArray:
+        """Amplitudes of the line of sight in steady state [rad], shape (2, K), mean over a camera period."""
+        _, total, through = self._period(self.phasors())
+        return np.asarray(total / self.loop.frame_ticks + through, dtype=np.complex128)
+
+    def phasors(self) -> ComplexArray:
+        """State of the loop at tick 0 in steady state, shape (n, K): of tone k the imaginary part of column k.
+
+        The camera period is solved exactly: no mode is left to decay.
+        """
+        loop, size = self.loop, self.loop.hold.shape[0]
+        forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
+        start = np.empty((size, self.omega.size), complex)
+        for k, full in enumerate(np.exp(1j * self.omega * DT * loop.frame_ticks)):
+            start[:, k] = linalg.solve(full * np.eye(size) - loop.period, forced[:, k])
+        return start
+
+    def _period(self, state: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """State after a camera period, sum of the line of sight over it, its direct part; per unit of the phasors."""
+        frame, hold, through = self.forcing()
+        turn, total = np.exp(1j * self.omega * DT), np.zeros((2, self.omega.size), complex)
+        for k in range(self.loop.frame_ticks):
+            total += self.loop.truth @ state / turn**k
+            A, drive = (self.loop.hold, hold) if k else (self.loop.frame, frame)
+            state = np.asarray(A @ state + drive * turn**k)
+        return state, total, through
+
+    def record(self, ticks: int) -> FloatArray:
+        """Line of sight [rad], shape (ticks, 2), from the start of a run, commands limited."""
+        n, loop = self.plant.A.shape[0], self.loop
+        frame, hold, through = self.forcing()
+        los = np.empty((ticks, 2))
+        state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])
+        np.clip(state[n : n + COMMANDS], -self.limits, self.limits, out=state[n : n + COMMANDS])
+        for k in range(ticks):
+            phasor = np.exp(1j * self.omega * DT * k)
+            los[k] = loop.truth @ state + (through @ phasor).imag
+            A, forcing = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
+            state = A @ state + (forcing @ phasor).imag
+            command = state[n : n + COMMANDS]
+            np.clip(command, -self.limits, self.limits, out=command)
+        return los
+
+
+def compare_tones(
+    run: Run, model: LoopModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
+) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
+    """Amplitudes in the record and in the simulated record from the same start, and the fitted part of the run [s].
+
+    Tones that the run cannot resolve are fitted as one in both; those beyond half the sampling rate and those with less
+    than one period are omitted.
+
+    Parameters
+    ----------
+    run : Run
+        Its first sample is the first tick of the run.
+    model : LoopModel
+    transient : float, optional
+        Seconds of start-up to omit.
+    stop : float
+        End of the fitted part [s]. The simulation costs a step of Python for each tick before it.
+    taper : bool
+        Fit both with Hann weights, which suppress drift and noise at lower frequencies than the tone; tones with less
+        than 2.5 periods in the part are omitted, too.
+    """
+    series = performance_error(run, transient)
+    first = round(series.start / series.dt)
+    measured = series.values[: max(0, round(min(stop, 1e9) / series.dt) - first)]
+    if not len(measured):
+        return (), (series.start, series.start)
+    with one_thread(), np.errstate(all="ignore"):
+        record = model.record(first + len(measured))[first:]
+        if not np.isfinite(record).all():
+            raise ValueError("the model of the loop diverges")
+        pairs = [lines(values, series.dt, model.omega, WINDOW, taper) for values in (measured, record)]
+        noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
+    expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
+    found = [
+        ToneComparison(line.omega, line.merged, expected[line.omega], float(np.hypot(*line.amplitude)), float(floor))
+        for line, floor in zip(pairs[0], noise)
+        if line.omega in expected and not (taper and np.isnan(floor))
+    ]
+    seconds = (series.start, series.start + series.dt * len(measured))
+    return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
+
+
+def tone_responses(run: Run, model: LoopModel, transient: float | None = None) -> tuple[ToneResponse, ...]:
+    """Measured and modelled response at each tone of a run.
+
+    Tones that the run cannot resolve are omitted, and those beyond half the sampling rate.
+    """
+    with one_thread():
+        settled = np.linalg.norm(model.settled(), axis=0)
+    disturbance = np.linalg.norm(model.amplitude, axis=0)
+    found = []
+    for tone in compare_tones(run, model, transient)[0]:
+        k = int(np.argmin(np.abs(model.omega - tone.omega)))
+        if tone.merged == 1:
+            fitted = tone.measured, tone.predicted
+            found.append(ToneResponse(float(model.omega[k]), float(disturbance[k]), *fitted, float(settled[k])))
+    return tuple(found)

@@ -1,0 +1,240 @@
+"""The tone of unit norm that is worst for the implemented loop at given parameter values.
+
+A disturbance of unit norm is a tone ``d(t) = Im(a exp(i w t))`` with ``|a_j / weight_j(w)|`` of norm 1 over the 22
+weighted channels. The worst one has the frequency at which the largest singular value of the weighted response peaks
+and the right singular vector of this response as its amplitudes. **The error that it makes has the amplitude gamma
+times the limit**, which is what an H-infinity requirement bounds: the scenario ``worst_case`` runs this tone.
+
+=========  =========================================================================================================
+index      what is measured
+=========  =========================================================================================================
+``APE``    line of sight
+``RPE``    relative error through the weight of the window (20 ms), sidebands of the camera's frame rate included
+``slow``   the same, below 85 rad/s, where the proof-mass actuators have no effect
+``fast``   the same, above 85 rad/s
+=========  =========================================================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import StateSpace
+from los_loop.sampled_loop import SampledLoop
+from los_loop.sampled_loop_norms import loop_grid, tone_response
+from titop_plant.interface import FORCE_STAGES
+from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.telescope.budget import BAND_EDGE
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+INDICES = ("RPE", "APE", "slow", "fast")
+"""What a tone can be worst for."""
+
+PEAKS, ZOOMS, ZOOM_POINTS = 6, 3, 25
+"""The highest peaks of the grid are refined, then the highest of them so often, with so many points each."""
+
+
+@dataclass(frozen=True)
+class WorstTone:
+    """A tone of unit norm and the error that it makes.
+
+    Parameters
+    ----------
+    index : {"RPE", "APE", "slow", "fast"}
+        What the tone is worst for.
+    omega : float
+        rad/s.
+    amplitude : ndarray, shape (22,), complex
+        Phasors on the disturbance inputs [N, Nm].
+    gain : float
+        Amplitude of the error [rad].
+    limit : float
+        Its limit [rad].
+    los : ndarray, shape (2,), complex
+        Phasor of the line of sight at the frequency of the tone [rad].
+    """
+
+    index: str
+    omega: float
+    amplitude: ComplexArray
+    gain: float
+    limit: float
+    los: ComplexArray
+
+    @property
+    def gamma(self) -> float:
+        """Amplitude of the error over its limit."""
+        return self.gain / self.limit
+
+    def turned(self, phase: float) -> WorstTone:
+        """The same tone with another phase [rad] at the start."""
+        turn = np.exp(1j * phase)
+        return WorstTone(self.index, self.omega, self.amplitude * turn, self.gain, self.limit, self.los * turn)
+
+    def peaking_at(self, time: float) -> WorstTone:
+        """The same tone with the phase that gives the largest line of sight [rad, norm of both axes] at `time` [s].
+
+        Examples
+        --------
+        >>> los = np.array([1.0 + 2.0j, 0.5 - 1.0j])
+        >>> tone = WorstTone("APE", 3.0, np.zeros(22, complex), 1.0, 1.0, los).peaking_at(5.0)
+        >>> sizes = [np.linalg.norm((tone.los * np.exp(3j * t)).imag) for t in (4.9, 5.0, 5.1)]
+        >>> int(np.argmax(sizes))
+        1
+        """
+        # |Im(l e^(i p))|^2 = (|l|^2 - Re(l.l e^(2 i p))) / 2 is largest where l.l e^(2 i p) is real and negative
+        square = complex(np.sum(self.los**2))
+        phase = float(0.5 * (np.pi - np.angle(square))) if square else 0.0
+        return self.turned(phase - self.omega * time)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "index": self.index,
+            "omega": self.omega,
+            "gain": self.gain,
+            "limit": self.limit,
+            **{
+                f"{name}_{part}": getattr(getattr(self, name), part).tolist()
+                for name in ("amplitude", "los")
+                for part in ("real", "imag")
+            },
+        }
+
+    @classmethod
+    def from_mapping(cls, values: Any) -> WorstTone:
+        """Read what :meth:`to_mapping` wrote.
+
+        Raises
+        ------
+        ValueError
+            Missing keys or other shapes.
+        """
+        try:
+            amplitude, los = (
+                np.array(values[f"{name}_real"], float) + 1j * np.array(values[f"{name}_imag"], float)
+                for name in ("amplitude", "los")
+            )
+            tone = cls(
+                str(values["index"]),
+                float(values["omega"]),
+                amplitude,
+                float(values["gain"]),
+                float(values["limit"]),
+                los,
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"a tone must have index, omega, gain, limit, amplitude and los, got {error}") from None
+        if tone.amplitude.shape != (CHANNELS,) or tone.los.shape != (2,):
+            raise ValueError(f"a tone must have {CHANNELS} amplitudes, got {tone.amplitude.shape}")
+        return tone
+
+
+def index_limit(parameters: Parameters, index: str, loop: str) -> float:
+    """Limit of an index in a stage [rad]: APE 10 arcsec; the others 40 mas with the proof-mass actuators, else 100."""
+    table = parameters["weights"]
+    if index == "APE":
+        return float(table["ape_limit"])
+    return float(table["rpe_limit_fine" if loop in FORCE_STAGES else "rpe_limit"])
+
+
+def worst_tone(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, *, index: str, stage: str, closed: bool = True
+) -> WorstTone:
+    """Worst tone of unit norm of a stable loop.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    plant : StateSpace
+        The continuous plant of the loop.
+    parameters : mapping
+        Tables ``weights`` and ``sadm``.
+    index : {"RPE", "APE", "slow", "fast"}
+    stage : str
+        Of it depends the limit only.
+    closed : bool
+        Whether the controllers act, and so must leave the loop stable.
+
+    Raises
+    ------
+    ValueError
+        Another index, or a loop that is not stable.
+    """
+    if index not in INDICES:
+        raise ValueError(f"index must be one of {', '.join(INDICES)}, got {index!r}")
+    radius = loop.spectral_radius()
+    if closed and not radius < 1.0:
+        raise ValueError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
+    omega = _band(loop_grid(plant, loop.hold[:-2, :-2]), index)
+    gains = _gains(loop, plant, parameters, omega, index)
+    for peaks in (PEAKS, *[1] * ZOOMS):
+        omega = _around(omega, gains, peaks)
+        gains = _gains(loop, plant, parameters, omega, index)
+    w = omega[gains.argmax()]
+    matrix, response = _weighted(loop, plant, parameters, np.array([w]), index)
+    gain, right = _leading(matrix[0])
+    size = weight_amplitudes(parameters, w)[0]
+    amplitude = size * right
+    return WorstTone(index, float(w), amplitude, gain, index_limit(parameters, index, stage), response[0] @ amplitude)
+
+
+def _around(omega: FloatArray, gains: FloatArray, peaks: int) -> FloatArray:
+    """Points between the neighbours of each of the highest peaks, rising."""
+    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+    inner = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    highest = inner[np.argsort(gains[inner])[::-1][:peaks]]
+    ends = [(omega[max(k - 1, 0)], omega[min(k + 1, omega.size - 1)]) for k in highest]
+    return np.asarray(np.unique(np.concatenate([np.geomspace(low, high, ZOOM_POINTS) for low, high in ends])))
+
+
+def _leading(matrix: ComplexArray) -> tuple[float, ComplexArray]:
+    """Largest singular value and its right singular vector; the phase makes the largest entry real."""
+    _, values, right = linalg.svd(matrix)
+    vector = right[0].conj()
+    largest = vector[np.argmax(np.abs(vector))]
+    return float(values[0]), np.asarray(vector * (np.abs(largest) / largest))
+
+
+def _band(omega: FloatArray, index: str) -> FloatArray:
+    if index == "slow":
+        return np.append(omega[omega < BAND_EDGE], BAND_EDGE)
+    if index == "fast":
+        return np.append(BAND_EDGE, omega[omega > BAND_EDGE])
+    return omega
+
+
+def _gains(loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, index: str) -> FloatArray:
+    matrix, _ = _weighted(loop, plant, parameters, omega, index)
+    return np.asarray(np.linalg.norm(matrix, ord=2, axis=(1, 2)))
+
+
+def _weighted(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, index: str
+) -> tuple[ComplexArray, ComplexArray]:
+    """Weighted response (k, rows, 22), its largest singular value is the gain; line of sight by phasors (k, 2, 22)."""
+    tone = tone_response(loop, plant, omega)
+    size = weight_amplitudes(parameters, omega)[:, None, :]
+    los = tone.fundamental[:, :2]
+    if index == "APE":
+        return los * size, los
+    window = parameters["weights"]["rpe_window"]
+    rows = [rpe_weight(omega, window)[:, None, None] * los * size]
+    if tone.camera is not None:
+        rows += [
+            rpe_weight(np.abs(omega + shift), window)[:, None, None] * (gain @ tone.camera) * size
+            for shift, gain in tone.sidebands
+        ]
+    return np.concatenate(rows, axis=1), los
+
+
+__all__ = ["BAND_EDGE", "INDICES", "WorstTone", "index_limit", "worst_tone"]

@@ -1,0 +1,307 @@
+"""Pointing budget in a TOML file: tree of error sources, their transfers, requirements.
+
+The format is described in ``docs/pointing_budget.md``. A table under ``sources`` with a ``type`` is a source, one
+without is a group; a group or source may have a ``transfer``.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from pointing_analysis.budget import sources as kinds
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
+from pointing_analysis.files.structured_text import StructuredTextError, load_toml, read_text
+from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.read.los_source import open_los
+from pointing_analysis.requirements.text import ANGLES, Requirement, RequirementError, parse
+
+Floats = NDArray[np.float64]
+Entry = Mapping[str, Any]
+Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]
+"""Sources of the testbed's own closed loop: (path, table, unit [rad]) -> sources in that unit."""
+INDICES = ("APE", "RPE")
+TOP = {"title", "unit", "axes", "summation", "draws", "seed", "total", "requirement", "sources"}
+
+
+class BudgetError(ValueError):
+    """A budget that cannot be read; the message says what it must be and what it is."""
+
+
+@dataclass(frozen=True)
+class TotalRule:
+    """A total per axis by the rule of the standard: index, window [s], number of standard deviations."""
+
+    index: str
+    window: float | None
+    factor: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A pointing budget.
+
+    Attributes
+    ----------
+    title : heading
+    unit : unit of all values
+    axes : names of the axes
+    summation : ``distribution`` or ``rss``: by which a margin is computed
+    draws, seed : of the distribution of the total
+    sources : the leaves of the tree, behind their transfers
+    requirements : pointing requirements on the norm of two axes or on one axis
+    totals : totals per axis
+    """
+
+    title: str
+    unit: str
+    axes: tuple[str, ...]
+    summation: str
+    draws: int
+    seed: int
+    sources: tuple[Source, ...]
+    requirements: tuple[Requirement, ...]
+    totals: tuple[TotalRule, ...]
+
+
+def load_budget(path: str | os.PathLike[str], testbed: Testbed | None = None) -> Budget:
+    """Read a budget.
+
+    Parameters
+    ----------
+    path : TOML file
+    testbed : makes the sources of type ``testbed``; without it such a source is an error
+
+    Raises
+    ------
+    BudgetError
+        A file that cannot be read, or an entry that cannot be used.
+    """
+    file = Path(path)
+    try:
+        content = load_toml(read_text(file), file)
+    except StructuredTextError as error:
+        raise BudgetError(str(error)) from None
+    try:
+        return _budget(content, file, testbed)
+    except BudgetError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise BudgetError(f"{file}: {error}") from None
+
+
+def _budget(content: Entry, file: Path, testbed: Testbed | None) -> Budget:
+    unknown = set(content) - TOP
+    if unknown:
+        raise BudgetError(f"{file}: keys must be of {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
+    unit, axes = content.get("unit"), tuple(content.get("axes", ("x", "y")))
+    if unit not in ANGLES:
+        raise BudgetError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
+    summation = content.get("summation", "distribution")
+    if summation not in ("distribution", "rss"):
+        raise BudgetError(f"{file}: summation must be distribution or rss, got {summation!r}")
+    reader = _Reader(file, ANGLES[unit], len(axes), testbed)
+    sources = tuple(reader.tree(content.get("sources", {}), ()))
+    if not sources:
+        raise BudgetError(f"{file}: sources must hold at least one source, got none")
+    requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
+    totals = tuple(_total(file, entry) for entry in content.get("total", ()))
+    if not requirements and not totals:
+        raise BudgetError(f"{file}: must hold a list requirement or total, got neither")
+    draws, seed = int(content.get("draws", 50_000)), int(content.get("seed", 1))
+    if not 1000 <= draws <= 10_000_000:
+        raise BudgetError(f"{file}: draws must be 1000 to 10000000, got {draws}")
+    title = str(content.get("title", file.stem))
+    return Budget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
+
+
+def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
+    if not isinstance(entry, dict) or "text" not in entry or set(entry) - {"text", "name"}:
+        raise BudgetError(f"{file}: requirement must have the keys text and name, got {entry!r}")
+    try:
+        found = parse(str(entry["text"]), str(entry.get("name", "")))
+    except RequirementError as error:
+        raise BudgetError(f"{file}: {error}") from None
+    if found.index not in INDICES:
+        raise BudgetError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
+    if axes != 2:
+        raise BudgetError(f"{file}: axes must be two where there are requirements, got {axes}")
+    return found
+
+
+def _total(file: Path, entry: Any) -> TotalRule:
+    if not isinstance(entry, dict) or entry.get("index") not in INDICES or set(entry) - {"index", "window", "factor"}:
+        raise BudgetError(
+            f"{file}: total must have an index, {' or '.join(INDICES)}, a window and a factor, got {entry!r}"
+        )
+    window = _positive(file, "window", entry.get("window")) if entry["index"] == "RPE" else None
+    return TotalRule(entry["index"], window, float(entry.get("factor", 2.0)))
+
+
+def _positive(file: Path, name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+        raise BudgetError(f"{file}: {name} must be a positive number, got {value!r}")
+    return float(value)
+
+
+class _Reader:
+    """Reads the tree of sources of one file."""
+
+    def __init__(self, file: Path, scale: float, axes: int, testbed: Testbed | None) -> None:
+        self.file, self.scale, self.axes, self.testbed = file, scale, axes, testbed
+        self.kinds: dict[str, tuple[set[str], Callable[[tuple[str, ...], Entry, list[Any]], list[Source]]]] = {
+            "constant": ({"value", "half_range", "sigma", "random"}, self._constant),
+            "random": ({"sigma", "correlation_time"}, self._random),
+            "periodic": ({"amplitude", "frequency", "phase"}, self._periodic),
+            "tones": ({"tones"}, self._tones),
+            "drift": ({"rate", "duration"}, self._drift),
+            "spectrum": ({"frequency", "psd"}, self._spectrum),
+            "measured": ({"bag", "los", "unit", "rate", "transient"}, self._measured),
+            "testbed": ({"part", "loop", "scenario", "seed", "settings"}, self._testbed),
+        }
+
+    def tree(self, table: Entry, path: tuple[str, ...], above: tuple[Any, ...] = ()) -> Iterator[Source]:
+        """All sources of a table and of the tables in it."""
+        if not isinstance(table, dict):
+            raise BudgetError(f"{self.file}: {' / '.join(path)} must be a table, got {table!r}")
+        gains = [*above, table["transfer"]] if "transfer" in table else list(above)
+        if "type" not in table:
+            for name, entry in table.items():
+                if name != "transfer":
+                    yield from self.tree(entry, (*path, name), tuple(gains))
+            return
+        kind = table["type"]
+        if kind not in self.kinds:
+            raise self.wrong(path, f"type must be one of {', '.join(self.kinds)}", kind)
+        known, make = self.kinds[kind]
+        unknown = set(table) - known - {"type", "transfer"}
+        if unknown:
+            raise self.wrong(path, f"keys must be of {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
+        yield from make(path, table, gains)
+
+    def wrong(self, path: tuple[str, ...], what: str, got: object) -> BudgetError:
+        return BudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
+
+    def vector(self, path: tuple[str, ...], name: str, value: Any) -> Floats:
+        """A value for each axis; one number stands for all of them."""
+        given = np.asarray(value, dtype=float)
+        found: Floats = np.broadcast_to(given, (self.axes,)).copy() if given.ndim == 0 else given
+        if found.shape != (self.axes,) or not np.isfinite(found).all():
+            raise self.wrong(path, f"{name} must be {self.axes} finite numbers", value)
+        return found
+
+    def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: Floats) -> Floats:
+        """Magnitude of all transfers at some frequencies [Hz]."""
+        total: Floats = np.ones(hertz.size)
+        for entry in transfers:
+            if isinstance(entry, (int, float)) and not isinstance(entry, bool):
+                total = total * abs(float(entry))
+            elif isinstance(entry, dict) and set(entry) == {"numerator", "denominator"}:
+                _, response = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
+                total = total * np.abs(response)
+            elif isinstance(entry, dict) and set(entry) == {"file"}:
+                lines = read_text(self.file.parent / str(entry["file"])).splitlines()
+                table = np.loadtxt(lines, delimiter=",", ndmin=2)
+                if table.shape[1] != 2 or np.any(np.diff(table[:, 0]) <= 0) or np.any(table <= 0):
+                    raise self.wrong(path, "transfer file must have rising frequencies [Hz] and gains", table.shape)
+                total = total * np.exp(np.interp(np.log(np.maximum(hertz, 1e-300)), *np.log(table).T))
+            else:
+                raise self.wrong(path, "transfer must be a number, numerator and denominator, or a file", entry)
+        return np.asarray(total)
+
+    def steady(self, path: tuple[str, ...], transfers: list[Any]) -> float:
+        return float(self.gain(path, transfers, np.zeros(1))[0])
+
+    def fixed(self, path: tuple[str, ...], transfers: list[Any]) -> float:
+        """Gain of transfers that must not depend on the frequency."""
+        if not all(isinstance(t, (int, float)) for t in transfers):
+            raise self.wrong(path, "transfer must be a number for this type (give a spectrum)", transfers[-1])
+        return self.steady(path, transfers)
+
+    def _constant(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        names = ("value", "half_range", "sigma")
+        value, half, sigma = (self.vector(path, name, table.get(name, 0.0)) for name in names)
+        random = table.get("random", ENSEMBLE)
+        if random not in (TIME, ENSEMBLE):
+            raise self.wrong(path, f"random must be {TIME} or {ENSEMBLE}", random)
+        if not any(name in table for name in names) or np.any(half < 0) or np.any(sigma < 0):
+            raise self.wrong(
+                path, "a constant must have a value, or a half_range or sigma of zero or more", dict(table)
+            )
+        return [kinds.constant(path, value, half, sigma, random).scaled(self.steady(path, transfers))]
+
+    def _random(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        sigma = self.vector(path, "sigma", table.get("sigma"))
+        if np.any(sigma < 0):
+            raise self.wrong(path, "sigma must be zero or more", table["sigma"])
+        gain, time = self.fixed(path, transfers), table.get("correlation_time", 0.0)
+        if time == 0:
+            return [kinds.white(path, sigma).scaled(gain)]
+        tau = _positive(self.file, f"{' / '.join(path)}: correlation_time", time)
+        return [kinds.process(path, lambda lag: np.exp(-np.abs(lag) / tau)[:, None] * sigma**2, "random").scaled(gain)]
+
+    def _periodic(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        return self._tones(
+            path, {"tones": [{k: v for k, v in table.items() if k not in ("type", "transfer")}]}, transfers
+        )
+
+    def _tones(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        hertz, phasors = [], []
+        for entry in table.get("tones", ()):
+            hertz.append(_positive(self.file, f"{' / '.join(path)}: frequency", entry.get("frequency")))
+            amplitude = self.vector(path, "amplitude", entry.get("amplitude"))
+            phase = self.vector(path, "phase", entry.get("phase", 0.0))
+            phasors.append(amplitude * np.exp(1j * np.radians(phase)))
+        if not hertz:
+            raise self.wrong(
+                path, "tones must be a list of frequency [Hz], amplitude and phase [deg]", table.get("tones")
+            )
+        f = np.array(hertz)
+        return [kinds.tones(path, 2 * np.pi * f, np.array(phasors).T * self.gain(path, transfers, f))]
+
+    def _drift(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        duration = _positive(self.file, f"{' / '.join(path)}: duration", table.get("duration"))
+        rate = self.vector(path, "rate", table.get("rate"))
+        return [kinds.drift(path, rate, duration).scaled(self.steady(path, transfers))]
+
+    def _spectrum(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        f = np.asarray(table.get("frequency", ()), dtype=float)
+        density = np.asarray(table.get("psd", ()), dtype=float)
+        density = np.repeat(density[:, None], self.axes, axis=1) if density.ndim == 1 else density
+        if (
+            f.size < 2
+            or np.any(np.diff(f) <= 0)
+            or f[0] <= 0
+            or density.shape != (f.size, self.axes)
+            or np.any(density <= 0)
+        ):
+            raise self.wrong(
+                path, "spectrum must have two or more rising frequencies [Hz] and positive densities", table
+            )
+        fine = np.geomspace(f[0], f[-1], 4001)
+        middle, width = np.sqrt(fine[1:] * fine[:-1]), np.diff(fine)
+        level = np.stack([np.exp(np.interp(np.log(middle), np.log(f), np.log(d))) for d in density.T], axis=1)
+        power = level * (self.gain(path, transfers, middle) ** 2 * width)[:, None]
+        return [kinds.process(path, lambda lag: np.cos(2 * np.pi * np.outer(lag, middle)) @ power, "spectrum")]
+
+    def _measured(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        if "bag" not in table:
+            raise self.wrong(path, "bag must name a bag or a table", None)
+        bag = self.file.parent / str(table["bag"])
+        run = open_los(bag, los=table.get("los"), unit=table.get("unit"), rate=table.get("rate"))
+        series = performance_error(run, table.get("transient"))
+        return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
+
+    def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+        if self.testbed is None:
+            raise self.wrong(path, "type testbed needs the command los-testbed budget", "testbed")
+        gain = self.fixed(path, transfers)
+        return [source.scaled(gain) for source in self.testbed(path, table, self.scale)]

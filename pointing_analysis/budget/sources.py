@@ -1,0 +1,259 @@
+r"""Error sources of a pointing budget: what each one contributes to an index, as a distribution and as sigma.
+
+A source is drawn at a random instant: `Source.draw` gives its error at n instants, for the APE as it is, for the RPE
+less its mean over the window in which the instant has the position u (0 to 1, uniform). So all sources of a budget
+share one window, and the total is the distribution of their sum, with no assumption about its shape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from pointing_analysis.indices import metrics, weights
+
+Floats = NDArray[np.float64]
+Draw = Callable[[np.random.Generator, Floats, float | None], Floats]
+Sigma = Callable[[float | None], Floats]
+POSITIONS = 40
+"""Positions in a window at which the covariance of a random process is computed."""
+TIME, ENSEMBLE = "time", "ensemble"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One error source, after its transfer.
+
+    Attributes
+    ----------
+    path : names from the root of the tree to the source
+    kind : type of the source
+    random : ``time`` or ``ensemble``: over which it varies
+    mean : (k,) known constant part; no part of the RPE
+    draw : (generator, positions (n,), window or None for the APE) -> errors (n, k), without the mean
+    sigma : window or None -> standard deviations (k,)
+    worst : window or None -> largest magnitudes (k,); infinite where the distribution has no bound
+    """
+
+    path: tuple[str, ...]
+    kind: str
+    random: str
+    mean: Floats
+    draw: Draw
+    sigma: Sigma
+    worst: Sigma
+
+    @property
+    def name(self) -> str:
+        """Path as text."""
+        return " / ".join(self.path)
+
+    def scaled(self, gain: float) -> Source:
+        """The source behind a constant gain."""
+        draw, sigma, worst = self.draw, self.sigma, self.worst
+        return replace(
+            self,
+            mean=gain * self.mean,
+            draw=lambda rng, u, window: gain * draw(rng, u, window),
+            sigma=lambda window: abs(gain) * sigma(window),
+            worst=lambda window: abs(gain) * worst(window),
+        )
+
+
+def constant(
+    path: tuple[str, ...], mean: ArrayLike, half_range: ArrayLike, sigma: ArrayLike, random: str = ENSEMBLE
+) -> Source:
+    """Error that is constant in time: known (`mean`), uniform within `half_range`, Gaussian with `sigma`."""
+    m, h, s = (np.asarray(x, dtype=float) for x in (mean, half_range, sigma))
+    spread = np.sqrt(h**2 / 3 + s**2)
+    zero = np.zeros(m.size)
+
+    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+        if window is not None:
+            return np.zeros((u.size, m.size))
+        return np.asarray(rng.uniform(-1, 1, (u.size, m.size)) * h + rng.standard_normal((u.size, m.size)) * s)
+
+    def largest(window: float | None) -> Floats:
+        return zero if window is not None else np.where(s > 0, np.inf, h)
+
+    return Source(path, "constant", random, m, draw, lambda w: zero if w is not None else spread, largest)
+
+
+def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float | None = None) -> Source:
+    """Sum of tones of unknown phase.
+
+    Parameters
+    ----------
+    path : of the source
+    omega : (q,) frequencies [rad/s]
+    phasor : (k, q) complex amplitudes; the angle between axes is kept
+    dt : sampling period [s] of the windows; None for continuous windows
+    """
+    w = np.atleast_1d(np.asarray(omega, dtype=float))
+    p = np.asarray(phasor, dtype=complex).reshape(-1, w.size)
+
+    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+        total = np.zeros((u.size, len(p)))
+        for one, amplitudes in zip(w, p.T):
+            turning = np.exp(1j * rng.uniform(0, 2 * np.pi, u.size))
+            if window is not None:
+                turning = turning * _relative(one, u, window, dt)
+            total += (turning[:, None] * amplitudes).imag
+        return total
+
+    def weight(window: float | None) -> Floats:
+        if window is None:
+            return np.ones(w.size)
+        return weights.rpe_exact(w, window) if dt is None else weights.rpe_discrete(w, round(window / dt), dt)
+
+    def sigma(window: float | None) -> Floats:
+        return np.asarray(np.sqrt((np.abs(p * weight(window)) ** 2).sum(axis=1) / 2))
+
+    def largest(window: float | None) -> Floats:
+        peaks: Floats = np.ones(w.size)
+        if window is not None:
+            u: Floats = np.arange(POSITIONS) / POSITIONS
+            peaks = np.array([np.abs(_relative(one, u, window, dt)).max() for one in w])
+        return np.asarray((np.abs(p) * peaks).sum(axis=1))
+
+    return Source(path, "tones", TIME, np.zeros(len(p)), draw, sigma, largest)
+
+
+def _relative(omega: float, u: Floats, window: float, dt: float | None) -> NDArray[np.complex128]:
+    """Factor of a tone less its mean over the window in which its instant has the position u."""
+    if dt is None:
+        y = omega * window
+        mean = np.sinc(y / (2 * np.pi)) * np.exp(1j * y * (0.5 - u))
+    else:
+        n = round(window / dt)
+        j = np.floor(u * n)
+        mean = np.exp(1j * omega * dt * np.arange(n)).mean() * np.exp(-1j * omega * dt * j)
+    return np.asarray(1 - mean)
+
+
+def gaussian(path: tuple[str, ...], covariance: Floats, within: Callable[[float], Floats], kind: str) -> Source:
+    """Gaussian process.
+
+    Parameters
+    ----------
+    path : of the source
+    covariance : (k, k) of the process
+    within : window -> (positions, k, k) covariance of the process less its mean over the window, at each position
+    kind : type of the source
+    """
+    k = len(covariance)
+
+    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+        white = rng.standard_normal((u.size, k))
+        if window is None:
+            return np.asarray(white @ _root(covariance))
+        table = within(window)
+        roots = np.stack([_root(c) for c in table])
+        return np.asarray(np.einsum("ni,nij->nj", white, roots[np.floor(u * len(table)).astype(int)]))
+
+    def sigma(window: float | None) -> Floats:
+        matrix = covariance if window is None else within(window).mean(axis=0)
+        return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 0)))
+
+    def largest(window: float | None) -> Floats:
+        return np.where(sigma(window) > 0, np.inf, 0.0)
+
+    return Source(path, kind, TIME, np.zeros(k), draw, sigma, largest)
+
+
+def _root(matrix: Floats) -> Floats:
+    """Symmetric square root of a covariance."""
+    values, vectors = linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
+
+
+def process(path: tuple[str, ...], correlation: Callable[[Floats], Floats], kind: str) -> Source:
+    """Gaussian process with independent axes, from its autocovariance.
+
+    Parameters
+    ----------
+    path : of the source
+    correlation : lags [s] (m,) -> autocovariance of each axis (m, k)
+    kind : type of the source
+    """
+    at_zero = np.asarray(correlation(np.zeros(1)))[0]
+
+    def within(window: float) -> Floats:
+        t = (np.arange(POSITIONS) + 0.5) / POSITIONS * window
+        lags = np.abs(t[:, None] - t)
+        table = np.asarray(correlation(lags.ravel())).reshape(POSITIONS, POSITIONS, -1)
+        mean = table.mean(axis=1)
+        variance = table[np.arange(POSITIONS), np.arange(POSITIONS)] - 2 * mean + mean.mean(axis=0)
+        return np.stack([np.diag(np.maximum(v, 0)) for v in variance])
+
+    return gaussian(path, np.diag(at_zero), within, kind)
+
+
+def white(path: tuple[str, ...], sigma: ArrayLike) -> Source:
+    """Gaussian noise that is independent from instant to instant; its mean over a window is zero."""
+    matrix = np.diag(np.square(np.asarray(sigma, dtype=float)))
+    return gaussian(path, matrix, lambda window: matrix[None], "random")
+
+
+def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
+    """Linear drift from zero over `duration` [s], at `rate` [unit/s], instant unknown."""
+    r = np.asarray(rate, dtype=float)
+
+    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+        along = duration * (rng.uniform(0, 1, u.size) - 0.5) if window is None else window * (u - 0.5)
+        return np.asarray(along[:, None] * r)
+
+    def length(window: float | None) -> float:
+        return duration if window is None else window
+
+    return Source(
+        path,
+        "drift",
+        TIME,
+        r * duration / 2,
+        draw,
+        lambda window: np.abs(r) * length(window) / math.sqrt(12),
+        lambda window: np.abs(r) * length(window) / 2,
+    )
+
+
+def measured(path: tuple[str, ...], error: Floats, dt: float) -> Source:
+    """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest.
+
+    For the RPE the window must be a whole number of samples, and the recording have one without gaps; else a
+    ValueError names the source when the budget is evaluated.
+    """
+    mean = np.nanmean(error, axis=0)
+    present = error[~np.isnan(error).any(axis=1)] - mean
+
+    def table(window: float) -> Floats:
+        try:
+            n = metrics.window_samples(window, dt)
+            whole = metrics.rpe_instant(error, dt, window)
+        except ValueError as wrong:
+            raise ValueError(f"{' / '.join(path)}: {wrong}") from None
+        whole = whole[: len(whole) // n * n].reshape(-1, n, whole.shape[1])
+        complete = whole[~np.isnan(whole).any(axis=(1, 2))]
+        if not len(complete):
+            raise ValueError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
+        return np.asarray(complete)
+
+    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+        if window is None:
+            return np.asarray(present[rng.integers(0, len(present), u.size)])
+        windows = table(window)
+        position = np.floor(u * windows.shape[1]).astype(int)
+        return np.asarray(windows[rng.integers(0, len(windows), u.size), position])
+
+    def sigma(window: float | None) -> Floats:
+        return np.asarray(present.std(axis=0) if window is None else np.sqrt(np.mean(table(window) ** 2, axis=(0, 1))))
+
+    def largest(window: float | None) -> Floats:
+        return np.asarray(np.abs(present if window is None else table(window).reshape(-1, 2)).max(axis=0))
+
+    return Source(path, "measured", TIME, mean, draw, sigma, largest)

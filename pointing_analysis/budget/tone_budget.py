@@ -1,0 +1,123 @@
+"""The budget of the relative error: noise, slow tones, fast tones and their total, of one run beside its allowances.
+
+A limit of the relative error is asked of 99.7 % of the windows, noise and tones together. A tone of amplitude a along
+one axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 1.7 r <= L``. Slow tones are
+those on which the proof-mass actuators have no effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.confidence import effective_number
+from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.spectra import spectra
+
+BAND_EDGE = 85.0
+"""Between slow and fast tones [rad/s] where the bag does not say."""
+
+PARTS = ("noise", "slow", "fast", "total")
+METADATA = "rpe_budget_mas"
+"""Key of the allowances in the metadata of a bag: an object with these parts, and with :data:`EDGE`."""
+EDGE = "band_edge_rad_s"
+
+
+def _short(value: float) -> str:
+    """Three digits without an exponent.
+
+    Examples
+    --------
+    >>> [_short(value) for value in (4779.2, 18.66, 0.0, 1e-5)]
+    ['4779', '18.7', '0', '< 0.01']
+    """
+    if value >= 1000.0:
+        return f"{value:.0f}"
+    return "< 0.01" if 0.0 < value < 0.01 else f"{value:.3g}"
+
+
+@dataclass(frozen=True)
+class ToneBudget:
+    """Parts of the relative error of one run [mas].
+
+    Attributes
+    ----------
+    noise : rms of what the tones leave, norm of both axes
+    slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
+    total : 99.7 % quantile of the rms in each window, both axes
+    allowances : the same parts as they are allowed; empty where nothing is said
+    noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
+    """
+
+    noise: float
+    slow: float
+    fast: float
+    total: float
+    allowances: Mapping[str, float]
+    noise_error: float = math.nan
+
+    def __str__(self) -> str:
+        texts = []
+        for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", "total (99.7 %) {}")):
+            value, allowed = getattr(self, part), self.allowances.get(part)
+            texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))
+        return f"budget of the RPE [mas]: {', '.join(texts)}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values for JSON; NaN becomes None."""
+        values = {part: float(getattr(self, part)) for part in PARTS}
+        values["noise_error"] = self.noise_error
+        shown = {part: float(f"{x:.6g}") if math.isfinite(x) else None for part, x in values.items()}
+        return {**shown, "allowances": dict(self.allowances)}
+
+
+def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
+    """Budget of a run whose bag names its tones; without tones all of the error is noise.
+
+    Parameters
+    ----------
+    run : Run
+    series : ErrorSeries
+        Performance error of the run, at least one window long.
+    window : float
+        [s].
+    total : float
+        99.7 % quantile of the rms in each window, both axes [mas].
+    """
+    tones = run.parameters.get("tones_rad_s", [])
+    omegas = np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)
+    given = run.parameters.get(METADATA)
+    allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
+    edge = allowances.pop(EDGE, BAND_EDGE)
+    found = spectra.lines(series.values, series.dt, omegas, window)
+    rest = spectra.without_lines(series.values, series.dt, omegas)
+    power = metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2
+    noise, noise_error = _rms(power)
+    slow, fast = (
+        math.sqrt(2.0 * sum(line.rpe**2 for line in found if (line.omega > edge) == above)) / RAD_PER_MAS
+        for above in (False, True)
+    )
+    allowed = {part: allowances[part] for part in PARTS if part in allowances}
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error)
+
+
+def _rms(power: NDArray[np.float64]) -> tuple[float, float]:
+    """Rms from the power of each window (m,), and its standard error."""
+    if not len(power):
+        return math.nan, math.nan
+    rms = math.sqrt(float(power.mean()))
+    if len(power) < 2 or rms == 0.0:
+        return rms, 0.0 if rms == 0.0 else math.nan
+    relative = float(power.std(ddof=1)) / float(power.mean()) / math.sqrt(effective_number(power))
+    return rms, 0.5 * rms * relative
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,245 @@
+r"""Totals of a pointing budget: contribution of each source, total at the required probability, margin.
+
+Two summations. ``distribution``: the error is drawn from all sources together and its quantile is read off; its
+statistical uncertainty is stated. ``rss``: the standard deviations add in the root sum of squares and the level of an
+axis is :math:`|\sum\mu| + n_P \sqrt{\sum\sigma^2}` with the :math:`n_P` of a Gaussian distribution; the norm of two
+axes is that of two independent Gaussian ones.
+
+The interpretation of the requirement decides what is drawn. ``temporal``: sources that vary over the ensemble have
+their largest value (where a distribution has no bound, :math:`n_P` standard deviations) in the worst direction.
+``ensemble``: those that vary in time do. ``mixed``: all are drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import integrate, optimize, special
+
+from pointing_analysis.budget.file import Budget, TotalRule
+from pointing_analysis.budget.lines import Total, combine, contribution
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
+from pointing_analysis.indices import confidence
+from pointing_analysis.requirements.text import ANGLES, Requirement
+
+Floats = NDArray[np.float64]
+BLOCK = 100_000
+ALONE = 10_000
+"""Draws for the level of one source alone."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """Contribution of one source to an index.
+
+    Attributes
+    ----------
+    source : the source
+    mean, sigma : (k,)
+    level : quantile of this source alone at the required probability
+    share : part of the sum of the variances of the judged axes (0 to 1)
+    """
+
+    source: Source
+    mean: Floats
+    sigma: Floats
+    level: float
+    share: float
+
+
+@dataclass(frozen=True)
+class BudgetVerdict:
+    """A requirement against the budget; lengths in the unit of the budget.
+
+    Attributes
+    ----------
+    requirement : the requirement
+    limit : its limit
+    shares : contributions, largest first
+    rss : level by the root sum of squares
+    level : level by the distribution
+    uncertainty : half width of the 95 % interval of `level` due to the number of draws
+    total : the one of both that counts
+    margin : limit less total
+    """
+
+    requirement: Requirement
+    limit: float
+    shares: tuple[Share, ...]
+    rss: float
+    level: float
+    uncertainty: float
+    total: float
+    margin: float
+
+    @property
+    def compliant(self) -> bool:
+        """Whether the total is below the limit."""
+        return self.margin > 0
+
+
+def axis_factor(probability: float) -> float:
+    """Standard deviations within which a Gaussian error stays with a probability.
+
+    Examples
+    --------
+    >>> round(axis_factor(0.997), 5)
+    2.96774
+    """
+    return math.sqrt(2) * float(special.erfinv(probability))
+
+
+def norm_quantile(mean: Floats, sigma: Floats, probability: float) -> float:
+    """Quantile of the norm of two independent Gaussian errors.
+
+    Examples
+    --------
+    >>> round(norm_quantile(np.zeros(2), np.ones(2), 0.997), 5)
+    3.40856
+    """
+    m, s = np.abs(np.asarray(mean, dtype=float)), np.asarray(sigma, dtype=float)
+    order = np.argsort(s)
+    (small, large), (m_small, m_large) = s[order], m[order]
+    if large == 0:
+        return float(np.hypot(*m))
+    top = float(np.hypot(*m) + 12 * large)
+    if small < 1e-9 * large:
+        small = 1e-9 * large
+
+    def inside(radius: float) -> float:
+        def slice_at(x: float) -> float:
+            half = math.sqrt(max(radius**2 - (m_large + x * large) ** 2, 0.0))
+            a, b = (half - m_small) / small, (-half - m_small) / small
+            return math.exp(-x * x / 2) * float(special.ndtr(a) - special.ndtr(b)) / math.sqrt(2 * math.pi)
+
+        low, high = max((-radius - m_large) / large, -12.0), min((radius - m_large) / large, 12.0)
+        return float(integrate.quad(slice_at, low, high, limit=200)[0]) if high > low else 0.0
+
+    return float(optimize.brentq(lambda radius: inside(radius) - probability, 1e-12 * top, top, xtol=1e-12 * top))
+
+
+def evaluate(budget: Budget) -> tuple[BudgetVerdict, ...]:
+    """Every requirement of a budget against its total."""
+    return tuple(_evaluate(budget, requirement) for requirement in budget.requirements)
+
+
+def _worst(requirement: Requirement) -> str:
+    """What takes its largest value: sources that vary over the ensemble, in time, or none."""
+    return {"temporal": ENSEMBLE, "ensemble": TIME, "mixed": ""}[requirement.interpretation]
+
+
+def _largest(source: Source, window: float | None, factor: float) -> Floats:
+    bound = source.worst(window)
+    return np.where(np.isfinite(bound), bound, factor * source.sigma(window))
+
+
+def _draw(sources: list[Source], budget: Budget, window: float | None, k: int) -> Floats:
+    """Errors (draws, k) of some sources together, means left out."""
+    rng, parts = np.random.default_rng(budget.seed), []
+    for start in range(0, budget.draws, BLOCK):
+        u = rng.random(min(BLOCK, budget.draws - start))
+        total = np.zeros((u.size, k))
+        for source in sources:
+            total += source.draw(rng, u, window)
+        parts.append(total)
+    return np.concatenate(parts)
+
+
+def _evaluate(budget: Budget, requirement: Requirement) -> BudgetVerdict:
+    window = requirement.times[0] if requirement.times else None
+    axes = [budget.axes.index(requirement.axis)] if requirement.axis else [0, 1]
+    p, factor = requirement.probability, axis_factor(requirement.probability)
+    fixed = [s for s in budget.sources if s.random == _worst(requirement)]
+    drawn = [s for s in budget.sources if s.random != _worst(requirement)]
+    means = {s.path: s.mean if window is None else np.zeros_like(s.mean) for s in budget.sources}
+    offset = sum((means[s.path] for s in budget.sources), np.zeros(len(budget.axes)))
+    largest = sum((_largest(s, window, factor) for s in fixed), np.zeros(len(budget.axes)))
+
+    def radius(sources: list[Source], mean: Floats, worst: Floats) -> Floats:
+        error = _draw(sources, budget, window, len(budget.axes)) + mean
+        return np.asarray(np.sqrt(np.square((np.abs(error) + worst)[:, axes]).sum(axis=1)))
+
+    values = radius(drawn, offset, largest)
+    found = confidence.quantile(values, p, 0.975, effective=values.size)
+    sigma = np.sqrt(sum((s.sigma(window) ** 2 for s in drawn), np.zeros(len(budget.axes))))
+    reach = (np.abs(offset) + largest)[axes]
+    rss = float(reach[0] + factor * sigma[axes[0]]) if len(axes) == 1 else norm_quantile(reach, sigma, p)
+    total = found.value if budget.summation == "distribution" else rss
+    limit = requirement.limit / ANGLES[budget.unit]
+    shares = _shares(budget, drawn, window, axes, p, factor, means)
+    uncertainty = max(found.upper - found.value, found.value - found.lower)
+    return BudgetVerdict(requirement, limit, shares, rss, found.value, uncertainty, total, limit - total)
+
+
+def _shares(
+    budget: Budget,
+    drawn: list[Source],
+    window: float | None,
+    axes: list[int],
+    probability: float,
+    factor: float,
+    means: dict[tuple[str, ...], Floats],
+) -> tuple[Share, ...]:
+    rows = []
+    for source in budget.sources:
+        mean, sigma = means[source.path], source.sigma(window)
+        if source in drawn:
+            few = replace(budget, draws=min(budget.draws, ALONE))
+            alone = _draw([source], few, window, len(budget.axes)) + mean
+            level = float(
+                np.quantile(np.hypot(*alone[:, axes].T) if len(axes) == 2 else np.abs(alone[:, axes[0]]), probability)
+            )
+        else:
+            level = float(np.sqrt(np.sum((np.abs(mean) + _largest(source, window, factor))[axes] ** 2)))
+        rows.append((source, mean, sigma, level, float(np.sum(sigma[axes] ** 2))))
+    whole = math.fsum(row[4] for row in rows) or 1.0
+    shares = [Share(s, m, d, level, power / whole) for s, m, d, level, power in rows]
+    return tuple(sorted(shares, key=lambda share: (-share.level, share.source.path)))
+
+
+def axis_total(budget: Budget, rule: TotalRule) -> Total:
+    """Total of each axis by the rule of ECSS-E-ST-60-10C: mean plus a number of standard deviations."""
+    means = [np.zeros_like(s.mean) if rule.window is not None else s.mean for s in budget.sources]
+    parts = [contribution(s.name, s.sigma(rule.window), mean=m) for s, m in zip(budget.sources, means)]
+    return combine(parts, "APE", rule.factor)
+
+
+def as_dict(budget: Budget, verdicts: tuple[BudgetVerdict, ...]) -> dict[str, object]:
+    """Budget and verdicts for JSON."""
+    return {
+        "title": budget.title,
+        "unit": budget.unit,
+        "summation": budget.summation,
+        "requirements": [
+            {
+                "text": str(v.requirement),
+                "limit": v.limit,
+                "total": v.total,
+                "margin": v.margin,
+                "compliant": v.compliant,
+                "distribution": v.level,
+                "uncertainty": v.uncertainty if math.isfinite(v.uncertainty) else None,
+                "rss": v.rss,
+                "sources": [
+                    {
+                        "name": s.source.name,
+                        "type": s.source.kind,
+                        "mean": s.mean.tolist(),
+                        "sigma": s.sigma.tolist(),
+                        "level": s.level,
+                        "share": s.share,
+                    }
+                    for s in v.shares
+                ],
+            }
+            for v in verdicts
+        ],
+        "totals": [
+            {"index": rule.index, "factor": rule.factor, "rss": total.rss.tolist(), "level": total.level.tolist()}
+            for rule in budget.totals
+            for total in (axis_total(budget, rule),)
+        ],
+    }

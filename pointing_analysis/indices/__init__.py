@@ -1,0 +1,1 @@
+"""Pointing errors, their metrics and confidence bounds."""

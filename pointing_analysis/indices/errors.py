@@ -1,0 +1,171 @@
+"""Error series of a run: performance error, knowledge error, transient dropped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.indices.telescope_values import telescope_value
+from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.topic import on_grid, read_only
+
+Floats = NDArray[np.float64]
+RAD_PER_ARCSEC = math.pi / 648_000
+RAD_PER_MAS = RAD_PER_ARCSEC / 1000
+#: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
+#: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
+SETTLING = 5.0
+LARGEST = 1e60
+"""[rad] Sums of fourth powers of larger values are not finite; they are no angles."""
+LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
+
+
+@dataclass(frozen=True)
+class ErrorSeries:
+    """A 2-axis error on a uniform time axis.
+
+    Attributes
+    ----------
+    values : (n, 2) [rad], NaN where a sample is missing
+    dt : sampling period [s]
+    start : time of the first row after the first sample of the run [s]: the transient that was dropped
+    missing : samples missing
+    open_end : whether the recording was cut off and nothing says how many samples are missing at its end
+    """
+
+    values: Floats
+    dt: float
+    start: float
+    missing: int
+    open_end: bool = False
+
+    @property
+    def time(self) -> Floats:
+        """(n,) seconds after the first sample of the run."""
+        return rows_made(len(self.values), lambda row: self.start + self.dt * row)
+
+    @property
+    def duration(self) -> float:
+        """Length of the series [s]."""
+        return self.dt * len(self.values)
+
+
+def default_transient(duration: float) -> float:
+    """Start-up transient [s] dropped from a run of `duration` [s] that does not say how much is to be dropped.
+
+    `SETTLING`, from short runs their first half, and never less than `LEAST`.
+
+    Examples
+    --------
+    >>> default_transient(60.0), default_transient(10.0), default_transient(6.0), default_transient(1.5)
+    (5.0, 5.0, 3.0, 1.0)
+    """
+    return max(LEAST, min(SETTLING, duration / 2))
+
+
+def transient_of(run: Recording, transient: float | None, duration: float) -> float:
+    """Start-up transient to drop [s]: the given one, else the bag's ``transient_s``, else `default_transient`."""
+    value = run.parameters.get("transient_s", default_transient(duration)) if transient is None else transient
+    if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+        raise BagError(f"transient must be zero or more seconds, got {value!r}")
+    return float(value)
+
+
+def _drop(values: Floats, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
+    first = round(min(transient / dt, len(values)))
+    if first >= len(values):
+        raise BagError(
+            f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
+        )
+    rest = by_parts(np.array, values[first:, :2])
+    missing = sum(int(np.isnan(rest[part]).any(axis=1).sum()) for part in parts(len(rest)))
+    if missing == len(rest):
+        raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
+    for part in parts(len(rest)):
+        if (odd := np.argwhere(np.abs(rest[part]) > LARGEST)).size:
+            row, column = map(int, odd[0])
+            raise BagError(
+                f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
+                f"got {rest[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
+            )
+    return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
+
+
+def performance_error(run: Recording, transient: float | None = None) -> ErrorSeries:
+    """True controlled line of sight minus its target, which is zero.
+
+    **Sign: error = actual minus target.**
+
+    Parameters
+    ----------
+    run : a run with the topic ``truth/los``
+    transient : seconds to drop at the start (`transient_of`)
+
+    Raises
+    ------
+    BagError
+        No truth topic, only transient, or a time axis that is not uniform.
+    """
+    if "truth/los" not in run:
+        raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
+    values, dt = on_grid(run["truth/los"])
+    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
+
+
+def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:
+    """Estimated minus true line of sight, joined by stamp.
+
+    The observer estimates the line of sight *without* the mirror's contribution (the mirror law
+    ``u = -estimate / los_sensitivity`` cancels it), so the truth is the controlled line of sight less
+    ``los_sensitivity`` times the mirror angle by its gauges.
+    **Sign: error = estimate minus truth.**
+
+    Raises
+    ------
+    BagError
+        A needed topic is missing, only transient, or a time axis that is not uniform.
+    """
+    _need(run, "los_estimate")
+    estimate = run["los_estimate"]
+    return knowledge_error_of(run, estimate.stamp, estimate.values, transient)
+
+
+def _need(run: Recording, *names: str) -> None:
+    for name in names:
+        if name not in run:
+            raise BagError(
+                f"{run.path}: for a knowledge error the bag must hold the topic {name}, got {', '.join(run.topics)}"
+            )
+
+
+def knowledge_error_of(
+    run: Recording, stamp: NDArray[np.int64], estimate: Floats, transient: float | None = None
+) -> ErrorSeries:
+    """Knowledge error of any estimate against the truth of a run; see `knowledge_error`.
+
+    Parameters
+    ----------
+    run : with the topics ``truth/los`` and ``fsm/strain_gauge``
+    stamp : (n,) stamps of the estimate [ns], strictly increasing
+    estimate : (n, 2 or more) estimated line of sight without the mirror [rad]
+    transient : seconds to drop at the start
+    """
+    _need(run, "truth/los", "fsm/strain_gauge")
+    truth, angle = run["truth/los"], run["fsm/strain_gauge"]
+    grid, dt = on_grid(truth)
+    gain = telescope_value(run, "los_sensitivity")
+    full = empty((len(grid), 2))
+    for part in parts(len(full)):
+        full[part] = np.nan
+    step = round(dt * 1e9)
+    for rows, columns in common_rows(stamp, angle.stamp):
+        index, rest = np.divmod(stamp[rows] - truth.grid_start, step)
+        fits = (rest == 0) & (index >= 0) & (index < len(grid))
+        index, rows, columns = index[fits], rows[fits], columns[fits]
+        full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
+    return _drop(full, dt, transient_of(run, transient, dt * len(grid)), run.path, truth.open_end)

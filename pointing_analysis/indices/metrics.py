@@ -1,0 +1,276 @@
+r"""ECSS pointing error indices of a sampled line of sight.
+
+Definitions of ECSS-E-ST-60-10C section 3.2 and ESSB-HB-E-003. With the error :math:`e(t)` (a 2-vector: rotation of the
+line of sight about the two transverse axes) and the mean :math:`\bar e` over a window of length :math:`\Delta t`:
+
+=====  ==============================================  ==========================================================
+index  value                                           meaning
+=====  ==============================================  ==========================================================
+APE    :math:`e(t)`                                    absolute performance error
+MPE    :math:`\bar e`                                  mean performance error
+RPE    :math:`e(t) - \bar e`, t in the window          relative performance error (jitter in an exposure)
+PDE    :math:`\bar e(t + \Delta t_s) - \bar e(t)`      performance drift error: two windows of one observation
+PRE    :math:`\bar e_1 - \bar e_2`                     performance reproducibility error: windows of two observations
+=====  ==============================================  ==========================================================
+
+AKE, MKE, RKE are the same on the knowledge error (estimate minus truth).
+
+Everything is done **on the 2-vector, and the norm is taken last**: a circular motion of constant radius has zero RPE in
+the norm and smears the picture all the same. Two estimators of the RPE exist and both are here:
+
+*window* estimator
+    per axis :math:`v = \overline{e^2} - \bar e^2` of each disjoint window (division by N); rms is
+    :math:`\sqrt{\bar v}`. This one corresponds to the spectral weight of `weights`.
+*instant* estimator
+    the samples of :math:`e(t) - \bar e` themselves, for quantiles. By default t runs through every instant of disjoint
+    windows, so that the mean square equals that of the window estimator. A t fixed in its (sliding) window is another
+    quantity: at the end slow motion counts :math:`\sqrt 3` times, **at the centre it nearly vanishes** (the weight of a
+    tone is :math:`1 - \mathrm{sinc}`; at 14 Hz and 20 ms a quarter of the rms weight), so a quantile formed there may
+    lie below the rms.
+
+Missing samples are NaN in the input. A window that holds one is left out and counted; nothing is interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointing_analysis.read.mapped_arrays import PART, GrowingArray, by_parts, empty, release
+from pointing_analysis.read.topic import read_only
+
+Floats = NDArray[np.float64]
+Position = Literal["all", "centred", "end"]
+AXES = ("x", "y")
+
+
+def radial(error: ArrayLike) -> Floats:
+    """Norm of the 2-vector: (n, 2) -> (n,), same unit."""
+    e = _series(error)
+    return by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
+
+
+def rms(values: ArrayLike) -> Floats:
+    """Root mean square per axis, NaN left out: (n, 2) -> (2,), same unit. The radial one is its norm."""
+    return np.asarray(np.sqrt(np.nanmean(np.square(_series(values)), axis=0)))
+
+
+def window_samples(window: float, dt: float) -> int:
+    """Number of samples N in a window.
+
+    Raises
+    ------
+    ValueError
+        The window is not a whole number of at least two samples.
+    """
+    if not is_whole(window, dt):
+        raise ValueError(
+            f"window must be a whole number (two or more) of samples of {1e3 * dt:g} ms, got {1e3 * window:g} ms"
+        )
+    return round(window / dt)
+
+
+def is_whole(window: float, dt: float) -> bool:
+    """Whether a window [s] is a whole number, two or more, of samples of `dt` [s]."""
+    ratio = window / dt if dt > 0 else float("nan")
+    return bool(np.isfinite(ratio)) and round(ratio) >= 2 and abs(ratio - round(ratio)) <= 1e-3
+
+
+def _series(error: ArrayLike) -> Floats:
+    e = np.asarray(error, dtype=float)
+    if e.ndim != 2 or e.shape[1] != 2:
+        raise ValueError(f"error must have the shape (n, 2), got {e.shape}")
+    return e
+
+
+def _fits(e: Floats, window: float, dt: float) -> int:
+    n = window_samples(window, dt)
+    if n > len(e):
+        raise ValueError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
+    return n
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Disjoint windows of an error series.
+
+    Attributes
+    ----------
+    mean : (m, 2) mean error of each complete window (the samples of the MPE)
+    variance : (m, 2) mean square about that mean, division by N
+    start : (m,) index of the first sample of each window
+    samples : N, samples per window
+    skipped : windows left out because a sample is missing
+    """
+
+    mean: Floats
+    variance: Floats
+    start: NDArray[np.int64]
+    samples: int
+    skipped: int
+
+    @property
+    def rpe_rms(self) -> Floats:
+        """(2,) RPE rms per axis by the window estimator; the radial one is its norm."""
+        return np.asarray(np.sqrt(self.variance.mean(axis=0))) if len(self.variance) else np.full(2, np.nan)
+
+
+def windows(error: ArrayLike, dt: float, window: float) -> Windows:
+    r"""Cut the series into disjoint windows; an incomplete one at the end is dropped.
+
+    Parameters
+    ----------
+    error : (n, 2) error, NaN where a sample is missing
+    dt : sampling period [s]
+    window : window length [s]
+
+    Raises
+    ------
+    ValueError
+        The window is longer than the run or no whole number of samples.
+
+    Examples
+    --------
+    A circular motion has a constant distance from its centre, and a large RPE:
+
+    >>> t = 1e-3 * np.arange(1000)
+    >>> circle = np.column_stack([np.cos(2 * np.pi * 50 * t), np.sin(2 * np.pi * 50 * t)])
+    >>> float(np.ptp(radial(circle)).round(9))
+    0.0
+    >>> windows(circle, dt=1e-3, window=0.02).rpe_rms.round(6)
+    array([0.707107, 0.707107])
+    """
+    e = _series(error)
+    n = _fits(e, window, dt)
+    m = len(e) // n
+    means, variances, starts = GrowingArray(2), GrowingArray(2), GrowingArray(None, np.int64)
+    for first, blocks in _blocks(e, n):
+        mean = blocks.mean(axis=1)
+        kept = ~np.isnan(mean).any(axis=1)
+        means.append(mean[kept])
+        # About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without cancellation.
+        variances.append(np.square(blocks[kept] - mean[kept, None, :]).mean(axis=1))
+        starts.append((first + np.flatnonzero(kept)) * n)
+    mean, variance, start = (read_only(found.array()) for found in (means, variances, starts))
+    return Windows(mean, variance, start, n, m - len(start))
+
+
+def _blocks(e: Floats, n: int) -> Iterator[tuple[int, Floats]]:
+    """Disjoint windows of n samples (m, n, 2), some at a time, with the number of the first."""
+    m = len(e) // n
+    for first in range(0, m, max(PART // n, 1)):
+        last = min(first + max(PART // n, 1), m)
+        yield first, e[first * n : last * n].reshape(last - first, n, 2)
+        release()
+
+
+def rpe_rms(error: ArrayLike, dt: float, window: float) -> Floats:
+    """RPE rms per axis by the window estimator: (n, 2) -> (2,). The radial one is its norm."""
+    return windows(error, dt, window).rpe_rms
+
+
+def mpe(error: ArrayLike, dt: float, window: float) -> Floats:
+    """Mean error of each complete disjoint window: (n, 2) -> (m, 2)."""
+    return windows(error, dt, window).mean
+
+
+def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position = "all") -> Floats:
+    """Samples of the RPE by the instant estimator.
+
+    Parameters
+    ----------
+    error : (n, 2), NaN where a sample is missing
+    dt, window : sampling period and window length [s]
+    position : where t stands in its window of N samples: ``all`` (every sample of disjoint windows), or in a sliding
+        window ``centred`` (sample N // 2) or ``end`` (the last sample); see the notes of this module
+
+    Returns
+    -------
+    (m, 2), NaN where a sample of the window is missing; for ``centred`` and ``end`` one row per position of the
+    sliding window (m = n - N + 1)
+
+    Examples
+    --------
+    A steady drift: 20 samples of 1 per sample, so t at the end is 9.5 from the mean, t at the centre half a sample.
+
+    >>> drift = np.column_stack([np.arange(40.0), np.zeros(40)])
+    >>> [float(rpe_instant(drift, 1.0, 20.0, where)[0, 0]) for where in ("centred", "end")]
+    [0.5, 9.5]
+    """
+    e = _series(error)
+    n = _fits(e, window, dt)
+    if position == "all":
+        found = empty((len(e) // n * n, 2))
+        for first, blocks in _blocks(e, n):
+            rest = (blocks - blocks.mean(axis=1, keepdims=True)).reshape(-1, 2)
+            found[first * n : first * n + len(rest)] = rest
+        return found
+    if position not in ("centred", "end"):
+        raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
+    at = n // 2 if position == "centred" else n - 1
+    missing: NDArray[np.bool_] = np.asarray(np.isnan(e).any(axis=1))
+    # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
+    offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
+    filled = e - offset
+    filled[missing] = 0.0
+    total = np.zeros((len(e) + 1, 2))
+    np.cumsum(filled, axis=0, out=total[1:])
+    mean = total[n:] - total[:-n]
+    mean /= n
+    result = np.subtract(filled[at : at + len(mean)], mean, out=mean)
+    if missing.any():
+        holes = np.cumsum(np.append(0, missing))
+        result[(holes[n:] - holes[:-n]) > 0] = np.nan
+    return np.asarray(result)
+
+
+def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats:
+    """Drift: difference of the means of two windows `separation` apart (start to start), in one observation.
+
+    Parameters
+    ----------
+    error : (n, 2), NaN where a sample is missing
+    dt, window, separation : [s]; the separation is a whole number of samples
+
+    Returns
+    -------
+    (m, 2) one row per position of the pair, first windows disjoint; pairs with missing samples left out
+    """
+    e = _series(error)
+    n = _fits(e, window, dt)
+    lag = window_samples(separation, dt)
+    if n + lag > len(e):
+        raise ValueError(
+            f"the run must last for window + separation = {window + separation:g} s or more, got {len(e) * dt:g} s"
+        )
+    starts = np.arange(0, len(e) - n - lag + 1, n)
+    first = e[starts[:, None] + np.arange(n)].mean(axis=1)
+    second = e[starts[:, None] + lag + np.arange(n)].mean(axis=1)
+    drift = second - first
+    return np.asarray(drift[~np.isnan(drift).any(axis=1)])
+
+
+def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = 1000) -> Floats:
+    """Reproducibility: differences of the window means of two observations.
+
+    Parameters
+    ----------
+    first, second : (n, 2) errors of the two observations
+    dt, window : sampling period and window length [s]
+    max_windows : windows to take of each observation, spread evenly over it (the number of pairs is its square)
+
+    Returns
+    -------
+    (m1 * m2, 2) every window of the second minus every window of the first
+    """
+
+    def means(error: ArrayLike) -> Floats:
+        m = mpe(error, dt, window)
+        return m[np.unique(np.linspace(0, len(m) - 1, min(max_windows, len(m))).astype(int))] if len(m) else m
+
+    a, b = means(first), means(second)
+    return np.asarray((b[None, :, :] - a[:, None, :]).reshape(-1, 2))

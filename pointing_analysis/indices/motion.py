@@ -1,0 +1,70 @@
+"""What moves during a run: array angle, wheel speeds, harmonics of the wheels, modes of the structure.
+
+A bag of such a run names its ``motion``: ``knots`` of time [s], array angle [rad] and four wheel speeds [rad/s], linear
+between them; ``harmonics`` of the wheels; frequencies ``modes`` [rad/s] of the structure's lightly damped modes at the
+start; ``modes_over_time``, rows of a time and such frequencies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.recording import Recording
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves during a run.
+
+    Parameters
+    ----------
+    time : ndarray, shape (k,)
+        s from the start of the run.
+    theta : ndarray, shape (k,)
+        Angle of the arrays [rad].
+    speed : ndarray, shape (k, 4)
+        Wheel speeds [rad/s].
+    harmonics : ndarray
+        Multiples of the speed.
+    modes : tuple of (float, ndarray)
+        Times [s], and the frequencies of the structure's lightly damped modes there [rad/s].
+    """
+
+    time: Floats
+    theta: Floats
+    speed: Floats
+    harmonics: Floats
+    modes: tuple[tuple[float, Floats], ...]
+
+    @property
+    def wheel(self) -> int:
+        """Index of the wheel whose speed changes most."""
+        return int(np.argmax(np.ptp(self.speed, axis=0)))
+
+    @property
+    def turns(self) -> bool:
+        """Whether a wheel changes its speed."""
+        return bool(np.ptp(self.speed, axis=0).max() > 0.0)
+
+
+def motion_of(run: Recording) -> Motion | None:
+    """The motion that a recording names; None where nothing moves, or where the entry cannot be read."""
+    found = run.parameters.get("motion")
+    if not isinstance(found, Mapping):
+        return None
+    try:
+        knots = np.array(found["knots"], dtype=float).reshape(-1, 6)
+        harmonics = np.array(found["harmonics"], dtype=float).ravel()
+        rows = found.get("modes_over_time") or [[0.0, *found["modes"]]]
+        modes = tuple((float(row[0]), np.array(row[1:], dtype=float)) for row in rows)
+    except (KeyError, TypeError, ValueError, IndexError):
+        return None
+    if not (knots.size and np.isfinite(knots).all() and (np.diff(knots[:, 0]) > 0.0).all()):
+        return None
+    return Motion(knots[:, 0], knots[:, 1], knots[:, 2:], harmonics, modes)

@@ -1,0 +1,1 @@
+"""Recordings: bags, tables and arrays of others."""

@@ -1,0 +1,1 @@
+"""MCAP files, also damaged ones."""

@@ -1,0 +1,126 @@
+"""Files of a bag: the folder, its metadata.yaml, the MCAP files in their order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pointing_analysis.files.atomic_output import MAX_NAME
+from pointing_analysis.files.structured_text import StructuredTextError, load_yaml, read_text
+from pointing_analysis.read.mcap.records import BagError
+
+_FILE = re.compile(r"\.mcap(\.zst|\.zstd)?$")
+NAME_ORDER = "files taken in name order"
+
+
+@dataclass(frozen=True)
+class BagFiles:
+    """Files of a bag.
+
+    Attributes
+    ----------
+    files : MCAP files in the order of recording
+    message_wise : whether each message is compressed by itself
+    counts : messages of each topic by metadata.yaml, where it says them
+    problems : what is wrong with metadata.yaml
+    """
+
+    files: tuple[Path, ...]
+    message_wise: bool
+    counts: Mapping[str, int]
+    problems: tuple[str, ...]
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d{1,18})", path.name)]
+
+
+def is_single_file(path: Path) -> bool:
+    """Whether a bag is one file; False if it is a folder.
+
+    Raises
+    ------
+    BagError
+        Neither, or a name that no file can have.
+    """
+    try:
+        if not path.exists():
+            raise BagError(f"{path}: no such bag")
+    except OSError as error:
+        raise BagError(f"{str(path)[:80]}: no such bag: {error.strerror}") from None
+    if not (path.is_file() or path.is_dir()):
+        raise BagError(f"{path}: a bag must be a folder or a file, got a device, a pipe or a socket")
+    return path.is_file()
+
+
+def bag_files(path: Path) -> BagFiles:
+    """Files of a bag in order.
+
+    Raises
+    ------
+    BagError
+        No such bag, no MCAP file in it, or sqlite3.
+    """
+    if is_single_file(path):
+        return BagFiles((path,), False, {}, ())
+    on_disk = sorted((f for f in path.iterdir() if _FILE.search(f.name) and f.is_file()), key=_natural)
+    info, problems = _description(path)
+    named = _named(path, info, problems)
+    missing = [f.name for f in named if not f.is_file()]
+    if missing:
+        problems.append(f"files named in metadata.yaml are missing: {', '.join(missing)}")
+    files = [f for f in named if f.is_file()] or on_disk
+    if any(f.suffix == ".db3" for f in files):
+        raise BagError(f"{path}: the bag must be MCAP, got sqlite3 (convert it with `ros2 bag convert`)")
+    if not files:
+        raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got none")
+    message_wise = str(info.get("compression_mode", "")).upper() == "MESSAGE"
+    return BagFiles(tuple(files), message_wise, _counts(info), tuple(problems))
+
+
+def _description(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Content of metadata.yaml, and what is wrong with it."""
+    file = path / "metadata.yaml"
+    if not file.is_file():
+        return {}, [f"no metadata.yaml (the recorder was stopped hard): {NAME_ORDER}"]
+    try:
+        content = load_yaml(read_text(file), "metadata.yaml")
+    except StructuredTextError as error:
+        return {}, [f"metadata.yaml cannot be read ({error}): {NAME_ORDER}"]
+    info = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    if not isinstance(info, dict):
+        return {}, [f"metadata.yaml must hold a table rosbag2_bagfile_information, got another content: {NAME_ORDER}"]
+    return info, []
+
+
+def _named(path: Path, info: Mapping[str, Any], problems: list[str]) -> list[Path]:
+    """The files that metadata.yaml names, as far as they lie in the folder of the bag."""
+    names = info.get("relative_file_paths", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) and name and "\0" not in name for name in names):
+        problems.append(f"metadata.yaml: relative_file_paths must be a list of file names: {NAME_ORDER}")
+        return []
+    unique = list(dict.fromkeys(names))
+    if len(unique) < len(names):
+        problems.append("metadata.yaml names a file more than once: it is read once")
+    possible = [name for name in unique if len(name.encode(errors="replace")) <= MAX_NAME and name.isprintable()]
+    if len(possible) < len(unique):
+        problems.append("metadata.yaml names files with names that no file can have: they are left out")
+    inside = [name for name in possible if Path(name).name == name and not (path / name).is_symlink()]
+    if len(inside) < len(possible):
+        problems.append("metadata.yaml names files outside the folder of the bag: they are left out")
+    return [path / name for name in inside if not (path / name).is_dir()]
+
+
+def _counts(info: Mapping[str, Any]) -> dict[str, int]:
+    rows = info.get("topics_with_message_count", [])
+    found = {}
+    for row in rows if isinstance(rows, list) else []:
+        about = row.get("topic_metadata") if isinstance(row, dict) else None
+        name = about.get("name") if isinstance(about, dict) else None
+        count = row.get("message_count") if isinstance(row, dict) else None
+        if isinstance(name, str) and isinstance(count, int) and not isinstance(count, bool) and 0 <= count < 1 << 48:
+            found[name] = count
+    return found

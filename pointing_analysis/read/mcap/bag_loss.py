@@ -1,0 +1,220 @@
+"""What a bag lacks: which messages of which topic, where, and how it is known.
+
+A bag of this testbed numbers the messages of each topic from 1, so that a gap in the numbers is a count; how many there
+were at the end is known from the manifests of the chunks, from the summary, or from metadata.yaml. Other bags tell
+less: the counts of their summary, and the index records of the chunks that were left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_of
+from pointing_analysis.read.mcap.records import Block, FileInfo
+
+NANO = 1e9
+NUMBERED = "los-testbed"
+"""Begin of the name of the library whose files number the messages of each topic."""
+MAX_PIECES = 10_000
+"""Gaps that are told one by one."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Lost messages in succession: between two times [s] after the first message of the bag, and how many."""
+
+    start: float
+    stop: float
+    messages: int
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.stop):
+            return f"{self.messages} after {self.start:.3f} s"
+        if not np.isfinite(self.start):
+            return f"{self.messages} before {self.stop:.3f} s"
+        return f"{self.messages} between {self.start:.3f} s and {self.stop:.3f} s"
+
+
+@dataclass(frozen=True)
+class TopicLoss:
+    """What one topic lacks.
+
+    Attributes
+    ----------
+    topic : its full name
+    recovered : messages that can be read
+    missing : messages that were recorded and cannot be read
+    before, after : how many of the missing ones came before the first and after the last that can be read
+    spans : where they are missing
+    """
+
+    topic: str
+    recovered: int
+    missing: int
+    before: int
+    after: int
+    spans: tuple[Span, ...]
+
+    def __str__(self) -> str:
+        places = "; ".join(str(span) for span in self.spans[:5])
+        more = f"; and {len(self.spans) - 5} more places" if len(self.spans) > 5 else ""
+        total = self.recovered + self.missing
+        return f"{self.topic}: {self.missing} of {total} recorded messages are lost: {places or 'place unknown'}{more}"
+
+
+@dataclass
+class _Numbers:
+    """Sequence numbers of one topic that were read: rows of first and last number, log times of the two [ns]."""
+
+    pieces: list[list[int]] = field(default_factory=list)
+    count: int = 0
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether there were more pieces than are kept."""
+        return len(self.pieces) > MAX_PIECES
+
+    def add(self, sequence: NDArray[np.int64], log: NDArray[np.int64]) -> None:
+        self.count += len(sequence)
+        if self.incomplete:
+            return
+        edges = np.flatnonzero(np.diff(sequence) != 1) + 1
+        for begin, end in zip(np.append(0, edges).tolist(), np.append(edges, len(sequence)).tolist()):
+            row = [int(sequence[begin]), int(sequence[end - 1]), int(log[begin]), int(log[end - 1])]
+            if self.pieces and self.pieces[-1][1] + 1 == row[0]:
+                self.pieces[-1][1], self.pieces[-1][3] = row[1], row[3]
+            else:
+                self.pieces.append(row)
+
+
+def _numbered(infos: Sequence[FileInfo]) -> bool:
+    """Whether the messages are numbered: by the header, or, where that is lost, by manifests, which no other writes."""
+    return len(infos) == 1 and (infos[0].library.startswith(NUMBERED) or bool(infos[0].expected))
+
+
+def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
+    """Messages of each topic that the bag had from which this one was repaired."""
+    expected = value_of(merged(infos, REPAIR_NAME)[0].get("expected", "{}"))
+    rows = expected.items() if isinstance(expected, dict) else ()
+    return {topic: count for topic, count in rows if isinstance(count, int) and 0 <= count < 1 << 48}
+
+
+class LossLedger:
+    """Counts what is read of a bag, to say afterwards what is missing."""
+
+    def __init__(self) -> None:
+        self._topics: dict[str, _Numbers] = {}
+        self.origin: int | None = None
+
+    def add(self, info: FileInfo, block: Block) -> None:
+        """Take note of the messages of a block."""
+        if not block.heads.size:
+            return
+        numbers = block.heads["channel"]
+        first = int(block.heads["log"].min())
+        self.origin = first if self.origin is None else min(first, self.origin)
+        for number in np.unique(numbers).tolist():
+            channel = info.channels.get(number)
+            if channel is not None:
+                rows = block.heads[numbers == number]
+                kept = self._topics.setdefault(channel.topic, _Numbers())
+                kept.add(rows["sequence"].astype(np.int64), rows["log"].astype(np.int64))
+
+    def losses(self, infos: Sequence[FileInfo], counts: Mapping[str, int]) -> tuple[TopicLoss, ...]:
+        """What is missing, topic by topic; topics that lack nothing are left out.
+
+        Parameters
+        ----------
+        infos : of the files of the bag
+        counts : messages of each topic by metadata.yaml, for files whose own summary is damaged or missing
+        """
+        origins = [e.first for info in infos for e in info.expected.values()]
+        origin = min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
+        # A file whose channels are lost: metadata.yaml names the topics.
+        topics = {c.topic: None for info in infos for c in info.channels.values()} | dict.fromkeys(counts)
+        found = []
+        for topic in topics:
+            make = self._by_numbers if _numbered(infos) else self._by_counts
+            loss = make(topic, infos, counts, origin)
+            if loss is not None and loss.missing > 0:
+                found.append(loss)
+        return tuple(found)
+
+    def repeated(self, infos: Sequence[FileInfo]) -> dict[str, int]:
+        """Messages of each topic whose number was read before, in files that number them."""
+        found = {}
+        for topic, numbers in self._topics.items() if _numbered(infos) else ():
+            last = distinct = 0
+            for begin, end, _, _ in sorted(numbers.pieces):
+                distinct += max(end - max(begin - 1, last), 0)
+                last = max(last, end)
+            if numbers.count > distinct and not numbers.incomplete:
+                found[topic] = numbers.count - distinct
+        return found
+
+    def inner_losses(self, infos: Sequence[FileInfo]) -> tuple[TopicLoss, ...]:
+        """What is missing between the messages that were read, of a part of a bag."""
+        found = []
+        for loss in self.losses(infos, {}):
+            spans = tuple(s for s in loss.spans if np.isfinite([s.start, s.stop]).all())[
+                : None if not loss.after else -1
+            ]
+            if spans:
+                missing = sum(span.messages for span in spans)
+                found.append(TopicLoss(loss.topic, self._topics[loss.topic].count, missing, 0, 0, spans))
+        return tuple(found)
+
+    def _by_numbers(
+        self, topic: str, infos: Sequence[FileInfo], counts: Mapping[str, int], origin: int
+    ) -> TopicLoss | None:
+        info = infos[0]
+        channels = [number for number, channel in info.channels.items() if channel.topic == topic]
+        pieces = sorted(self._topics[topic].pieces) if topic in self._topics else []
+        expected = [info.expected[number] for number in channels if number in info.expected]
+        total = max([e.last_sequence for e in expected], default=0)
+        if info.statistics is not None:
+            total = max([total, *(info.statistics.get(number, 0) for number in channels)])
+        elif topic in counts:
+            total = max(total, counts[topic])
+        total = max(total, _before_repair(infos).get(topic, 0))
+        if topic in self._topics and self._topics[topic].incomplete:
+            count = self._topics[topic].count
+            return TopicLoss(topic, count, max(total - count, 0), 0, 0, ())
+        spans, number, time = [], 0, float("-inf")
+        for first, last, log_first, log_last in pieces:
+            if first > number + 1:
+                spans.append(Span(time, (log_first - origin) / NANO, first - number - 1))
+            if last > number:
+                number, time = last, (log_last - origin) / NANO
+        before = spans[0].messages if spans and not np.isfinite(spans[0].start) else 0
+        after = max(total - number, 0)
+        if after:
+            stop = max([(e.last - origin) / NANO for e in expected], default=float("inf"))
+            spans.append(Span(time, stop if stop > time else float("inf"), after))
+        missing = sum(span.messages for span in spans)
+        recovered = max(total, number) - missing
+        return TopicLoss(topic, recovered, missing, before, after, tuple(spans))
+
+    def _by_counts(
+        self, topic: str, infos: Sequence[FileInfo], counts: Mapping[str, int], origin: int
+    ) -> TopicLoss | None:
+        recovered = self._topics[topic].count if topic in self._topics else 0
+        known = expected = indexed = 0
+        spans = []
+        for info in infos:
+            channels = [number for number, channel in info.channels.items() if channel.topic == topic]
+            if info.statistics is not None:
+                known += 1
+                expected += sum(info.statistics.get(number, 0) for number in channels)
+            for chunk in info.lost_chunks:
+                for number in channels:
+                    times = chunk.times.get(number, np.empty(0, np.int64))
+                    if times.size:
+                        spans.append(Span((times[0] - origin) / NANO, (times[-1] - origin) / NANO, int(times.size)))
+                        indexed += int(times.size)
+        total = expected if known == len(infos) else max(counts.get(topic, 0), recovered + indexed)
+        return TopicLoss(topic, recovered, max(total - recovered, 0), 0, 0, tuple(spans))

@@ -1,0 +1,65 @@
+"""Metadata records of a bag: with a hash, so that a changed letter is noticed.
+
+A bag has its configuration twice: in a record at the start, and with the results in one at the end. Where records carry
+a hash (`HASH`), only those are believed whose hash agrees.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pointing_analysis.read.mcap.records import FileInfo
+
+METADATA_NAME = "los_testbed"
+"""Name of the metadata record of a run."""
+REPAIR_NAME = "los_testbed_repair"
+"""Name of the metadata record of a repaired bag: what was lost."""
+MAX_DIGITS = 300
+"""Longer integers than a float can hold stay text."""
+HASH = "metadata_sha256"
+"""Key of the hash in a metadata record."""
+
+
+def with_hash(table: Mapping[str, str]) -> dict[str, str]:
+    """The table with the SHA-256 of its other entries.
+
+    Examples
+    --------
+    >>> table = with_hash({"mode": "inprocess"})
+    >>> has_right_hash(table), has_right_hash({**table, "mode": "inprocuss"})
+    (True, False)
+    """
+    rest = {key: str(value) for key, value in table.items() if key != HASH}
+    return {**rest, HASH: hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()}
+
+
+def has_right_hash(table: Mapping[str, str]) -> bool:
+    """Whether the hash is there and agrees."""
+    return HASH in table and table[HASH] == with_hash(table)[HASH]
+
+
+def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[str, str], list[str]]:
+    """All entries of the records of one name, the later record counts; which are not believed, one sentence each."""
+    records = [table for info in infos for table in info.metadata.get(name, [])]
+    hashed = any(HASH in table for table in records) or any(info.expected for info in infos)
+    found: dict[str, str] = {}
+    problems = []
+    for number, table in enumerate(records, 1):
+        if hashed and not has_right_hash(table):
+            problems.append(f"metadata record {name} {number} of {len(records)} does not agree with its hash: left out")
+            continue
+        found.update({key: value for key, value in table.items() if key != HASH})
+    if problems and not found:
+        problems.append(f"nothing is known of the run: no metadata record {name} agrees with its hash")
+    return found, problems
+
+
+def value_of(text: str) -> Any:
+    """Value of an entry: JSON where it is, else the text."""
+    try:
+        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < MAX_DIGITS else digits)
+    except (ValueError, RecursionError):
+        return text

@@ -1,0 +1,260 @@
+"""Records of an MCAP file: their layout, and what is read from those that are no messages.
+
+The file format is simple (https://mcap.dev/spec): a magic number, then records ``opcode (1 byte), length (8 bytes),
+content``. Messages sit in compressed chunks, each followed by message-index records that say where in the chunk
+each channel's messages begin. `mcap_framing` finds the records, `mcap_chunks` unpacks and verifies chunks, `mcap_walk`
+puts them together.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"\x89MCAP0\r\n"
+OP_HEADER, OP_FOOTER, OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK, OP_INDEX = 1, 2, 3, 4, 5, 6, 7
+OP_CHUNK_INDEX, OP_ATTACHMENT, OP_ATTACHMENT_INDEX, OP_STATISTICS = 8, 9, 10, 11
+OP_METADATA, OP_METADATA_INDEX, OP_SUMMARY_OFFSET, OP_DATA_END = 12, 13, 14, 15
+OP_MANIFEST = 0x81  # of the range that the format leaves to applications; `chunk_manifest`
+RECORD = struct.Struct("<BQ")
+# A message record as it lies in the chunk; the payload follows.
+MESSAGE_HEAD = np.dtype(
+    [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
+)
+INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+HEAD = MESSAGE_HEAD.itemsize  # 31
+BODY = HEAD - RECORD.size  # 22: part of the length that is not payload
+MAX_CHUNK = 64_000_000
+"""Largest chunk and largest other record that are read [byte]; declared sizes are compared with it before anything is
+allocated."""
+MAX_NOTES = 10_000
+"""Damaged places of a file that are told one by one."""
+
+
+class BagError(ValueError):
+    """The file is not a bag, or not one that can be read; the message says what it must be and what it is."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One topic in one file: its number in the file, name, message type, encoding, definition, further strings."""
+
+    id: int
+    topic: str
+    schema: str
+    encoding: str
+    definition: bytes = b""
+    metadata: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file in the file."""
+
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class LostChunk:
+    """A chunk of which something is lost, as its index records tell of it.
+
+    Attributes
+    ----------
+    offset : of the chunk in the file [byte]
+    reason : what is wrong with it
+    times : channel -> log times [ns] of the messages that it held
+    """
+
+    offset: int
+    reason: str
+    times: dict[int, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Messages of a channel as manifests name them: last sequence number, first and last log time [ns]."""
+
+    last_sequence: int
+    first: int
+    last: int
+
+
+@dataclass
+class FileInfo:
+    """What a file says about itself beside messages; grows while the file is read.
+
+    Attributes
+    ----------
+    channels, schemas : by number
+    metadata : the metadata records of each name, in the order of the file
+    attachments : by name
+    problems : defects, one sentence each
+    damage : offset [byte] and description of each damaged place; those that lost nothing as well
+    lost_chunks : chunks that could not be read and say in their index what they held
+    expected : by channel, what the manifests of the chunks say
+    statistics : messages of each channel as the summary counts them; None without a whole summary
+    finished : whether the file has the end of its data
+    max_chunk : largest chunk that is unpacked [byte]
+    unpacks : whether to unpack a chunk, by the times [ns] of its first and last message
+    """
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    metadata: dict[str, list[dict[str, str]]] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    damage: list[tuple[int, str]] = field(default_factory=list)
+    lost_chunks: list[LostChunk] = field(default_factory=list)
+    expected: dict[int, Expected] = field(default_factory=dict)
+    statistics: dict[int, int] | None = None
+    library: str = ""
+    finished: bool = False
+    max_chunk: int = MAX_CHUNK
+    unpacks: Callable[[int, int], bool] = lambda first, last: True
+
+    def expect(self, runs: NDArray[np.void]) -> None:
+        """Take note of the messages that the manifest of a chunk names (`chunk_manifest.RUN`)."""
+        for channel, count, _, sequence, first, last in runs[runs["channel"] != 0].tolist():
+            known = self.expected.get(channel)
+            self.expected[channel] = Expected(
+                max(sequence + count - 1, known.last_sequence if known else 0),
+                min(first, known.first if known else first),
+                max(last, known.last if known else last),
+            )
+
+    def note(self, where: str, offset: int, what: str) -> None:
+        """Keep a defect with its place; the same of the same place once."""
+        if (self.damage and self.damage[-1] == (offset, what)) or len(self.damage) > MAX_NOTES:
+            return
+        if len(self.damage) == MAX_NOTES:
+            what = f"more than {MAX_NOTES} places are damaged; those from here on are not listed"
+        self.damage.append((offset, what))
+        self.problems.append(f"{where}, byte {offset}: {what}")
+
+
+@dataclass(frozen=True)
+class Block:
+    """Bytes with messages in them: ``heads`` (MESSAGE_HEAD) and ``offsets`` (start of each record), file order."""
+
+    data: bytes
+    heads: NDArray[np.void]
+    offsets: NDArray[np.int64]
+
+
+def text_at(data: bytes, at: int) -> tuple[str, int]:
+    """Text with its length before it, and the offset behind it.
+
+    Raises
+    ------
+    struct.error, UnicodeDecodeError
+        The data end before it does, or it is not UTF-8.
+    """
+    (n,) = struct.unpack_from("<I", data, at)
+    if at + 4 + n > len(data):
+        raise struct.error("text beyond the end of the record")
+    return data[at + 4 : at + 4 + n].decode(), at + 4 + n
+
+
+def table_at(data: bytes, at: int) -> dict[str, str]:
+    """Table of texts; raises as `text_at`."""
+    (n,) = struct.unpack_from("<I", data, at)
+    end, at, out = at + 4 + n, at + 4, {}
+    if end > len(data):
+        raise struct.error("table beyond the end of the record")
+    while at < end:
+        key, at = text_at(data, at)
+        out[key], at = text_at(data, at)
+    return out
+
+
+def _read_header(info: FileInfo, body: bytes) -> None:
+    _, at = text_at(body, 0)
+    info.library, _ = text_at(body, at)
+
+
+def _read_schema(info: FileInfo, body: bytes) -> None:
+    (number,) = struct.unpack_from("<H", body)
+    name, at = text_at(body, 2)
+    _, at = text_at(body, at)
+    (n,) = struct.unpack_from("<I", body, at)
+    info.schemas[number] = name, body[at + 4 : at + 4 + n]
+
+
+def _read_channel(info: FileInfo, body: bytes) -> None:
+    number, schema = struct.unpack_from("<HH", body)
+    topic, at = text_at(body, 4)
+    encoding, at = text_at(body, at)
+    name, definition = info.schemas.get(schema, ("", b""))
+    metadata = tuple(table_at(body, at).items())
+    info.channels[number] = Channel(number, topic, name, encoding, definition, metadata)
+
+
+def _read_metadata(info: FileInfo, body: bytes) -> None:
+    name, at = text_at(body, 0)
+    info.metadata.setdefault(name, []).append(table_at(body, at))
+
+
+def _read_attachment(info: FileInfo, body: bytes) -> None:
+    name, at = text_at(body, 16)
+    media_type, at = text_at(body, at)
+    (n,) = struct.unpack_from("<Q", body, at)
+    end = at + 8 + n
+    if end > len(body):
+        raise struct.error("attachment beyond the end of the record")
+    checksum = struct.unpack_from("<I", body, end)[0] if len(body) >= end + 4 else 0
+    if checksum and zlib.crc32(body[:end]) != checksum:
+        raise struct.error("checksum")
+    info.attachments[name] = Attachment(media_type, body[at + 8 : end])
+
+
+def _read_statistics(info: FileInfo, body: bytes) -> None:
+    (n,) = struct.unpack_from("<I", body, 42)
+    if n % 10 or 46 + n > len(body):
+        raise struct.error("counts beyond the end of the record")
+    info.statistics = dict(struct.iter_unpack("<HQ", body[46 : 46 + n]))
+
+
+SIDE_RECORDS: dict[int, Callable[[FileInfo, bytes], None]] = {
+    OP_HEADER: _read_header,
+    OP_SCHEMA: _read_schema,
+    OP_CHANNEL: _read_channel,
+    OP_METADATA: _read_metadata,
+    OP_ATTACHMENT: _read_attachment,
+    OP_STATISTICS: _read_statistics,
+}
+"""Readers of the records that are no messages."""
+
+NAMES = {
+    OP_HEADER: "header",
+    OP_SCHEMA: "schema",
+    OP_CHANNEL: "channel",
+    OP_CHUNK: "chunk",
+    OP_METADATA: "metadata record",
+    OP_ATTACHMENT: "attachment",
+    OP_INDEX: "message index",
+    OP_DATA_END: "end of the data",
+    OP_MANIFEST: "manifest",
+    OP_MESSAGE: "message",
+    OP_STATISTICS: "statistics",
+}
+"""Names of the records for messages."""
+
+
+def with_article(op: int) -> str:
+    """Name of a record with its article, for sentences."""
+    name = NAMES.get(op, "record")
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
+
+
+def read_side_record(info: FileInfo, op: int, body: bytes, where: str, offset: int) -> None:
+    """Read a record that is no message; a damaged one is noted and left out."""
+    try:
+        SIDE_RECORDS[op](info, body)
+    except (struct.error, UnicodeDecodeError):
+        info.note(where, offset, f"{with_article(op)} is damaged and left out")

@@ -1,0 +1,103 @@
+"""The summary at the end of an MCAP file: channels, counts, and the places of most records.
+
+It is used only if its checksum agrees: a place from a damaged summary would lead astray.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+from pointing_analysis.read.mcap.records import (
+    MAGIC,
+    OP_ATTACHMENT,
+    OP_ATTACHMENT_INDEX,
+    OP_CHANNEL,
+    OP_CHUNK,
+    OP_CHUNK_INDEX,
+    OP_DATA_END,
+    OP_FOOTER,
+    OP_INDEX,
+    OP_METADATA,
+    OP_METADATA_INDEX,
+    OP_SCHEMA,
+    OP_STATISTICS,
+    RECORD,
+    FileInfo,
+    read_side_record,
+)
+
+_FOOTER = struct.Struct("<QQI")
+_TAIL = RECORD.size + _FOOTER.size + len(MAGIC)
+MAX_SUMMARY = 64_000_000
+"""Largest summary that is read [byte]: that of a recording of some weeks."""
+
+
+@dataclass
+class Summary:
+    """Places of records.
+
+    Attributes
+    ----------
+    anchors : offset -> (type, length of the content) of chunks, their index records, attachments, metadata, the end of
+        the data
+    times : offset of a chunk -> log times of its first and last message [ns]
+    """
+
+    anchors: dict[int, tuple[int, int]] = field(default_factory=dict)
+    times: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+
+def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> Summary | None:
+    """Read the summary into `info`; None without one that is whole."""
+    size = stream.seek(0, os.SEEK_END)
+    if size < _TAIL + len(MAGIC):
+        return None
+    stream.seek(size - _TAIL)
+    tail = stream.read(_TAIL)
+    start, offsets, checksum = _FOOTER.unpack_from(tail, RECORD.size)
+    if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or not 0 < start < size - _TAIL:
+        return None
+    if size - start > MAX_SUMMARY or not checksum:
+        return None
+    stream.seek(start)
+    data = stream.read(size - _TAIL - start)
+    if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
+        return None
+    found, at = Summary(), 0
+    stop = offsets - start if offsets else len(data)
+    try:
+        while at + RECORD.size <= stop:
+            op, length = RECORD.unpack_from(data, at)
+            body = data[at + RECORD.size : at + RECORD.size + length]
+            if op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):
+                read_side_record(info, op, body, where, start + at)
+            else:
+                _place(found, op, body)
+            at += RECORD.size + length
+    except struct.error:
+        return None
+    stream.seek(start - RECORD.size - 4)
+    if stream.read(RECORD.size) == RECORD.pack(OP_DATA_END, 4):
+        found.anchors[start - RECORD.size - 4] = (OP_DATA_END, 4)
+    inside = (length >= 0 and at + RECORD.size + length <= start for at, (_, length) in found.anchors.items())
+    return found if all(inside) else None
+
+
+def _place(found: Summary, op: int, body: bytes) -> None:
+    if op == OP_CHUNK_INDEX:
+        first, last, at, length, n = struct.unpack_from("<QQQQI", body)
+        found.anchors[at] = (OP_CHUNK, length - RECORD.size)
+        found.times[at] = (first, last)
+        places = sorted(place for _, place in struct.iter_unpack("<HQ", body[36 : 36 + n]))
+        (total,) = struct.unpack_from("<Q", body, 36 + n)
+        ends = [*places[1:], at + length + total]
+        for place, end in zip(places, ends):
+            found.anchors[place] = (OP_INDEX, end - place - RECORD.size)
+    elif op in (OP_ATTACHMENT_INDEX, OP_METADATA_INDEX):
+        at, length = struct.unpack_from("<QQ", body)
+        kind = OP_ATTACHMENT if op == OP_ATTACHMENT_INDEX else OP_METADATA
+        found.anchors[at] = (kind, length - RECORD.size)

@@ -1,0 +1,261 @@
+"""One pass over an MCAP file: the one way in which reader, analysis, report, replay and repair get its messages.
+
+Whole files, files that were cut off, and damaged ones: `mcap_framing` finds the records, `mcap_chunks` decides by
+checksums what of a chunk is right, and every defect is noted in `FileInfo`.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+from collections.abc import Iterator
+from typing import BinaryIO
+
+import zstandard
+
+from pointing_analysis.read.mcap.chunks import Unpacked, block_of, index_times, take_apart, unpack, whole_records
+from pointing_analysis.read.mcap.framing import Frame, Framing
+from pointing_analysis.read.mcap.manifest import Manifest, decode_manifest
+from pointing_analysis.read.mcap.records import (
+    MAGIC,
+    OP_ATTACHMENT,
+    OP_CHANNEL,
+    OP_CHUNK,
+    OP_DATA_END,
+    OP_FOOTER,
+    OP_INDEX,
+    OP_MANIFEST,
+    OP_MESSAGE,
+    OP_METADATA,
+    OP_SCHEMA,
+    OP_STATISTICS,
+    RECORD,
+    SIDE_RECORDS,
+    BagError,
+    Block,
+    FileInfo,
+    LostChunk,
+    read_side_record,
+    with_article,
+)
+from pointing_analysis.read.mcap.summary import Summary, read_summary
+
+PLAIN_BLOCK = 4 << 20  # unchunked files are read in blocks of this size [byte]
+MAX_RATIO, MAX_SPARE = 100, 1 << 30
+"""A file compressed as a whole, or all chunks of one, may unpack to so many times its size, and so many bytes more."""
+
+
+class _Walk:
+    """State of one pass over one file."""
+
+    def __init__(self, stream: BinaryIO, info: FileInfo, where: str) -> None:
+        self.stream, self.info, self.where = stream, info, where
+        self.plain = bytearray()
+        self.manifest: Manifest | None = None
+        self.chunk: tuple[Frame, bytes] | None = None
+        self.indexed: list[bytes] = []
+        size = stream.seek(0, os.SEEK_END)
+        self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
+        self.summary = read_summary(stream, info, where) or Summary()
+        self.framing = Framing(stream, size, self.summary.anchors)
+
+    def blocks(self) -> Iterator[Block]:
+        """The messages of the file, in its order."""
+        cut = False
+        for frame in self.framing.frames(len(MAGIC)):
+            if frame.op == OP_INDEX and self.chunk is not None:
+                if frame.whole and frame.length <= self.info.max_chunk:
+                    self.indexed.append(self._body(frame))
+                self._defect(frame)
+                continue
+            yield from self._flush_chunk()
+            if not frame.whole and not frame.op and not frame.defect:
+                cut = True  # the magic number at the end, or fewer bytes than a record has
+                break
+            if frame.op == OP_DATA_END and frame.defect and frame.end >= self.framing.stop:
+                cut = True  # a few bytes of another record at the end of the file
+                break
+            if frame.op == OP_DATA_END or (frame.op == OP_FOOTER and frame.whole):
+                if self._data_after(frame):
+                    self.info.note(self.where, frame.at, "the end of the data stands in front of data")
+                    continue
+                self.info.finished = True
+                self._side_records_after(frame.end)
+                break
+            self._defect(frame)
+            if not frame.whole:
+                yield from self._cut_off(frame)
+                break
+            yield from self._record(frame)
+        else:
+            cut = True
+        if cut:
+            self.info.problems.append(f"{self.where}: the file has no end of its data: the recording was cut off")
+        yield from self._flush_chunk()
+        yield from self._flush_plain()
+
+    def _body(self, frame: Frame) -> bytes:
+        self.stream.seek(frame.at + RECORD.size)
+        return self.stream.read(max(frame.length, 0))  # fewer bytes than a head, in front of a record: below zero
+
+    def _defect(self, frame: Frame) -> None:
+        if frame.defect and frame.whole:
+            self.info.note(self.where, frame.at, f"{with_article(frame.op)}: {frame.defect}")
+
+    def _record(self, frame: Frame) -> Iterator[Block]:
+        op = frame.op
+        if not op and b"\x28\xb5\x2f\xfd" in self.framing.peek(frame.at, min(96, frame.end - frame.at)):
+            op = OP_CHUNK  # compressed data under a head that is not readable
+        if op == OP_CHUNK:
+            first, last = self._times(frame)
+            if self.info.unpacks(first, last):
+                self._keep_chunk(frame)
+            self.manifest = None if self.chunk is None else self.manifest
+        elif op == OP_MANIFEST:
+            self.manifest = decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
+            if self.manifest is not None and self.manifest.verified:
+                self.info.expect(self.manifest.runs)
+            if (self.manifest is None or self.manifest.damaged) and not frame.defect:
+                self.info.note(self.where, frame.at, "the manifest of a chunk is damaged")
+        elif op == OP_MESSAGE and frame.length <= self.info.max_chunk:
+            self.plain += RECORD.pack(op, frame.length) + self._body(frame)
+            if len(self.plain) > PLAIN_BLOCK:
+                yield from self._flush_plain()
+        elif op in SIDE_RECORDS and op != OP_STATISTICS and frame.length <= self.info.max_chunk:
+            read_side_record(self.info, op, self._body(frame), self.where, frame.at)
+
+    def _times(self, frame: Frame) -> tuple[int, int]:
+        if frame.at in self.summary.times:
+            return self.summary.times[frame.at]
+        head = self.framing.peek(frame.at + RECORD.size, 16)
+        return struct.unpack("<QQ", head) if len(head) == 16 else (0, 0)  # type: ignore[return-value]
+
+    def _keep_chunk(self, frame: Frame) -> None:
+        if frame.length > self.info.max_chunk:
+            reason = f"a chunk of {frame.length / 1e6:.0f} MB is larger than the limit of "
+            self._lost(frame, f"{reason}{self.info.max_chunk / 1e6:g} MB (--max-chunk)")
+        self.chunk = (frame, self._body(frame) if frame.length <= self.info.max_chunk else b"")
+
+    def _cut_off(self, frame: Frame) -> Iterator[Block]:
+        """The last record of a file that ends inside it."""
+        what = f"{self.where}: the file ends inside {with_article(frame.op)}"
+        self.info.problems.append(f"{what}: the recording was cut off")
+        if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
+            self.chunk = (frame, self._body(frame))
+            yield from self._flush_chunk()
+
+    def _lost(self, frame: Frame, reason: str) -> None:
+        self.info.note(self.where, frame.at, reason)
+        self.info.lost_chunks.append(LostChunk(frame.at, reason, index_times(self.indexed)))
+
+    def _flush_chunk(self) -> Iterator[Block]:
+        """Messages of the chunk whose index records have been read by now."""
+        if self.chunk is None:
+            return
+        (frame, body), indexed, manifest = self.chunk, self.indexed, self.manifest
+        if body:
+            block = self._content(frame, body, indexed, manifest)
+            if block is not None:
+                yield block
+        self.chunk, self.manifest, self.indexed = None, None, []
+
+    def _content(self, frame: Frame, body: bytes, indexed: list[bytes], manifest: Manifest | None) -> Block | None:
+        cut = not frame.whole and frame.defect == "cut"
+        try:
+            packed = take_apart(body, cut)
+        except BagError as error:
+            raise BagError(f"{self.where}, byte {frame.at}: {error}") from None
+        if packed is None:
+            self._lost(frame, "the head of a chunk is damaged; it is left out")
+            return None
+        found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut)
+        self.left -= len(found.content)
+        if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
+            self.left = 0
+            found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
+        if found.reason and not cut:
+            self._lost(frame, found.reason)
+        if found.whole is not None and manifest is not None:
+            return whole_records(self.info, found, manifest, self.where, frame.at)
+        if not found.content:
+            return None
+        return block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+
+    def _flush_plain(self) -> Iterator[Block]:
+        if self.plain:
+            block = block_of(self.info, bytes(self.plain), [], self.where)
+            self.plain.clear()
+            if block is not None:
+                yield block
+
+    def _data_after(self, end: Frame) -> bool:
+        """Whether an end of the data is out of place: records follow it that stand in no summary."""
+        if end.at in self.summary.anchors:
+            return False
+        for frame in self.framing.frames(end.end):
+            if not frame.whole or frame.op in (OP_DATA_END, OP_FOOTER):
+                return False
+            if frame.op in (OP_CHUNK, OP_MANIFEST, OP_MESSAGE, OP_METADATA, OP_ATTACHMENT, OP_INDEX):
+                return True
+        return False
+
+    def _side_records_after(self, at: int) -> None:
+        """Channels without a message stand only in the summary after the data; nothing verifies a damaged one."""
+        if self.summary.anchors:
+            return
+        known = dict(self.info.channels)
+        for frame in self.framing.frames(at):
+            if frame.op == OP_FOOTER or not frame.whole:
+                break
+            if frame.op in (OP_SCHEMA, OP_CHANNEL) and frame.length <= self.info.max_chunk and not frame.defect:
+                read_side_record(self.info, frame.op, self._body(frame), self.where, frame.at)
+        self.info.channels.update(known)
+
+
+def _unpacked_file(raw: BinaryIO, size: int, where: str) -> BinaryIO:
+    """A file compressed as a whole, unpacked into a nameless temporary one."""
+    limit = MAX_RATIO * size + MAX_SPARE
+    stream: BinaryIO = tempfile.TemporaryFile()  # type: ignore[assignment]  # noqa: SIM115
+    reader, total = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(raw), 0
+    try:
+        while piece := reader.read(1 << 20):
+            total += stream.write(piece)
+            if total > limit:
+                raise BagError(f"{where}: the file must unpack to at most {limit / 1e9:.1f} GB, got more")
+    except zstandard.ZstdError:
+        pass  # cut off: what there is ends inside a record, and that is noted
+    return stream
+
+
+def walk(path: str | os.PathLike[str], info: FileInfo) -> Iterator[Block]:
+    """Yield the message blocks of an MCAP file in file order, filling `info` on the way.
+
+    Parameters
+    ----------
+    path : path of a ``.mcap`` file, or of a ``.mcap.zstd`` file as ``ros2 bag record --compression-mode file`` writes
+    info : collects channels, metadata records, attachments and problems
+
+    Raises
+    ------
+    BagError
+        The file does not begin with the MCAP magic number.
+    """
+    where = os.path.basename(os.fspath(path))
+    with open(path, "rb") as raw:
+        if where.endswith((".zstd", ".zst")):
+            with _unpacked_file(raw, os.fstat(raw.fileno()).st_size, where) as stream:
+                yield from _from_start(stream, info, where)
+        else:
+            yield from _from_start(raw, info, where)
+
+
+def _from_start(stream: BinaryIO, info: FileInfo, where: str) -> Iterator[Block]:
+    stream.seek(0)
+    magic = stream.read(len(MAGIC))
+    if magic != MAGIC:
+        # A wrong byte or two of eight are damage; anything else is another kind of file.
+        if len(magic) < len(MAGIC) or sum(a != b for a, b in zip(magic, MAGIC)) > 2:
+            raise BagError(f"{where}: an MCAP file must begin with {MAGIC!r}, got {magic!r}")
+        info.note(where, 0, "the magic number is damaged")
+    yield from _Walk(stream, info, where).blocks()

@@ -1,0 +1,239 @@
+"""CDR messages with a fixed layout: encoding in place, and decoding of many at once.
+
+A stamped ROS message differs from one sample to the next only in numbers, not in shape: the frame name and the joint
+names keep their lengths. An :class:`Encoder` writes stamp and values into one buffer at fixed offsets. For reading,
+:func:`layout` derives the offsets from the first message; all messages of the same size are decoded by one numpy
+view, each is checked against the layout, and those that differ are decoded one by one.
+
+Messages are written as plain little-endian CDR (first bytes ``00 01 00 00``), alignment counted from the fifth byte.
+Times are nanoseconds since the epoch of the run's clock.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.messages.message_types import ACCEL, COLUMNS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+STAMP = struct.Struct("<iI")
+"""Seconds and nanoseconds of a stamp; it follows the encapsulation header."""
+STAMP_OFFSET = len(ENCAPSULATION)
+NS_PER_S = 1_000_000_000
+_LENGTH = struct.Struct("<I")
+_FIXED = {ACCEL: 6, VECTOR3: 3, HEADER: 0}
+_NO_VALUES: NDArray[np.float64] = np.empty(0)
+
+
+def _aligned(offset: int, size: int) -> int:
+    """Next multiple of `size`, counted from the end of the encapsulation header."""
+    return offset + (-(offset - STAMP_OFFSET)) % size
+
+
+def _padded(data: bytes, size: int) -> bytes:
+    return data + bytes(_aligned(len(data), size) - len(data))
+
+
+def _string(text: str) -> bytes:
+    raw = text.encode() + b"\x00"
+    return _LENGTH.pack(len(raw)) + raw
+
+
+def _template(type_name: str, size: int, frame_id: str) -> tuple[bytes, int]:
+    """Message of zeros, and the offset of its values."""
+    data = ENCAPSULATION + bytes(STAMP.size) + _string(frame_id)
+    if type_name == HEADER:
+        return data, len(data)
+    if type_name == JOINT_STATE:
+        data = _padded(data, 4) + _LENGTH.pack(size)
+        for i in range(size):
+            data = _padded(data, 4) + _string(JOINT_NAMES[i] if i < len(JOINT_NAMES) else f"joint_{i + 1}")
+        data = _padded(data, 4) + bytes(2 * _LENGTH.size) + _LENGTH.pack(size)  # no positions, no velocities
+    data = _padded(data, 8)
+    return data + bytes(8 * _FIXED.get(type_name, size)), len(data)
+
+
+class Encoder:
+    """Messages of one topic as bytes; stamp and values are written in place into one buffer.
+
+    Parameters
+    ----------
+    type_name : str
+        AccelStamped, Vector3Stamped, JointState (efforts) or Header.
+    size : int
+        Number of values: 6 (acceleration: linear then angular), 2 or 3 (a vector; what is left out is sent as 0), any
+        number of efforts, 0 (header).
+    frame_id : str
+        Frame in the header.
+
+    Raises
+    ------
+    ValueError
+        Another type, or a number of values that it does not have.
+
+    Examples
+    --------
+    >>> message = Encoder(VECTOR3, 2, "fsm").encode(1_002_000_000, np.array([1e-6, -2e-6]))
+    >>> message.hex(" ", 4)[:26], len(message)
+    ('00010000 01000000 80841e00', 44)
+    """
+
+    def __init__(self, type_name: str, size: int, frame_id: str) -> None:
+        if type_name not in (*_FIXED, JOINT_STATE):
+            raise ValueError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE))}, got {type_name!r}")
+        if not 0 <= size <= _FIXED.get(type_name, size):
+            raise ValueError(f"size must be 0 to {_FIXED.get(type_name)} for {type_name}, got {size}")
+        self.type_name = type_name
+        self.size = size
+        self.frame_id = frame_id
+        template, self._offset = _template(type_name, size, frame_id)
+        self._buffer = bytearray(template)
+        self._values = np.frombuffer(self._buffer, "<f8", size, self._offset) if size else _NO_VALUES
+        self._template = np.frombuffer(template, np.uint8)
+
+    @property
+    def length(self) -> int:
+        """Bytes of a message."""
+        return len(self._buffer)
+
+    def encode(self, stamp_ns: int, values: NDArray[np.float64] = _NO_VALUES) -> bytearray:
+        """Message with this stamp [ns] and `values` (size,); the next call uses the same buffer."""
+        STAMP.pack_into(self._buffer, STAMP_OFFSET, *divmod(stamp_ns, NS_PER_S))
+        self._values[:] = values
+        return self._buffer
+
+    def encode_many(self, stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Messages (n, length) of many ticks at once: the bytes that `encode` gives for each."""
+        out = np.tile(self._template, (len(stamps_ns), 1))
+        seconds, rest = np.divmod(stamps_ns, NS_PER_S)
+        out[:, 4:8] = seconds.astype("<i4")[:, None].view(np.uint8)
+        out[:, 8:12] = rest.astype("<u4")[:, None].view(np.uint8)
+        stop = self._offset + 8 * self.size
+        out[:, self._offset : stop] = np.ascontiguousarray(values, "<f8").view(np.uint8)
+        return out
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Offsets of the parts of a payload.
+
+    Attributes
+    ----------
+    size : length of the payload [byte], encapsulation header included
+    values : offset of the first float64
+    count : number of float64 values
+    lengths : offset and value of every length field; a message with others has another layout
+    order : ``<`` or ``>``
+    """
+
+    size: int
+    values: int
+    count: int
+    lengths: tuple[tuple[int, int], ...]
+    order: str
+
+
+class _Cursor:
+    """Reads length fields while keeping CDR's alignment, which counts from the end of the encapsulation header."""
+
+    def __init__(self, payload: bytes, order: str) -> None:
+        self.payload, self.order, self.at = payload, order, STAMP_OFFSET
+        self.lengths: list[tuple[int, int]] = []
+
+    def align(self, size: int) -> None:
+        self.at = _aligned(self.at, size)
+
+    def length(self) -> int:
+        self.align(4)
+        (n,) = struct.unpack_from(self.order + "I", self.payload, self.at)
+        self.lengths.append((self.at, n))
+        self.at += 4
+        return int(n)
+
+    def string(self) -> None:
+        n = self.length()
+        self.at += n
+
+    def doubles(self) -> tuple[int, int]:
+        n = self.length()
+        if n:
+            self.align(8)
+        start = self.at
+        self.at += 8 * n
+        return start, n
+
+
+def layout(schema: str, payload: bytes) -> Layout:
+    """Derive the layout of a message type from one of its messages.
+
+    Raises
+    ------
+    BagError
+        The type is not one of `COLUMNS`, the encoding is not plain CDR, or the payload is too short.
+    """
+    if schema not in COLUMNS:
+        raise BagError(f"message type must be one of {', '.join(COLUMNS)}, got {schema!r}")
+    if len(payload) < 16 or payload[0] != 0 or payload[1] not in (0, 1):
+        raise BagError(f"{schema} must be plain CDR, got {len(payload)} bytes that begin with {payload[:4].hex()}")
+    cursor = _Cursor(payload, "<" if payload[1] else ">")
+    try:
+        cursor.at = STAMP_OFFSET + STAMP.size
+        cursor.string()
+        if schema in _FIXED:
+            cursor.align(8)
+            start, count = cursor.at, _FIXED[schema]
+        else:
+            for _ in range(cursor.length()):
+                cursor.string()
+            cursor.doubles()
+            cursor.doubles()
+            start, count = cursor.doubles()
+    except struct.error:
+        start, count = len(payload), 1
+    if start + 8 * count > len(payload):
+        raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short")
+    return Layout(len(payload), start, count, tuple(cursor.lengths), cursor.order)
+
+
+def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Decode payloads of equal length.
+
+    Parameters
+    ----------
+    rows : (m, size) payload bytes
+    plan : layout of their first message
+
+    Returns
+    -------
+    stamp : (m,) header stamp [ns]
+    values : (m, count)
+    fits : (m,) False where a length field differs from the layout (the values of that row are meaningless)
+    """
+
+    def column(at: int, kind: str, n: int = 1) -> NDArray[np.generic]:
+        width = np.dtype(kind).itemsize * n
+        view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(plan.order + kind)
+        return view
+
+    fits = rows[:, 1] == (plan.order == "<")
+    for at, value in plan.lengths:
+        fits &= column(at, "u4")[:, 0] == value
+    seconds = column(STAMP_OFFSET, "i4")[:, 0].astype(np.int64)
+    stamp = seconds * NS_PER_S + column(STAMP_OFFSET + 4, "u4")[:, 0].astype(np.int64)
+    return stamp, column(plan.values, "f8", plan.count).astype(np.float64, copy=False), fits
+
+
+def decode_any(schema: str, payloads: Sequence[bytes]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
+    """Decode payloads of any lengths, one by one."""
+    stamps, values = [], []
+    for payload in payloads:
+        stamp, row, _ = decode(np.frombuffer(payload, np.uint8)[None, :], layout(schema, payload))
+        stamps.append(int(stamp[0]))
+        values.append(row[0])
+    return np.array(stamps, dtype=np.int64), values

@@ -1,0 +1,252 @@
+"""Numbers in ROS messages of any type, by the definitions that a bag carries.
+
+A definition (``ros2msg``) is text: one line a field, the types it contains after a separator. Here it is read as far as
+two or three numbers of a message can be found in its bytes (plain CDR); nothing is generated or imported.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.mcap.records import BagError
+
+SIZES = {
+    "bool": 1,
+    "byte": 1,
+    "char": 1,
+    "int8": 1,
+    "uint8": 1,
+    "int16": 2,
+    "uint16": 2,
+    "int32": 4,
+    "uint32": 4,
+    "int64": 8,
+    "uint64": 8,
+    "float32": 4,
+    "float64": 8,
+}
+FLOATS = {"float32": "f4", "float64": "f8"}
+STAMP = "builtin_interfaces/Time"
+HEADER = "std_msgs/Header"
+MAX_DEPTH = 12
+MAX_ELEMENTS = 1_000_000
+_FIELD = re.compile(
+    r"^(?P<type>[\w/]+(?:<=\d+)?)(?P<array>\[(?P<size>[<=\d]*)\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
+)
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field: type, name, number of elements (None: a single one, 0: counted in the message)."""
+
+    type: str
+    name: str
+    count: int | None
+
+
+Definitions = Mapping[str, tuple[Field, ...]]
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Two or three floats in a message type.
+
+    Attributes
+    ----------
+    path : field that holds them; empty if the message itself
+    components : names of the numbers
+    stamped : whether the message begins with a header
+    """
+
+    path: str
+    components: tuple[str, ...]
+    stamped: bool
+
+
+def short_name(schema: str) -> str:
+    """Type name without ``msg``: ``geometry_msgs/msg/Point`` is ``geometry_msgs/Point``."""
+    return schema.replace("/msg/", "/")
+
+
+def parse_definition(schema: str, text: str) -> Definitions:
+    """Types of a definition by their short names.
+
+    Examples
+    --------
+    >>> parse_definition("my/msg/Los", "float64 az\\nfloat64 el  # up")["my/Los"][1].name
+    'el'
+    """
+    types: dict[str, tuple[Field, ...]] = {
+        STAMP: (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
+        "builtin_interfaces/Duration": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
+    }
+    name = short_name(schema)
+    parts = re.split(r"^=+\s*$", text, flags=re.MULTILINE)
+    for part in parts:
+        lines = part.strip().splitlines()
+        if lines and lines[0].startswith("MSG:"):
+            name = short_name(lines.pop(0).removeprefix("MSG:").strip())
+        types[name] = tuple(_fields(lines, name.split("/")[0]))
+    return types
+
+
+def _fields(lines: list[str], package: str) -> Iterator[Field]:
+    for line in lines:
+        match = _FIELD.match(line.split("#")[0].strip())
+        if match is None or match["rest"].startswith("="):  # a comment or a constant
+            continue
+        kind = match["type"].split("<=")[0]
+        if kind == "Header":
+            kind = HEADER
+        elif kind not in SIZES and kind not in ("string", "wstring", "time", "duration") and "/" not in kind:
+            kind = f"{package}/{kind}"
+        kind = {"time": STAMP, "duration": "builtin_interfaces/Duration"}.get(kind, short_name(kind))
+        size = match["size"] or ""
+        yield Field(kind, match["name"], None if match["array"] is None else int(size) if size.isdigit() else 0)
+
+
+def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
+    """All groups of two or three floats of a message type, the least nested first."""
+    root = short_name(schema)
+    if root not in types:
+        return ()
+    fields = types[root]
+    stamped = bool(fields) and fields[0].type == HEADER
+    found = list(_groups(root, types, "", 0))
+    return tuple(Vector(path, names, stamped) for path, names in sorted(found, key=lambda f: f[0].count(".")))
+
+
+def _groups(kind: str, types: Definitions, path: str, depth: int) -> Iterator[tuple[str, tuple[str, ...]]]:
+    fields = types.get(kind, ())
+    names = tuple(f.name for f in fields if f.type in FLOATS and f.count is None)
+    if 2 <= len(names) <= 3:
+        yield path, names
+    for f in fields:
+        inner = f"{path}.{f.name}" if path else f.name
+        if f.type in FLOATS and f.count in (2, 3):
+            yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count)))
+        elif f.type in FLOATS and f.count == 0:
+            yield inner, (f"{f.name}[0]", f"{f.name}[1]")
+        elif f.count is None and f.type in types and f.type != HEADER and depth < MAX_DEPTH:
+            yield from _groups(f.type, types, inner, depth + 1)
+
+
+@dataclass
+class _Reader:
+    """Walks through a payload, remembering the length fields that fix its layout and the places of the target."""
+
+    payload: bytes
+    types: Definitions
+    target: str
+    order: str
+    at: int = 4
+    lengths: list[tuple[int, int]] = field(default_factory=list)
+    places: list[tuple[int, str]] = field(default_factory=list)
+
+    def align(self, size: int) -> None:
+        self.at += -(self.at - 4) % size
+
+    def length(self) -> int:
+        self.align(4)
+        (n,) = struct.unpack_from(self.order + "I", self.payload, self.at)
+        self.lengths.append((self.at, n))
+        self.at += 4
+        if n > len(self.payload):
+            raise struct.error("length beyond the end of the message")
+        return int(n)
+
+    def message(self, kind: str, path: str, depth: int = 0) -> bool:
+        """Walk through a message; True once the target is behind."""
+        if depth > MAX_DEPTH:
+            raise BagError(f"message type must have at most {MAX_DEPTH} levels, got more in {kind}")
+        for f in self.types[kind]:
+            inner = f"{path}.{f.name}" if path else f.name
+            count = 1 if f.count is None else f.count or self.length()
+            if count > MAX_ELEMENTS:
+                raise BagError(f"{inner} must have at most {MAX_ELEMENTS} elements, got {count}")
+            if f.type in SIZES:
+                size = SIZES[f.type]
+                if count:
+                    self.align(size)
+                wanted = inner == self.target if f.count is not None else path == self.target
+                if wanted and f.type in FLOATS:
+                    self.places += [(self.at + i * size, FLOATS[f.type]) for i in range(min(count, 3))]
+                self.at += size * count
+                if len(self.places) >= 2:
+                    return True
+                continue
+            for i in range(count):
+                if f.type in ("string", "wstring"):
+                    length = self.length()
+                    self.at += length * (4 if f.type == "wstring" else 1)
+                elif f.type not in self.types:
+                    raise BagError(f"definition must contain the type {f.type} of the field {inner}, got none")
+                elif self.message(f.type, inner if f.count is None else f"{inner}[{i}]", depth + 1):
+                    return True
+        return False
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where two numbers are in messages of one size.
+
+    Attributes
+    ----------
+    size : length of the message [byte]
+    numbers : offset and numpy type of each
+    lengths : offset and value of the length fields before them; a message with others is laid out otherwise
+    order : ``<`` or ``>``
+    """
+
+    size: int
+    numbers: tuple[tuple[int, str], ...]
+    lengths: tuple[tuple[int, int], ...]
+    order: str
+
+
+def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places:
+    """Find the first two numbers of a field in one message.
+
+    Raises
+    ------
+    BagError
+        Not plain CDR, a message that is cut short, or a field with less than two numbers.
+    """
+    if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
+        raise BagError(f"{schema} must be plain CDR, got {len(payload)} bytes that begin with {payload[:4].hex()}")
+    reader = _Reader(payload, types, path, "<" if payload[1] else ">")
+    try:
+        reader.message(short_name(schema), "")
+    except struct.error:
+        raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short") from None
+    numbers = tuple(reader.places[:2])
+    if len(numbers) < 2 or any(at + int(kind[1]) > len(payload) for at, kind in numbers):
+        raise BagError(f"{schema}: {path or 'the message'} must have two numbers, got {len(numbers)}")
+    return Places(len(payload), numbers, tuple(reader.lengths), reader.order)
+
+
+def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Numbers (m, 2) of messages (m, size) of one size, and which of them have this layout."""
+
+    def column(at: int, kind: str) -> NDArray[np.generic]:
+        width = int(kind[1])
+        view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(places.order + kind)[:, 0]
+        return view
+
+    fits = rows[:, 1] == (places.order == "<")
+    for at, value in places.lengths:
+        fits &= column(at, "u4") == value
+    return np.column_stack([column(at, kind).astype(np.float64) for at, kind in places.numbers]), fits
+
+
+def stamps(rows: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
+    """Header stamps [ns] of messages (m, size) that begin with a header."""
+    seconds = np.ascontiguousarray(rows[:, 4:8]).view(order + "i4")[:, 0].astype(np.int64)
+    rest = np.ascontiguousarray(rows[:, 8:12]).view(order + "u4")[:, 0].astype(np.int64)
+    return np.asarray(seconds * 1_000_000_000 + rest)

@@ -1,0 +1,105 @@
+"""Messages of one topic, decoded in blocks and collected in arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+import zstandard
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from pointing_analysis.read.mapped_arrays import GrowingArray
+from pointing_analysis.read.mcap.records import BODY, HEAD, BagError, Block
+from pointing_analysis.read.messages import cdr
+from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
+from pointing_analysis.read.topic import Topic, make_topic
+
+#: topics of the testbed by their name without the namespace, with the unit of their values
+KNOWN: Mapping[str, str] = MappingProxyType(
+    {
+        "isolator/accel": "m/s2, rad/s2",
+        "m1/accel": "m/s2, rad/s2",
+        "m2/accel": "m/s2, rad/s2",
+        "fsm/strain_gauge": "rad",
+        "camera/los": "rad",
+        "los_estimate": "rad",
+        "fsm/command": "rad",
+        "pma/command": "N",
+        "truth/los": "rad",
+    }
+)
+
+
+class Column:
+    """Collects the decoded messages of one topic."""
+
+    def __init__(self, name: str, schema: str) -> None:
+        self.name, self.schema = name, schema
+        self.size = 0
+        self.arrays = _nothing(len(COLUMNS[schema]))
+
+    def add(self, stamp: NDArray[np.int64], values: NDArray[np.float64], sent: NDArray[np.int64]) -> None:
+        """Append messages: stamps, values (m, k), times of publishing."""
+        width = values.shape[1]
+        if not self.size and width != self.arrays[1].columns:
+            self.arrays = _nothing(width)
+        if width != self.arrays[1].columns:
+            raise BagError(
+                f"all messages must have the same number of values, got {self.arrays[1].columns} and {width}"
+            )
+        for array, new in zip(self.arrays, (stamp, values, sent)):
+            array.append(new)
+        self.size += len(stamp)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays [byte]."""
+        return sum(array.nbytes for array in self.arrays)
+
+    def topic(self) -> Topic:
+        """The finished topic; the column is empty afterwards."""
+        columns = list(COLUMNS[self.schema])
+        stamp, values, published = (array.array() for array in self.arrays)
+        if len(columns) != values.shape[1]:
+            columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
+        self.arrays = ()
+        unit = KNOWN.get(self.name, UNITS[self.schema])
+        return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
+
+
+def _nothing(width: int) -> tuple[GrowingArray, ...]:
+    return GrowingArray(None, np.int64), GrowingArray(width), GrowingArray(None, np.int64)
+
+
+def decode_block(column: Column, block: Block, chosen: NDArray[np.bool_], packed: bool) -> None:
+    """Decode the chosen messages of a block; equal sizes go through one numpy view."""
+    buffer = np.frombuffer(block.data, np.uint8)
+    heads, offsets = block.heads[chosen], block.offsets[chosen]
+    sizes = heads["length"].astype(np.int64) - BODY
+    sent = heads["publish"].astype(np.int64)
+    if packed:
+        unzip = zstandard.ZstdDecompressor()
+        payloads = [
+            unzip.decompressobj().decompress(block.data[o + HEAD : o + HEAD + n]) for o, n in zip(offsets, sizes)
+        ]
+        buffer = np.frombuffer(b"".join(payloads), np.uint8)
+        sizes = np.array([len(p) for p in payloads], dtype=np.int64)
+        starts = np.cumsum(sizes) - sizes
+    else:
+        starts = offsets + HEAD
+    for size in np.unique(sizes):
+        same = np.flatnonzero(sizes == size)
+        begin = starts[same]
+        plan = cdr.layout(column.schema, buffer[begin[0] : begin[0] + size].tobytes())
+        rows = sliding_window_view(buffer, int(size))[begin]
+        stamp, values, fits = cdr.decode(rows, plan)
+        if fits.all():
+            column.add(stamp, values, sent[same])
+            continue
+        column.add(stamp[fits], values[fits], sent[same][fits])
+        odd = np.flatnonzero(~fits)
+        stamp, single = cdr.decode_any(column.schema, [rows[i].tobytes() for i in odd])
+        for i, row in enumerate(single):
+            column.add(stamp[i : i + 1], row[None, :], sent[same[odd[i : i + 1]]])

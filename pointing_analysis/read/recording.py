@@ -1,0 +1,53 @@
+"""What the analysis needs of a recording, wherever the samples come from: a bag of the testbed, any bag, a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.topic import Topic
+
+
+class Recording(Protocol):
+    """Topics as arrays, and what is known of the run.
+
+    :class:`pointing_analysis.read.run.Run` (a bag of the testbed) and :class:`pointing_analysis.read.series.Series`
+    (any other line of sight) have these members. The line of sight is the topic ``truth/los`` [rad]; ``parameters`` may
+    be empty.
+    """
+
+    @property
+    def path(self) -> Path:
+        """File or folder, for messages."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """What the recorder wrote about the run."""
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Defects, one sentence each."""
+
+    @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """What is known to be lost, by topic."""
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics, sorted."""
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files in the recording, by name."""
+
+    @property
+    def title(self) -> str:
+        """Short name for tables and figures."""
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the recording has a topic."""
+
+    def __getitem__(self, name: str) -> Topic:
+        """One topic."""

@@ -1,0 +1,300 @@
+"""Open a recorded run: ``Run.open(path)`` gives its topics as numpy arrays.
+
+Reads rosbag2 folders and single files in MCAP, written by this testbed or by ``ros2 bag record``: chunk compression
+zstd, lz4 or none, file-wise and message-wise zstd, split recordings, and recordings that were cut off.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import zstandard
+
+from pointing_analysis.read.mcap.bag_files import bag_files
+from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_of
+from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel, FileInfo
+from pointing_analysis.read.mcap.walk import walk
+from pointing_analysis.read.messages.message_types import COLUMNS
+from pointing_analysis.read.messages.topic_columns import KNOWN, Column, decode_block
+from pointing_analysis.read.topic import NANO, Topic
+
+MEMORY_LIMIT = 6_000_000_000
+
+
+def _repair_notes(table: Mapping[str, str]) -> list[str]:
+    """What the record of a repaired bag says, one sentence each."""
+    if not table:
+        return []
+    source = table.get("source", "another bag")
+    return [f"repaired from {source}", *(text for key, text in table.items() if key.startswith("note_"))]
+
+
+class Run:
+    """A recorded run. Open it with `Run.open`; topics are read when first asked for.
+
+    Attributes
+    ----------
+    path : the bag
+    namespace : what stands before the topic names, e.g. ``/telescope``
+    parameters : what the recorder wrote about the run (mode, loop, scenario, seed, ...), values decoded from JSON
+
+    Examples
+    --------
+    >>> Run.open("no_such_bag")
+    Traceback (most recent call last):
+    ...
+    pointing_analysis.read.mcap.records.BagError: no_such_bag: no such bag
+    """
+
+    def __init__(
+        self, path: Path, namespace: str | None, start: float, stop: float, memory_limit: int, max_chunk: int
+    ) -> None:
+        self.path = path
+        self._files = bag_files(path)
+        self._noted = dict.fromkeys(self._files.problems)  # an ordered set: some are only met when a topic is read
+        self._window = (start, stop)
+        self._limit, self._max_chunk = memory_limit, max_chunk
+        self._losses: dict[str, TopicLoss] = {}
+        self._topics: dict[str, Topic] = {}
+        self._infos: list[FileInfo] = []
+        self._asked_namespace = namespace
+        self.namespace = ""
+        self._first_pass()
+
+    @classmethod
+    def open(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        namespace: str | None = None,
+        start: float = 0.0,
+        stop: float = float("inf"),
+        memory_limit: int | None = None,
+        max_chunk: int = MAX_CHUNK,
+    ) -> Run:
+        """Open a bag.
+
+        Parameters
+        ----------
+        path : rosbag2 folder or ``.mcap`` file
+        namespace : which plant, when the bag holds several
+        start, stop : only this part of the run [s], counted from the first recorded message by recording time
+        memory_limit : bytes that the arrays may take, in memory and in mapped files (None: `MEMORY_LIMIT`, 6 GB); a
+            larger bag is read topic by topic, or in parts
+        max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
+
+        Raises
+        ------
+        BagError
+            Not a bag, no known topic in it, several plants and no `namespace`, or too large.
+        """
+        if not (math.isfinite(start) and start >= 0):
+            raise BagError(f"start must be zero or more seconds, got {start:g} s")
+        if not stop > start:
+            raise BagError(f"stop must be after start = {start:g} s, got {stop:g} s")
+        limit = MEMORY_LIMIT if memory_limit is None else memory_limit
+        return cls(Path(path), namespace, float(start), float(stop), limit, max_chunk)
+
+    # -- reading ------------------------------------------------------------------------------------------------
+
+    def _first_pass(self) -> None:
+        """Read everything if it fits; else drop the arrays again and keep only what describes the bag."""
+        columns, fits = self._pass(lambda name: True)
+        names = {c.topic for info in self._infos for c in info.channels.values()}
+        self.namespace = self._choose_namespace(names)
+        self._schemas = {
+            self.short(c.topic): c.schema
+            for info in self._infos
+            for c in info.channels.values()
+            if c.topic.startswith(self.namespace + "/")
+        }
+        found, problems = merged(self._infos)
+        repaired, _ = merged(self._infos, REPAIR_NAME)
+        self._noted.update(dict.fromkeys([*problems, *_repair_notes(repaired)]))
+        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in found.items()})
+        if fits:
+            for topic, column in columns.items():
+                if topic.startswith(self.namespace + "/"):
+                    self._topics[self.short(topic)] = self._finished(column)
+
+    def _pass(self, selects: Callable[[str], bool] | None) -> tuple[dict[str, Column], bool]:
+        """One pass over the files; returns the columns and whether they stayed inside the memory limit.
+
+        Without `selects` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
+        """
+        self._infos = []
+        columns: dict[str, Column] = {}
+        origin: int | None = None
+        ledger = LossLedger()
+        for file in self._files.files:
+            info = FileInfo(max_chunk=self._max_chunk)
+            self._infos.append(info)
+            if origin is not None:
+                info.unpacks = self._in_window(origin)
+            for block in walk(file, info):
+                if origin is None:
+                    origin = int(block.heads["log"].min())
+                    info.unpacks = self._in_window(origin)
+                if selects is None:
+                    info.unpacks = lambda first, last: False
+                    continue
+                ledger.add(info, block)
+                self._take(block, info, columns, selects, origin)
+                if sum(c.nbytes for c in columns.values()) > self._limit:
+                    return self._pass(None)[0], False
+            self._noted.update(dict.fromkeys(info.problems))
+        if selects is not None and origin is not None:
+            self._note_losses(ledger)
+        return columns, True
+
+    def _note_losses(self, ledger: LossLedger) -> None:
+        """What the bag lacks; of a part of a bag, what lies inside it."""
+        whole = self._window == (0.0, math.inf)
+        losses = ledger.losses(self._infos, self._files.counts) if whole else ledger.inner_losses(self._infos)
+        self._losses = {loss.topic: loss for loss in losses}
+        self._noted.update(dict.fromkeys(str(loss) for loss in losses))
+        if losses or any(info.damage or not info.finished for info in self._infos):
+            self._noted[f"`los-testbed bag repair {self.path}` makes a new bag of all that can be read"] = None
+
+    def _finished(self, column: Column) -> Topic:
+        """The topic of a column, with what is known to be lost before and after it."""
+        name = self.short(column.name)
+        loss = self._losses.get(column.name)
+        column.name = name
+        topic = column.topic()
+        cut = not all(info.finished for info in self._infos)
+        cut |= merged(self._infos, REPAIR_NAME)[0].get("finished") == "false"
+        unfinished = self._window[1] == math.inf and cut
+        before, after = (loss.before, loss.after) if loss is not None else (0, 0)
+        planned = self._planned(topic)
+        if unfinished and planned is not None:
+            after = max(planned - before - topic.span, 0)
+        return replace(topic, lost_before=before, lost_after=after, open_end=unfinished and planned is None)
+
+    def _planned(self, topic: Topic) -> int | None:
+        """Samples that the run was to have, by the duration in its configuration; None where it is not known."""
+        duration = self.parameters.get("duration")
+        if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not topic.period > 0:
+            return None
+        return round(duration / topic.period) if 0 < duration < 1e9 else None
+
+    def _in_window(self, origin: int) -> Callable[[int, int], bool]:
+        """Whether a chunk between two recording times [ns] can hold something of the part that was asked for."""
+        start, stop = self._window
+        if start == 0 and not np.isfinite(stop):
+            return lambda first, last: True
+        low = origin + start * NANO
+        high = origin + stop * NANO if np.isfinite(stop) else math.inf
+        return lambda first, last: last >= low and first < high
+
+    def _take(
+        self,
+        block: Block,
+        info: FileInfo,
+        columns: dict[str, Column],
+        selects: Callable[[str], bool],
+        origin: int,
+    ) -> None:
+        start, stop = self._window
+        inside = None
+        if start > 0 or np.isfinite(stop):
+            since = (block.heads["log"].astype(np.int64) - origin) / NANO
+            inside = (since >= start) & (since < stop)
+        numbers = block.heads["channel"]
+        for number in np.unique(numbers):
+            channel: Channel | None = info.channels.get(int(number))
+            if channel is None or channel.encoding != "cdr" or channel.schema not in COLUMNS:
+                continue
+            if not selects(channel.topic):
+                continue
+            chosen = numbers == number if inside is None else (numbers == number) & inside
+            if not chosen.any():
+                continue
+            column = columns.setdefault(channel.topic, Column(channel.topic, channel.schema))
+            try:
+                decode_block(column, block, chosen, self._files.message_wise)
+            except (BagError, zstandard.ZstdError) as error:
+                raise BagError(f"{self.path}: {channel.topic}: {error}") from None
+
+    def _choose_namespace(self, names: Iterable[str]) -> str:
+        found = defaultdict(set)
+        for name in names:
+            for short in KNOWN:
+                if name.endswith("/" + short):
+                    found[name[: -len(short) - 1]].add(short)
+        if self._asked_namespace is not None:
+            chosen = "/" + self._asked_namespace.strip("/") if self._asked_namespace.strip("/") else ""
+            if chosen not in found:
+                raise BagError(f"{self.path}: namespace must be one of {sorted(found)}, got {chosen!r}")
+            return chosen
+        if not found:
+            some = ", ".join(sorted(names)[:5]) or "no topics at all"
+            raise BagError(f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}")
+        if len(found) > 1:
+            raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")
+        return next(iter(found))
+
+    # -- access -------------------------------------------------------------------------------------------------
+
+    def short(self, topic: str) -> str:
+        """Name of a topic without the namespace."""
+        return topic[len(self.namespace) + 1 :]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Defects of the files, one sentence each; empty for an intact recording."""
+        return tuple(self._noted)
+
+    @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """Messages that were recorded and cannot be read, by topic; known once a topic was read."""
+        return tuple(self._losses.values())
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that can be read, without the namespace, sorted."""
+        return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.topics
+
+    def __getitem__(self, name: str) -> Topic:
+        if name in self._topics:
+            return self._topics[name]
+        if name not in self.topics:
+            raise BagError(f"{self.path}: no topic {name!r}; the bag has {', '.join(self.topics)}")
+        full = f"{self.namespace}/{name}"
+        columns, fits = self._pass(lambda topic: topic == full)
+        if not fits:
+            raise BagError(
+                f"{self.path}: {name} does not fit into the memory limit of {self._limit / 1e6:.0f} MB: open a part "
+                "with start= and stop= (seconds), or raise memory_limit="
+            )
+        topic = self._finished(columns.get(full, Column(full, self._schemas[name])))
+        if sum(t.nbytes for t in self._topics.values()) + topic.nbytes > self._limit:
+            self._topics.clear()  # keep the latest; another one is read again when asked for
+        self._topics[name] = topic
+        return topic
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files in the bag (controllers, plant parameters), by name."""
+        return MappingProxyType({k: v.data for info in self._infos for k, v in info.attachments.items()})
+
+    @property
+    def title(self) -> str:
+        """Short name for tables and figures: the loop stage where it is known, else the file name."""
+        loop = self.parameters.get("loop")
+        return f"{loop}" if loop else self.path.name
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.path)!r}, {len(self.topics)} topics, loop={self.parameters.get('loop')!r})"

@@ -1,0 +1,324 @@
+"""Any line of sight as arrays: the same metrics, verdicts and report as for a bag of the testbed.
+
+Examples
+--------
+>>> import numpy as np
+>>> t = np.arange(6000) / 512
+>>> xy = 0.05 * np.random.default_rng(1).standard_normal((6000, 2))
+>>> found = judge_series(t, xy, unit="arcsec", requirements="prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")
+>>> found.verdicts[0].status
+'compliant'
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.topic import NANO, Topic, make_topic
+from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.requirements.text import ANGLES, Requirement, load, parse
+
+LOS = "truth/los"
+"""Topic under which the analysis looks for the line of sight."""
+ORIGIN = NANO
+"""Stamp of the first sample [ns] where the time has no epoch; the stamp 0 stands for "not stamped"."""
+OFF_GRID = 0.02
+"""Part of the period by which a stamp may miss the sampling grid."""
+LONGEST = 1e9
+"""Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
+LARGEST_ANGLE = 1e9
+"""Largest sample that counts as an angle [rad]: far above any, and its square is still a number."""
+FEW = 0.01
+"""Share of the samples that may miss the grid, or fall on a place that is taken."""
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Series:
+    """A line of sight with what is known of it; a `pointing_analysis.read.recording.Recording`.
+
+    Attributes
+    ----------
+    topic : the line of sight [rad], named ``truth/los``
+    path : where it comes from
+    parameters : what is known of the run; shown in the report
+    problems : defects, one sentence each
+    attachments : none
+    """
+
+    topic: Topic
+    path: Path
+    parameters: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    problems: tuple[str, ...] = ()
+    attachments: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def losses(self) -> tuple[TopicLoss, ...]:
+        """Nothing is known of losses."""
+        return ()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics."""
+        return (LOS,)
+
+    @property
+    def title(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+    def __contains__(self, name: object) -> bool:
+        return name == LOS
+
+    def __getitem__(self, name: str) -> Topic:
+        if name != LOS:
+            raise BagError(f"{self.path}: topic must be {LOS}, got {name!r}")
+        return self.topic
+
+
+def scale_of(unit: str | None) -> float:
+    """Radians per unit.
+
+    Raises
+    ------
+    ValueError
+        No unit, or an unknown one.
+
+    Examples
+    --------
+    >>> scale_of("mrad")
+    0.001
+    """
+    if unit not in ANGLES:
+        raise ValueError(f"unit must be one of {', '.join(ANGLES)}, got {unit if unit is None else repr(unit)}")
+    return ANGLES[unit]
+
+
+def sampling_rate(rate: float | None) -> float | None:
+    """Return the rate [Hz] where it is one.
+
+    Raises
+    ------
+    ValueError
+        Not positive and finite.
+    """
+    if rate is not None and not 0 < rate < np.inf:
+        raise ValueError(f"rate must be positive [Hz], got {rate:g}")
+    return rate
+
+
+def gridded(stamps: NDArray[np.int64], rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_], tuple[str, ...]]:
+    """Put stamps with jitter on the grid of a known sampling rate.
+
+    Parameters
+    ----------
+    stamps : (n,) [ns]
+    rate : [Hz]
+
+    Returns
+    -------
+    stamps : (n,) [ns], multiples of the period after the first one
+    kept : (n,) False where another sample has the same place on the grid
+    problems : what was moved or left out
+
+    Raises
+    ------
+    ValueError
+        The stamps have another rate.
+    """
+    if stamps.size < 2:
+        return stamps, np.ones(stamps.size, bool), ()
+    period = round(NANO / rate)
+    found = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
+    typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
+    if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
+        raise ValueError(f"rate must be that of the samples, about {typical:.6g} Hz, got {rate:g} Hz")
+    place = np.rint((stamps - stamps[0]) * (rate / NANO)).astype(np.int64)
+    first = np.zeros(stamps.size, bool)
+    first[np.unique(place, return_index=True)[1]] = True
+    if (~first).sum() > FEW * stamps.size:
+        raise ValueError(
+            f"rate must fit the stamps, got {rate:g} Hz, for which {(~first).sum()} of {stamps.size} samples fall "
+            "on the same tick as another one"
+        )
+    moved = int((np.abs(stamps - stamps[0] - place * (NANO / rate)) * rate > OFF_GRID * NANO).sum())
+    notes = [f"{moved} stamps moved to the grid of {rate:g} Hz by more than 2 % of the period"] if moved else []
+    if not first.all():
+        notes.append(f"{int((~first).sum())} samples left out: another one is on the same tick of {rate:g} Hz")
+    return int(stamps[0]) + place * period, first, tuple(notes)
+
+
+def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> NDArray[np.int64]:
+    """Stamps [ns] of samples at the times `t` [s], or one period apart where there are no times.
+
+    Times that are uniform but for rounding (2 % of the period) give exactly uniform stamps.
+
+    Raises
+    ------
+    ValueError
+        Neither times nor a rate, not one time for each sample, or a time that is not finite.
+    """
+    rate = sampling_rate(rate)
+    if t is None:
+        if rate is None:
+            raise ValueError("rate must be given where the samples have no times, got none")
+        return np.asarray(ORIGIN + np.arange(n, dtype=np.int64) * round(NANO / rate))
+    times = np.asarray(t)
+    if times.dtype.kind == "M":
+        times = (times - times.min()) / np.timedelta64(1, "s") if times.size else times
+    times = times.astype(float)
+    if times.shape != (n,):
+        raise ValueError(f"t must be {n} times [s], got an array of shape {times.shape}")
+    if not np.isfinite(times).all():
+        raise ValueError(f"t must be finite, got {int((~np.isfinite(times)).sum())} of {n} times that are not")
+    if n and np.ptp(times) > LONGEST:
+        raise ValueError(f"t must be in seconds, got times over {np.ptp(times):g} s")
+    if n < 2:
+        return np.full(n, ORIGIN, dtype=np.int64)
+    since = times - times[0]
+    step = float(np.median(np.diff(since)))
+    if rate is None and step > 0:
+        place = np.rint(since / step)
+        step = float(since[-1] / place[-1]) if place[-1] > 0 else step
+        place = np.rint(since / step)
+        if np.all(np.abs(since - place * step) <= OFF_GRID * step):
+            return np.asarray(ORIGIN + place.astype(np.int64) * round(NANO * step))
+    return np.asarray(ORIGIN + np.rint((since - since.min()) * NANO).astype(np.int64))
+
+
+def make_series(
+    stamps: NDArray[np.int64],
+    xy: NDArray[np.float64],
+    *,
+    unit: str | None,
+    rate: float | None = None,
+    published: NDArray[np.int64] | None = None,
+    path: str | os.PathLike[str] = "series",
+    schema: str = "",
+    parameters: Mapping[str, Any] = _NOTHING,
+    problems: Sequence[str] = (),
+    open_end: bool = False,
+) -> Series:
+    """Line of sight from stamps and samples.
+
+    Parameters
+    ----------
+    stamps : (n,) [ns]
+    xy : (n, 2 or 3) in `unit`; a third component is not used
+    unit : one of `ANGLES`
+    rate : sampling rate [Hz] to whose grid the stamps are moved; by default they are taken as they are
+    published : (n,) [ns]; by default the stamps
+    path, schema, parameters, problems : what is known of the samples
+    open_end : whether the recording was cut off: an unknown number of samples is missing
+
+    Raises
+    ------
+    ValueError
+        Unknown unit, another rate, or samples that are not two components each.
+    """
+    values = np.asarray(xy, dtype=float)
+    if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
+        raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
+    values, notes = _angles(values[:, :2] * scale_of(unit))
+    sent = stamps if published is None else published
+    if sampling_rate(rate) is not None:
+        assert rate is not None
+        stamps, kept, moved = gridded(stamps, rate)
+        stamps, values, sent, notes = stamps[kept], values[kept], sent[kept], (*notes, *moved)
+    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent.copy())
+    topic = replace(topic, open_end=open_end)
+    about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
+    return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
+
+
+def _angles(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Samples [rad] with NaN in place of what cannot be an angle, and a note of how many there were."""
+    with np.errstate(invalid="ignore"):
+        odd: NDArray[np.bool_] = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
+    if not odd.any():
+        return values, ()
+    note = f"{int(odd.sum())} samples are infinite or above {LARGEST_ANGLE:g} rad: counted as missing"
+    return np.where(odd[:, None], np.nan, values), (note,)
+
+
+def series(
+    t: ArrayLike | None,
+    xy: ArrayLike,
+    *,
+    unit: str,
+    rate: float | None = None,
+    name: str = "series",
+) -> Series:
+    """Line of sight from arrays, for `summarise`, `judge` and `write_report`.
+
+    Parameters
+    ----------
+    t : (n,) times [s] or ``datetime64``, or None with a `rate`
+    xy : (n, 2 or 3) error of the line of sight, NaN where a sample is missing; **actual minus target**
+    unit : rad, mrad, urad, nrad, arcsec or mas
+    rate : sampling rate [Hz]; times with jitter are moved to its grid
+    name : shown in tables and report
+
+    Raises
+    ------
+    ValueError
+        Shapes, unit, times or rate do not fit.
+    """
+    values = np.asarray(xy, dtype=float)
+    if values.ndim != 2:
+        raise ValueError(f"xy must have the shape (n, 2), got {values.shape}")
+    return make_series(stamps_of(t, len(values), rate), values, unit=unit, rate=rate, path=name)
+
+
+def judge_series(
+    t: ArrayLike | None,
+    xy: ArrayLike,
+    *,
+    unit: str,
+    requirements: str | os.PathLike[str] | Sequence[Requirement | str] | None = None,
+    rate: float | None = None,
+    transient: float | None = None,
+    name: str = "series",
+) -> Summary:
+    """Metrics of a line of sight and verdicts on it, as of a bag.
+
+    Parameters
+    ----------
+    t, xy, unit, rate, name : see `series`
+    requirements : requirements or their texts, or one text, or the path of a file; by default those of the reference
+        telescope
+    transient : seconds left out at the start; by default 5 s, of less than 10 s the first half
+
+    Returns
+    -------
+    Summary, with one `Verdict` for each requirement in ``verdicts``.
+
+    Raises
+    ------
+    ValueError
+        Samples or requirements that cannot be read.
+    """
+    run = series(t, xy, unit=unit, rate=rate, name=name)
+    return summarise(run, transient=transient, requirements=_requirements(requirements))
+
+
+def _requirements(
+    given: str | os.PathLike[str] | Sequence[Requirement | str] | None,
+) -> tuple[Requirement, ...] | None:
+    if given is None:
+        return None
+    if isinstance(given, os.PathLike) or (isinstance(given, str) and "prob" not in given):
+        return load(given)
+    entries = [given] if isinstance(given, str) else given
+    return tuple(parse(entry) if isinstance(entry, str) else entry for entry in entries)

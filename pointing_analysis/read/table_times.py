@@ -1,0 +1,109 @@
+"""Times of a table: which column has them, and what its numbers mean.
+
+A column of dates (Parquet timestamps, ``datetime64``, ISO 8601 text in CSV) is read as ``datetime64[ns]``, UTC where
+it has an offset. A column of numbers is in seconds unless its name ends in another unit: ``time_ms``, ``t [us]``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.series import ORIGIN, stamps_of
+
+Column = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.datetime64]
+NAMES = ("t", "time", "timestamp", "stamp", "seconds")
+"""Names of time columns, without a unit at their end, in any case."""
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_UNIT = re.compile(r"^(.*?)(?:_(s|ms|us|ns)|\s*[\[(]\s*(s|ms|us|µs|ns)\s*[\])])$", re.IGNORECASE)
+_DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)\s*(Z|[+-]\d\d:?\d\d)?\s*")
+
+
+def base_and_unit(name: str) -> tuple[str, str]:
+    """Name of a column without its unit, and the unit of time that it names; s where it names none.
+
+    Examples
+    --------
+    >>> base_and_unit("time_ms"), base_and_unit("Time [s]"), base_and_unit("stamp")
+    (('time', 'ms'), ('Time', 's'), ('stamp', 's'))
+    """
+    found = _UNIT.match(name.strip())
+    return (found[1], (found[2] or found[3]).lower()) if found and found[1] else (name.strip(), "s")
+
+
+def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
+    """Times from ISO 8601 text; an offset from UTC is subtracted.
+
+    Raises
+    ------
+    ValueError
+        A cell that is no date with a time of day.
+
+    Examples
+    --------
+    >>> dates(["2026-11-20T12:00:00.001953125+01:00"])
+    array(['2026-11-20T11:00:00.001953125'], dtype='datetime64[ns]')
+    """
+    found = [_DATE.fullmatch(cell) for cell in cells]
+    if not cells or any(match is None for match in found):
+        raise ValueError("cells must be dates with a time of day")
+    matches = [match for match in found if match is not None]
+    moments = np.array([match[1] for match in matches], "datetime64[ns]")
+    return np.asarray(moments - np.array([_offset(match[2]) for match in matches], "timedelta64[m]"))
+
+
+def _offset(text: str | None) -> int:
+    """Minutes by which a local time is ahead of UTC."""
+    if text is None or text == "Z":
+        return 0
+    return int(text[0] + "1") * (60 * int(text[1:3]) + int(text[-2:]))
+
+
+def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None:
+    """Name of the column that has the times, or None: the only dates, else a usual name, else the first of three.
+
+    Parameters
+    ----------
+    columns : of the table, by name
+    los : names of the columns of the line of sight, empty if they were not named
+    """
+    rest = [name for name in columns if name not in los]
+    of_dates = [name for name in rest if columns[name].dtype.kind == "M"]
+    if len(of_dates) == 1:
+        return of_dates[0]
+    usual = {base_and_unit(name)[0].lower(): name for name in reversed(rest)}
+    for name in NAMES:
+        if name in usual:
+            return usual[name]
+    if len(columns) != 3 or not rest or rest[0] != next(iter(columns)):
+        return None
+    return rest[0] if not los or np.mean(np.diff(columns[rest[0]].astype(float)) > 0) > 0.9 else None
+
+
+def column_stamps(name: str, column: Column, rate: float | None) -> NDArray[np.int64]:
+    """Stamps [ns] from a time column.
+
+    Whole nanoseconds are taken as they are; other times go through `pointing_analysis.read.series.stamps_of`.
+
+    Raises
+    ------
+    ValueError
+        A time that is missing or not finite.
+    """
+    unit = base_and_unit(name)[1]
+    missing = int(np.isnat(column).sum()) if column.dtype.kind == "M" else int((~np.isfinite(column)).sum())
+    if missing:
+        raise ValueError(f"time must be there for every row, got {missing} missing in column {name}")
+    if column.dtype.kind == "M":
+        whole = column.astype("datetime64[ns]").astype(np.int64)
+    elif unit == "ns":
+        whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column.astype(float)).astype(np.int64)
+    else:
+        return stamps_of(column.astype(float) * UNITS[unit], len(column), rate)
+    since = whole - whole.min() if whole.size else whole
+    if column.dtype.kind == "M" and not (whole % 1000).any():  # the period is no whole number of microseconds
+        return stamps_of(since * 1e-9, len(since), rate)
+    return np.asarray(since + ORIGIN)

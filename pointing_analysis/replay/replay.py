@@ -1,0 +1,332 @@
+"""Replay: drive an observer and a controller with the sensors of a bag, and compare with what the bag recorded.
+
+Through the recorded controllers, the replay gives the recorded estimates and commands again, bit by bit: the proof
+that the bag holds all that the loop saw. Through others it gives what they would have estimated and commanded on the
+same sensors (open loop: the plant does not answer to the new commands).
+
+This module imports no controller: `Estimator` and `Controller` say what one must have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, empty, parts
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.topic import NANO, read_only
+from pointing_analysis.replay.gap_stepping import GapStepper
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+#: topic -> columns of the measurement vector (22)
+MEASUREMENT = {
+    "isolator/accel": slice(0, 6),
+    "m1/accel": slice(6, 12),
+    "m2/accel": slice(12, 18),
+    "camera/los": slice(18, 20),
+    "fsm/strain_gauge": slice(20, 22),
+}
+#: topic -> columns of the command vector (8)
+COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
+#: sizes of the two vectors, columns of the platform's accelerations and of the camera
+MEASUREMENTS = max(columns.stop for columns in MEASUREMENT.values())
+COMMANDS = max(columns.stop for columns in COMMAND.values())
+PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
+
+
+class Estimator(Protocol):
+    """Observer at run time, of a node as of a replay: a measurement (22,) to an estimate (2,) [rad]."""
+
+    def step(self, measurement: Floats, out: Floats) -> None:
+        """One tick: write the estimate into `out`; camera columns of `measurement` may be NaN."""
+
+    def reset(self) -> None:
+        """Back to the zero state."""
+
+
+class Controller(Protocol):
+    """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
+
+    def step(self, los_estimate: Floats, accel_Ip: Floats, out: Floats) -> None:
+        """One tick: write the command into `out`."""
+
+    def reset(self) -> None:
+        """Back to the zero state."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sensors of a run, joined by stamp.
+
+    Attributes
+    ----------
+    stamp : (n,) [ns], ticks on which every sensor is there
+    measurement : (n, 22) in the order of `MEASUREMENT`; camera columns NaN between frames and on dropped frames
+    period : tick [ns]
+    incomplete : ticks left out because a sensor is missing in the bag
+    """
+
+    stamp: Stamps
+    measurement: Floats
+    period: int
+    incomplete: int
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Estimates and commands of a replay.
+
+    Attributes
+    ----------
+    stamp : (n,) ticks of the estimates [ns]
+    estimate : (n, 2) [rad]
+    command_stamp : (m,) ticks of the commands [ns]
+    command : (m, 8) mirror angles [rad] and actuator forces [N]
+    """
+
+    stamp: Stamps
+    estimate: Floats
+    command_stamp: Stamps
+    command: Floats
+
+    def topics(self) -> dict[str, tuple[Stamps, Floats]]:
+        """Stamps and values by topic name, ready to be written into a bag."""
+        found = {"los_estimate": (self.stamp, self.estimate)}
+        for name, columns in COMMAND.items():
+            found[name] = (self.command_stamp, self.command[:, columns])
+        return found
+
+
+def _complete_ticks(run: Run) -> tuple[Stamps, int, int]:
+    """Stamps on which every sensor is there, the tick [ns], and how many ticks lack a sensor."""
+    for name, columns in MEASUREMENT.items():
+        if name not in run:
+            raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
+        if run[name].values.shape[1] < columns.stop - columns.start:
+            raise BagError(f"{run.path}: {name}: messages must have {columns.stop - columns.start} values or more")
+    fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
+    stamp = fast[0].stamp
+    for topic in fast[1:]:
+        stamp = _common(stamp, topic.stamp)
+    if not stamp.size:
+        raise BagError(f"{run.path}: the sensors must have common stamps, got none")
+    camera = run["camera/los"]
+    frame = round(camera.period * NANO) if len(camera) > 1 else 0
+    if frame:
+        # A frame that is due and not in the bag: the node never saw this tick complete, or the bag lacks the frame.
+        kept = GrowingArray(None, np.int64)
+        for part in parts(len(stamp)):
+            ticks = stamp[part]
+            due = (ticks % frame == camera.stamp[0] % frame) & (ticks >= camera.stamp[0])
+            kept.append(ticks[~due | np.isin(ticks, camera.stamp)])
+        stamp = kept.array()
+    longest = max(len(topic) for topic in fast)
+    return read_only(stamp), round(fast[0].period * NANO), longest - len(stamp)
+
+
+def sensors(run: Run) -> Sensors:
+    """Join the sensors of a run by stamp.
+
+    Raises
+    ------
+    BagError
+        A sensor topic is missing, has another number of values, or values that are not finite (camera aside).
+    """
+    stamp, period, incomplete = _complete_ticks(run)
+    measurement = empty((len(stamp), MEASUREMENTS))
+    for part in parts(len(stamp)):
+        measurement[part] = np.nan
+    for name, columns in MEASUREMENT.items():
+        topic = run[name]
+        for rows, source in common_rows(stamp, topic.stamp):
+            values = topic.values[source, : columns.stop - columns.start]
+            odd = ~np.isfinite(values).all(axis=1)
+            if odd.any() and columns != CAMERA:
+                seconds = (stamp[rows[odd][0]] - stamp[0]) / NANO
+                raise BagError(
+                    f"{run.path}: for a replay the samples of {name} must be finite, got {values[odd][0]} "
+                    f"{seconds:.3f} s after the first tick"
+                )
+            measurement[rows, columns] = values
+    return Sensors(stamp, read_only(measurement), period, incomplete)
+
+
+def _common(first: Stamps, second: Stamps) -> Stamps:
+    """Stamps that both have."""
+    kept = GrowingArray(None, np.int64)
+    for rows, _ in common_rows(first, second):
+        kept.append(first[rows])
+    return kept.array()
+
+
+def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
+    """Rows to step on: those the node acted on, as far as the bag tells; all of them if it tells nothing."""
+    kept = GrowingArray(None, np.int64)
+    for part in parts(len(stamp)):
+        rows = np.arange(part.start, part.stop)
+        kept.append(rows if done is None or not done.size else rows[_is_in(stamp[part], done)])
+    return kept.array()
+
+
+def _is_in(stamp: Stamps, done: Stamps) -> NDArray[np.bool_]:
+    low, high = np.searchsorted(done, (stamp[0], stamp[-1] + 1))
+    return np.isin(stamp, done[low:high])
+
+
+def _gaps(stamp: Stamps, period: int, part: slice) -> list[int]:
+    """Ticks missing before each one of a part."""
+    steps = np.diff(stamp[max(part.start - 1, 0) : part.stop]) // period - 1
+    return ([] if part.start else [0]) + steps.tolist()  # type: ignore[no-any-return]
+
+
+def replay(
+    run: Run,
+    estimator: Estimator,
+    controller: Controller,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Replayed:
+    """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
+
+    Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
+    step on held samples, as the node did.
+
+    Parameters
+    ----------
+    run : with the sensor topics
+    estimator, controller : both are reset first
+    progress : called with (ticks done, all ticks) about every second of the run
+    """
+    given = sensors(run)
+    recorded = run["los_estimate"].stamp if "los_estimate" in run else None
+    rows = _ticks(given.stamp, recorded)
+    stamp = _rows_of(given.stamp, rows)
+    total = 2 * len(stamp)
+    estimator.reset()
+    step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
+    estimate = _stepped(
+        lambda part: given.measurement[rows[part]], step, stamp, given.period, 2, lambda i: progress(i, total)
+    )
+    acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
+    command_stamp = _rows_of(stamp, acted)
+    controller.reset()
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + PLATFORM.stop)
+    command = _stepped(
+        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], PLATFORM]]),
+        step,
+        command_stamp,
+        given.period,
+        COMMANDS,
+        lambda i: progress(len(stamp) + i, total),
+    )
+    progress(total, total)
+    return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command))
+
+
+def _rows_of(stamp: Stamps, rows: NDArray[np.int64]) -> Stamps:
+    return by_parts(lambda part: stamp[part], rows, dtype=np.int64)
+
+
+def _stepped(
+    samples: Callable[[slice], Floats],
+    step: Callable[[Floats, int, Floats], None],
+    stamp: Stamps,
+    period: int,
+    width: int,
+    progress: Callable[[int], None],
+) -> Floats:
+    """Outputs (n, width) of a block that is stepped on samples, which are made part by part."""
+    outputs = empty((len(stamp), width))
+    for part in parts(len(stamp)):
+        given, out = samples(part), np.zeros((part.stop - part.start, width))
+        for i, gap in enumerate(_gaps(stamp, period, part)):
+            step(given[i], gap, out[i])
+            if i % 1000 == 0:
+                progress(part.start + i)
+        outputs[part] = out
+    return outputs
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Replay against recording, for one topic.
+
+    Attributes
+    ----------
+    topic : name
+    compared : ticks in both
+    different : ticks of those that differ in at least one bit
+    missing : ticks that only one of the two has
+    first : time of the first difference after the first stamp of the recording [s]; None without one
+    largest : largest absolute difference, unit of the topic
+    """
+
+    topic: str
+    compared: int
+    different: int
+    missing: int
+    first: float | None
+    largest: float
+
+    @property
+    def identical(self) -> bool:
+        """Same ticks, same bits."""
+        return self.compared > 0 and self.different == 0 and self.missing == 0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Replay against recording.
+
+    Attributes
+    ----------
+    differences : one per topic
+    incomplete : ticks that could not be replayed because a sensor is missing in the bag
+    """
+
+    differences: tuple[Difference, ...]
+    incomplete: int
+
+    @property
+    def identical(self) -> bool:
+        """Whether the replay gave the recording again, bit by bit."""
+        return bool(self.differences) and all(d.identical for d in self.differences)
+
+    def __str__(self) -> str:
+        if self.identical:
+            ticks = min(d.compared for d in self.differences)
+            return f"replay identical to the recording, bit by bit, on {ticks} ticks: the bag is complete"
+        parts = []
+        for d in self.differences:
+            if d.identical:
+                parts.append(f"{d.topic}: identical on {d.compared} ticks")
+            else:
+                begin = "" if d.first is None else f", first after {d.first:.3f} s, largest {d.largest:.3g}"
+                parts.append(f"{d.topic}: {d.different} of {d.compared} ticks differ{begin}; {d.missing} ticks missing")
+        return "; ".join(parts) or "the bag holds neither estimates nor commands to compare with"
+
+
+def compare(run: Run, replayed: Replayed) -> Comparison:
+    """Compare a replay with the estimates and commands in the bag, by the bits of each number."""
+    found = []
+    for name, (stamp, values) in replayed.topics().items():
+        if name not in run or not len(run[name]):
+            continue
+        topic = run[name]
+        compared, wrong, largest, first = 0, 0, 0.0, None
+        for i, j in common_rows(stamp, topic.stamp):
+            a = np.ascontiguousarray(values[i])
+            b = np.ascontiguousarray(topic.values[j, : values.shape[1]])
+            where = np.flatnonzero(np.any(a.view(np.int64) != b.view(np.int64), axis=1))
+            if where.size and first is None:
+                first = float((topic.stamp[j[where[0]]] - topic.stamp[0]) / NANO)
+            compared, wrong = compared + len(i), wrong + int(where.size)
+            largest = max(largest, float(np.fmax.reduce(np.abs(a - b), axis=None))) if len(a) else largest
+        lone = len(stamp) + len(topic) - 2 * compared
+        found.append(Difference(name, compared, wrong, lone, first, largest))
+    return Comparison(tuple(found), _complete_ticks(run)[2])

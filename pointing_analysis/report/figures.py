@@ -1,0 +1,360 @@
+"""Figures of the report: one function per figure; the same run gives the same SVG byte for byte."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.spectra.spectra import Line, Spectrum
+
+Floats = NDArray[np.float64]
+COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
+LIMIT = "#b00020"
+SMALLEST_LINE = 1e-3
+"""Smallest disturbance line in the picture of all runs [mas rms]: what is below are digits of the recording."""
+LOADS = {"fsm/command": "mirror", "pma/command": "forces"}
+WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
+STYLE: dict[str, Any] = {
+    "svg.hashsalt": "pointing_analysis",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.edgecolor": "#777777",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.0,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.3,
+}
+
+
+@dataclass(frozen=True)
+class RunView:
+    """All that the pictures of one run need."""
+
+    label: str
+    run: Recording
+    series: ErrorSeries
+    spectrum: Spectrum | None
+    tones: tuple[Line, ...]
+    window: float
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture with its caption and the text for those who cannot see it."""
+
+    name: str
+    title: str
+    alt: str
+    svg: bytes
+
+
+def _svg(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
+    """Draw one picture in the style of the report."""
+    settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(settings):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        draw(figure)
+        return Picture(name, title, alt, _svg(figure))
+
+
+def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, Floats]:
+    """Reduce a long signal to the smallest and largest value of each piece, so that no peak is lost."""
+    n = len(values) // points
+    if n < 3:
+        return time, values
+    m = len(values) // n
+    low, high = np.empty(m), np.empty(m)
+    for i in range(m):
+        low[i], high[i] = (reduce(values[i * n : i * n + n]) for reduce in (np.fmin.reduce, np.fmax.reduce))
+        release()
+    t = np.array(time[: m * n : n])
+    return np.repeat(t, 2), np.column_stack([low, high]).ravel()
+
+
+def _greatest(values: Floats) -> float:
+    """Largest value, NaN left out."""
+    return float(np.nanmax([np.fmax.reduce(values[part]) for part in parts(len(values))]))
+
+
+def _largest(view: RunView) -> float:
+    """Largest error of a run [rad], norm of both axes."""
+    return _greatest(metrics.radial(view.series.values))
+
+
+def legend_above(figure: Figure, axis: Axes, columns: int = 3) -> None:
+    """Legend above the picture: it never covers a curve."""
+    handles, names = axis.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=1.6, columnspacing=1.2)
+
+
+def stroke(i: int, runs: int) -> dict[str, Any]:
+    """Colour, width, gid of a run's curve: later ones are thinner, so that one that lies on another hides nothing."""
+    return {"color": COLOURS[i % 6], "linewidth": 0.9 + 0.45 * (runs - 1 - i), "gid": f"run-{i}"}
+
+
+def _panels(figure: Figure, n: int, columns: int = 1, **options: Any) -> list[Axes]:
+    rows = -(-n // columns)
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    axes = list(grid.ravel())
+    for spare in axes[n:]:
+        spare.set_visible(False)
+    return axes[:n]
+
+
+def _few_decades(axis: Axes) -> None:
+    """Readable ticks on a logarithmic x axis, also where it spans less than two decades."""
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_xlim()
+    if high < 100 * low:
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+
+
+def time_history(views: Sequence[RunView]) -> Picture:
+    """Both axes of the line of sight over time, one panel per run."""
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(views), sharex=True)
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
+            arcsec = by_parts(lambda rows: rows / RAD_PER_ARCSEC, view.series.values)
+            for i, name in enumerate(metrics.AXES):
+                t, y = envelope(view.series.time, arcsec[:, i])
+                axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
+            axis.set_title(view.label)
+            axis.set_ylabel("LOS error [arcsec]")
+        legend_above(figure, axes[0])
+        axes[-1].set_xlabel("time [s]")
+
+    alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
+        f"{v.label} reaches {_largest(v) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
+    )
+    return picture("time", "Line of sight over time", alt, 1.2 + 1.5 * len(views), draw)
+
+
+def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
+    """Path of the line of sight in the focal plane, with the circle that holds it and the circle of the APE limit."""
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(views), columns=min(2, len(views)))
+        for k, (axis, view) in enumerate(zip(axes, views)):
+            axis.set_gid(f"run-{k}")
+            arcsec = _largest(view) / RAD_PER_ARCSEC
+            unit, scale = ("arcsec", RAD_PER_ARCSEC) if arcsec >= 0.1 else ("mas", RAD_PER_MAS)
+            step = max(1, len(view.series.values) // 3000)
+            e = np.array(view.series.values[::step]) / scale
+            release()
+            largest = arcsec * RAD_PER_ARCSEC / scale
+            axis.plot(e[:, 0], e[:, 1], color=COLOURS[0], linewidth=0.5)
+            angle = np.linspace(0, 2 * np.pi, 181)
+            axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label="largest error")
+            if limit is not None and limit < 4 * arcsec:
+                axis.plot(
+                    limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g} arcsec"
+                )
+            axis.set_aspect("equal", adjustable="datalim")
+            axis.set_title(f"{view.label}\nlargest {largest:.3g} {unit}")
+            axis.set_xlabel(f"LOS x [{unit}]")
+            axis.set_ylabel(f"LOS y [{unit}]")
+            for one in (axis.xaxis, axis.yaxis):
+                one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        legend_above(figure, max(axes, key=lambda a: len(a.get_lines())))
+
+    alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
+    rows = -(-len(views) // 2)
+    return picture("trajectory", "Trajectory and its circle", alt, 4.8 if len(views) == 1 else 0.3 + 2.9 * rows, draw)
+
+
+def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
+    tones = sorted({round(line.omega / (2 * np.pi), 6) for view in views for line in view.tones})
+    for i, tone in enumerate(tones):
+        axis.axvline(
+            tone, color="#777777", lw=0.7, ls=":", zorder=0, label="disturbance lines" if i == 0 else "_nolegend_"
+        )
+
+
+def density(views: Sequence[RunView]) -> Picture:
+    """One-sided power spectral density, both axes added."""
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            if view.spectrum is not None:
+                total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
+                shown = total > 0.0  # an axis without a positive value has no logarithmic scale
+                frequency = view.spectrum.frequency[1:][shown]
+                axis.loglog(frequency, total[shown], label=view.label, **stroke(i, len(views)))
+        axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
+        _mark_tones(axis, views)
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("LOS density [mas²/Hz]")
+        legend_above(figure, axis)
+
+    alt = "Power spectral density of the line of sight against frequency on logarithmic axes"
+    return picture("psd", "Power spectral density", alt, 3.8, draw)
+
+
+def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]) -> Picture | None:
+    """LOS rms at each disturbance line, run by run, with what the model says where it was given."""
+    shown = [v for v in views if v.tones]
+    if len(views) < 2 or not shown:
+        return None
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            found = sorted(view.tones, key=lambda line: line.omega)
+            hertz = [line.omega / (2 * np.pi) for line in found]
+            rms = [line.rms / RAD_PER_MAS for line in found]
+            axis.loglog(
+                hertz,
+                rms,
+                "os^Dvx"[i % 6],
+                ms=7 - i % 4,
+                mfc="none",
+                color=COLOURS[i % 6],
+                label=view.label,
+                gid=f"run-{i}",
+            )
+            if view.label in model:
+                omega, expected = (np.asarray(x, dtype=float) for x in model[view.label])
+                axis.loglog(
+                    omega / (2 * np.pi),
+                    expected / RAD_PER_MAS,
+                    "+",
+                    ms=11,
+                    mew=0.9,
+                    color=COLOURS[i % 6],
+                    gid=f"run-{i}",
+                )
+        if model:
+            axis.plot([], [], "+", ms=9, color="#555555", label="model, no noise")
+        axis.set_ylim(bottom=max(axis.get_ylim()[0], SMALLEST_LINE))
+        _few_decades(axis)
+        axis.set_xlabel("frequency [Hz]")
+        axis.set_ylabel("LOS rms at the line [mas]")
+        legend_above(figure, axis)
+
+    alt = "Line-of-sight rms at each disturbance line, run by run: how much of each line every stage lets through"
+    return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
+
+
+def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:
+    """Share of the samples above each value, for APE or RPE, with limits and the 0.3 % level."""
+    unit, scale = ("arcsec", RAD_PER_ARCSEC) if kind == "APE" else ("mas", RAD_PER_MAS)
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        for i, view in enumerate(views):
+            e = view.series.values
+            if kind == "RPE":
+                e = metrics.rpe_instant(e, view.series.dt, view.window)
+            r = SortedValues(by_parts(lambda rows: metrics.radial(rows) / scale, e))
+            # Even steps in the logarithm of the share: the tail keeps all of its points.
+            pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
+            pick = pick[r.at(pick) > 0.0] if r.size else pick[:0]
+            axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **stroke(i, len(views)))
+        for limit in limits:
+            axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
+        axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
+        _few_decades(axis)
+        axis.set_xlabel(f"radial {kind} [{unit}]")
+        axis.set_ylabel("share of time above")
+        legend_above(figure, axis)
+
+    what = "absolute performance error" if kind == "APE" else "relative performance error"
+    alt = f"Share of time in which the {what} exceeds each value, against the limits"
+    return picture(kind.lower(), f"{kind} distribution", alt, 3.8, draw)
+
+
+def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:
+    """Commands of mirror and proof-mass actuators as a share of their authority."""
+    shown = [(v, [n for n in authority if n in v.run and len(v.run[n])]) for v in views]
+    shown = [(v, names) for v, names in shown if names]
+    if not shown:
+        return None
+    peaks = []
+
+    def draw(figure: Figure) -> None:
+        axes = _panels(figure, len(shown), sharex=True)
+        for axis, (view, names) in zip(axes, shown):
+            for i, name in enumerate(names):
+                topic = view.run[name]
+                columns = topic.values[:, :2] if name == "fsm/command" else topic.values
+                size = by_parts(lambda rows: np.abs(rows).max(axis=1), columns)
+                t, y = envelope(topic.time, size)
+                y, peak = 100 * y / authority[name], 100 * _greatest(size) / authority[name]
+                peaks.append(f"{view.label} {name} peaks at {peak:.3g} %")
+                label = f"{LOADS.get(name, name)}, peak {peak:.3g} %"
+                axis.plot(t, y, color=COLOURS[i], lw=0.8, label=label)
+            axis.axhline(100, color=LIMIT, ls="--", lw=0.9)
+            axis.set_yscale("symlog", linthresh=1.0)
+            axis.set_ylim(0, 700)
+            axis.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
+            axis.set_ylabel("% of authority")
+            axis.set_title(view.label)
+            axis.legend(loc="upper right", ncols=2, fontsize=7.5, borderaxespad=0.1)
+        axes[-1].set_xlabel("time [s]")
+
+    made = picture("commands", "Commands against their authority", "", 1.2 + 1.4 * len(shown), draw)
+    alt = "Commands as a percentage of the actuators' authority over time: " + "; ".join(peaks)
+    return Picture(made.name, made.title, alt, made.svg)
+
+
+def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> Picture | None:
+    """Histogram of times in microseconds, logarithmic counts."""
+    data = [(name, values) for name, values in histograms if values.size]
+    if not data:
+        return None
+    ranked = [SortedValues(values) for _, values in data]
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        low = min(float(v.at(0)[0]) for v in ranked)
+        high = max(v.quantile(0.9999) for v in ranked)
+        edges = np.linspace(low, max(high, low + 1), 61)
+        for i, (name, values) in enumerate(data):
+            pieces = (values[part] for part in parts(len(values)))
+            counts = sum(np.histogram(np.minimum(piece, edges[-1]), bins=edges)[0] for piece in pieces)
+            axis.stairs(counts, edges, color=COLOURS[i % 6], label=name)
+        axis.set_yscale("log")
+        axis.set_xlabel(label)
+        axis.set_ylabel("ticks")
+        legend_above(figure, axis)
+
+    alt = f"{title}: " + "; ".join(
+        f"{name} median {v.quantile(0.5):.0f}, 99.9 % {v.quantile(0.999):.0f} microseconds"
+        for (name, _), v in zip(data, ranked)
+    )
+    return picture("timing-" + label.split()[0], title, alt, 3.2, draw)

@@ -1,0 +1,291 @@
+"""One self-contained HTML page from one or several bags: opens from disk, needs no network, prints well.
+
+The page depends on the bags alone: the same bags give the same page byte for byte.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.files.atomic_output import check_output, write_text
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
+from pointing_analysis.indices.metrics import is_whole
+from pointing_analysis.indices.motion import motion_of
+from pointing_analysis.indices.telescope_values import telescope_value
+from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.report import figures
+from pointing_analysis.report.cards import css_class, digits, run_card, shown_status
+from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.figures import Picture, RunView
+from pointing_analysis.report.inline_svg import inline
+from pointing_analysis.requirements.summary import WINDOW, scenario_of, summarise_all
+from pointing_analysis.requirements.verdict import Requirement, Verdict, judge, load
+from pointing_analysis.spectra import spectra
+from pointing_analysis.spectra.moving_tones import moving_pictures
+from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+
+TEMPLATE = Path(__file__).with_name("report.html.j2")
+#: topic -> largest value that its actuator can do, a name of `telescope_value`
+AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
+#: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
+Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the requirement table, ready to print."""
+
+    run: str
+    name: str
+    text: str
+    status: str
+    css: str
+    value: str
+    bound: str
+    exceeding: str
+    effective: str
+    needed: str
+    note: str
+
+
+def _row(label: str, v: Verdict) -> Row:
+    scale, unit = v.requirement.scale, v.requirement.unit
+    needed = ""
+    if v.status == "not enough data":
+        needed = (
+            "no length of run decides it"
+            if math.isinf(v.seconds_needed)
+            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
+        )
+    return Row(
+        run=label,
+        name=v.requirement.name,
+        text=str(v.requirement),
+        status=shown_status(v),
+        css=css_class(shown_status(v)),
+        value=f"{digits(v.quantile.value / scale)} {unit}",
+        bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
+        exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
+        effective=f"{digits(v.effective)} of {digits(v.samples, 6)}",
+        needed=needed,
+        note=v.note if v.status == "not judged" else f". {v.note}" if v.note and needed else v.note,
+    )
+
+
+def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
+    """Short names of the runs, unique: the loop stage; with scenario, seed or file name where that is not enough."""
+    for make in (
+        lambda r: r.title,
+        lambda r: f"{r.title}, {scenario_of(r)}",
+        lambda r: f"{r.title}, {scenario_of(r)}, seed {r.parameters.get('seed', '')}",
+        lambda r: f"{r.title}, {r.path.name}",
+    ):
+        names = [make(r) for r in runs]
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(f"{name} ({i + 1})" for i, name in enumerate(names))
+
+
+def tones_of(run: Recording) -> NDArray[np.float64]:
+    """Disturbance lines named in the bag [rad/s], ``tones_rad_s`` and the wheel speeds; none where something moves."""
+    found: list[float] = []
+    for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
+        value = run.parameters.get(key, [])
+        value = value if isinstance(value, list) else [value]
+        found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]
+    return np.asarray(np.unique(np.array(found, dtype=float)))
+
+
+def view(run: Recording, label: str, transient: float | None = None) -> RunView:
+    """Everything the pictures need from one run."""
+    series = performance_error(run, transient)
+    try:
+        spectrum = spectra.psd(series.values, series.dt)
+    except ValueError:
+        spectrum = None  # too short or too many gaps: the page says so in place of the curve
+    tones = spectra.lines(series.values, series.dt, tones_of(run), WINDOW)
+    return RunView(label, run, series, spectrum, tones, WINDOW)
+
+
+def _authority(runs: Sequence[Recording]) -> dict[str, float]:
+    """Largest values of the command topics, of the last run."""
+    return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
+
+
+def intervals_us(run: Recording) -> NDArray[np.float64]:
+    """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
+    stamp, sent = run["truth/los"].stamp, run["truth/los"].published
+    if len(sent) < 3 or all((sent[p] - stamp[p] == sent[0] - stamp[0]).all() for p in parts(len(sent))):
+        return np.empty(0)
+    return by_parts(lambda later, earlier: (later - earlier) / 1e3, sent[1:], sent[:-1])
+
+
+def latency_us(run: Recording) -> NDArray[np.float64]:
+    """Time from the publication of a tick's sensors to that of its mirror command [us]; empty where unknown."""
+    if "fsm/command" not in run or "isolator/accel" not in run:
+        return np.empty(0)
+    sensor, command = run["isolator/accel"], run["fsm/command"]
+    delays, differs = GrowingArray(None), False
+    for i, j in common_rows(sensor.stamp, command.stamp):
+        delay = (command.published[j] - sensor.published[i]) / 1e3
+        differs |= bool(np.any(delay != 0))
+        delays.append(delay)
+    return delays.array() if differs else np.empty(0)
+
+
+def pictures(
+    views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
+) -> list[Picture]:
+    """All pictures of the page, in reading order."""
+    limits = {k: sorted({r.limit for r in requirements if r.index == k and not r.axis}) for k in ("APE", "RPE")}
+    ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
+    runs = [v.run for v in views]
+    made: list[Picture | None] = [
+        figures.time_history(views),
+        figures.trajectory(views, ape),
+        figures.density(views) if any(v.spectrum for v in views) else None,
+        cumulative(views) if any(v.spectrum for v in views) else None,
+        *moving_pictures(views, limits["RPE"]),
+        figures.by_line(views, model or {}),
+        figures.exceedance(views, "APE", limits["APE"]),
+        figures.exceedance(views, "RPE", limits["RPE"]) if all(map(_has_windows, views)) else None,
+        figures.commands(views, _authority(runs)),
+        figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
+        figures.timing(
+            [(v.label, latency_us(v.run)) for v in views], "Sensor to command", "latency sensor to command [µs]"
+        ),
+    ]
+    return [p for p in made if p is not None]
+
+
+def _has_windows(v: RunView) -> bool:
+    return v.series.duration > WINDOW and is_whole(WINDOW, v.series.dt)
+
+
+def _ratio(tone: ToneComparison) -> str:
+    if tone.in_noise or not tone.predicted:
+        return "in noise" if tone.in_noise else "–"
+    return f"{tone.ratio:.3f}" + ("" if tone.uncertainty < 5e-4 else f" ± {tone.uncertainty:.3f}")
+
+
+def _prediction(label: str, found: Prediction) -> dict[str, Any]:
+    """Table of predicted and measured tones, strongest first, ready to print."""
+    rows = [
+        {
+            "omega": f"{tone.omega:.2f}" + (f" ({tone.merged} lines)" if tone.merged > 1 else ""),
+            "hertz": f"{tone.omega / (2 * math.pi):.3f}",
+            "predicted": digits(tone.predicted / RAD_PER_MAS),
+            "measured": digits(tone.measured / RAD_PER_MAS),
+            "ratio": _ratio(tone),
+        }
+        for tone in sorted(found.tones, key=lambda tone: -tone.predicted)
+    ]
+    part = f"{digits(found.start, 6)} s to {digits(found.stop, 6)} s"
+    return {"label": label, "rows": rows, "part": part, "note": found.note}
+
+
+def render(
+    runs: Sequence[Recording],
+    *,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+    model: Model | None = None,
+    predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
+) -> str:
+    """The report as HTML text.
+
+    Parameters
+    ----------
+    runs : one or several opened bags, for instance the four loop stages
+    transient : seconds to drop at the start of each
+    requirements : by default those of the reference telescope
+    model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
+    predictions : for each run what a model predicts of its tones, or None; by default none at all
+    remarks : for each run sentences to print beside its verdict; by default none at all
+
+    Raises
+    ------
+    BagError
+        A run has no truth topic or only transient.
+    ValueError
+        No run was given, or predictions for another number of runs.
+    """
+    if not runs:
+        raise ValueError("runs must hold at least one run, got none")
+    if predictions and len(predictions) != len(runs):
+        raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
+    if remarks and len(remarks) != len(runs):
+        raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
+    chosen = load() if requirements is None else tuple(requirements)
+    names = labels(runs)
+    summaries = summarise_all(runs, transient=transient, requirements=chosen)
+    views = [view(run, name, transient) for run, name in zip(runs, names)]
+    drawn = pictures(views, chosen, model)
+    rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
+    if len(runs) > 1:  # requirements over several runs are judged once, on all of them
+        rows = [row for row in rows if row.text not in {str(r) for r in chosen if r.across_runs}]
+        rows += [_row("all runs", judge(r, runs, transient)) for r in chosen if r.across_runs]
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        title=" / ".join(names),
+        bags=list(dict.fromkeys(run.path.name for run in runs)),
+        names=names,
+        several=len(runs) > 1,
+        rows=rows,
+        cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
+        pictures=[
+            {
+                "id": p.name,
+                "title": p.title,
+                "svg": inline(p),
+            }
+            for p in drawn
+        ],
+        predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
+        no_spectrum=[v.label for v in views if v.spectrum is None],
+        untimed=[v.label for v in views if not intervals_us(v.run).size],
+    )
+
+
+def write_report(
+    runs: Sequence[Recording],
+    path: str | os.PathLike[str],
+    *,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+    model: Model | None = None,
+    predictions: Sequence[Prediction | None] = (),
+    remarks: Sequence[Sequence[str]] = (),
+) -> Path:
+    """Write the report of one or several runs; nothing is left half-written.
+
+    Parameters
+    ----------
+    runs, transient, requirements, model, predictions, remarks : see `render`
+    path : HTML file to write; an existing one is replaced
+
+    Returns
+    -------
+    The path of the file.
+    """
+    target = Path(path)
+    check_output(target, "the report")
+    page = render(
+        runs, transient=transient, requirements=requirements, model=model, predictions=predictions, remarks=remarks
+    )
+    write_text(target, page)
+    return target

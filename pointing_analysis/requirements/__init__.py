@@ -1,0 +1,1 @@
+"""Pointing requirements and verdicts."""

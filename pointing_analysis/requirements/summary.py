@@ -1,0 +1,353 @@
+"""The metrics of a run: what the command line prints and the report begins with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.errors import (
+    RAD_PER_ARCSEC,
+    RAD_PER_MAS,
+    SETTLING,
+    knowledge_error,
+    performance_error,
+)
+from pointing_analysis.indices.motion import motion_of
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
+from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.messages.topic_columns import KNOWN
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.verdict import Requirement, Verdict, judge, load
+
+WINDOW = 0.02  # [s], exposure of the reference telescope
+SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Knowledge errors of the observer: 99.7 % quantile of the AKE [arcsec] and rms of the RKE (20 ms) [mas]."""
+
+    ake_p997_arcsec: float
+    rke_rms_mas: float
+
+    @classmethod
+    def of(cls, error: NDArray[np.float64], dt: float) -> Knowledge:
+        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s].
+
+        Raises
+        ------
+        ValueError
+            Shorter than a window.
+        """
+        ake = SortedValues(metrics.radial(error)).quantile(0.997) / RAD_PER_ARCSEC
+        rke = float(np.hypot(*metrics.rpe_rms(error, dt, WINDOW))) / RAD_PER_MAS
+        return cls(float(ake), rke)
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Metrics of a performance error, as in :class:`Summary`; NaN for what needs a window and has none."""
+
+    ape_max: float
+    ape_p997: float
+    rpe_rms: float
+    rpe_p997: float
+    rpe_axis: tuple[float, float]
+    windows: int
+    windows_skipped: int
+    rpe_windows_p997: float
+
+    @classmethod
+    def of(cls, error: NDArray[np.float64], dt: float) -> Performance:
+        """Of an error (n, 2) [rad], NaN where a sample is missing, with the sampling period `dt` [s]."""
+        ape = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_ARCSEC, error))
+        nan = float("nan")
+        rms: NDArray[np.float64] = np.full(2, nan)
+        p997, of_windows, cut, skipped = nan, nan, 0, 0
+        if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
+            w = metrics.windows(error, dt, WINDOW)
+            rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
+            instant = metrics.rpe_instant(error, dt, WINDOW)
+            p997 = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)).quantile(0.997)
+            sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
+            of_windows = SortedValues(sizes).quantile(0.997)
+        return cls(
+            float(ape.at(ape.size - 1)[0]),
+            ape.quantile(0.997),
+            float(np.hypot(*rms)),
+            p997,
+            (float(rms[0]), float(rms[1])),
+            cut,
+            skipped,
+            of_windows,
+        )
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Metrics of one run.
+
+    Attributes
+    ----------
+    path, loop, mode, scenario : which run (`scenario_of`)
+    ticks : samples of the truth topic that are there or should be
+    duration : length of the recording [s]
+    transient : seconds dropped at the start
+    ape_max, ape_p997 : largest and 99.7 % radial APE [arcsec]
+    rpe_rms : radial RPE rms of disjoint 20 ms windows, window estimator [mas]
+    rpe_p997 : 99.7 % quantile of the radial RPE, over every instant of disjoint 20 ms windows [mas]
+    rpe_axis : RPE rms per axis [mas]
+    windows, windows_skipped : complete 20 ms windows, and those left out because a sample is missing
+    samples_lost : samples missing in the bag, all topics
+    lost_by_topic : the same by topic, where there are any
+    camera_dropped : camera frames that are NaN
+    knowledge : knowledge errors, None without an estimate in the bag
+    verdicts : one per requirement
+    problems : defects of the bag, one sentence each
+    losses : messages that were recorded and cannot be read, by topic
+    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
+    budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
+        tones that move
+    """
+
+    path: Path
+    loop: str
+    mode: str
+    scenario: str
+    ticks: int
+    duration: float
+    transient: float
+    ape_max: float
+    ape_p997: float
+    rpe_rms: float
+    rpe_p997: float
+    rpe_axis: tuple[float, float]
+    windows: int
+    windows_skipped: int
+    samples_lost: int
+    lost_by_topic: dict[str, int]
+    camera_dropped: int
+    knowledge: Knowledge | None
+    verdicts: tuple[Verdict, ...]
+    problems: tuple[str, ...]
+    losses: tuple[TopicLoss, ...] = ()
+    budget: ToneBudget | None = None
+    rpe_windows_p997: float = math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """Metrics for JSON; infinities and NaN become None."""
+
+        def number(x: float) -> float | None:
+            return float(f"{x:.6g}") if math.isfinite(x) else None
+
+        return {
+            "bag": str(self.path),
+            "mode": self.mode,
+            "loop": self.loop,
+            "scenario": self.scenario,
+            "ticks": self.ticks,
+            "transient_s": self.transient,
+            "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
+            "rpe_mas": {
+                "rms": number(self.rpe_rms),
+                "p997": number(self.rpe_p997),
+                "windows_p997": number(self.rpe_windows_p997),
+            },
+            "windows": self.windows,
+            "windows_skipped": self.windows_skipped,
+            "samples_lost": self.samples_lost,
+            "camera_dropped": self.camera_dropped,
+            "knowledge": None
+            if self.knowledge is None
+            else {
+                "ake_p997_arcsec": number(self.knowledge.ake_p997_arcsec),
+                "rke_rms_mas": number(self.knowledge.rke_rms_mas),
+            },
+            "requirements": [
+                {
+                    "name": v.requirement.name,
+                    "text": str(v.requirement),
+                    "status": v.status,
+                    "statement": v.statement,
+                    "quantile": number(v.quantile.value / v.requirement.scale),
+                    "upper_bound": number(v.quantile.upper / v.requirement.scale),
+                    "unit": v.requirement.unit,
+                    "exceeding": number(v.exceeding),
+                    "effective_samples": number(v.effective),
+                    "seconds_needed": number(v.seconds_needed),
+                    "missing": number(v.missing),
+                    "note": v.note,
+                }
+                for v in self.verdicts
+            ],
+            "lost_messages": {
+                loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
+                for loss in self.losses
+            },
+            "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
+            "problems": list(self.problems),
+        }
+
+
+def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Requirement, ...]:
+    """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
+    loop = run.parameters.get("loop")
+    return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
+
+
+def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
+    """Lost samples by topic, defects of the bag, dropped camera frames."""
+    lost: dict[str, int] = {}
+    problems = list(run.problems)
+    stamps = {}
+    for name in (n for n in run.topics if n in KNOWN):
+        topic = run[name]
+        state = topic.integrity
+        ends = topic.lost_before + topic.lost_after
+        if len(topic) and topic.period > 0:
+            after = round(topic.lost_after * topic.period * 1e9)
+            stamps[name] = (topic.grid_start, int(topic.stamp[-1]) + after, topic.period)
+        lost[name] = state.missing + ends
+        if topic.open_end:
+            problems.append(f"{name}: the recording was cut off, how many samples are missing at its end is not known")
+        for count, what in (
+            (state.missing, f"samples missing in {len(state.gaps)} gaps"),
+            (ends, "samples missing before the first one and after the last one"),
+            (state.duplicates, "stamps twice"),
+            (state.conflicts, "stamps with two different values (two publishers?)"),
+            (state.out_of_order, "messages out of order"),
+            (state.irregular, "intervals off the sampling grid"),
+        ):
+            if count:
+                problems.append(f"{name}: {count} {what}")
+        if state.nan and name not in SAMPLES_CAMERA_MAY_MISS:
+            problems.append(f"{name}: {state.nan} messages with NaN")
+    _add_ends(lost, problems, stamps)
+    failure = _failure(run)
+    if failure:
+        problems.append(f"the run failed: {failure}")
+    dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
+    if dropped:
+        problems.append(f"camera/los: {dropped} {'frame' if dropped == 1 else 'frames'} dropped (NaN)")
+    return {k: v for k, v in lost.items() if v}, problems, dropped
+
+
+def _failure(run: Recording) -> str:
+    """What the recorded statistics say of a run that failed; empty for one that did not."""
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant") if isinstance(statistics, dict) else None
+    return str(plant.get("failure", "")) if isinstance(plant, dict) else ""
+
+
+def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:
+    """Samples a topic lacks at the start or the end against the truth topic; one command period is no loss."""
+    if "truth/los" not in stamps:
+        return
+    first, last, _ = stamps["truth/los"]
+    for name, (begin, end, period) in stamps.items():
+        step = period * 1e9
+        if not step > 0:
+            continue
+        short = int(max(begin - first, 0) / step + 1e-6) + int(max(last - end, 0) / step + 1e-6)
+        # The command to the last sensor tick may fall after the end of the recording.
+        if short > 1:
+            lost[name] = lost.get(name, 0) + short
+            problems.append(f"{name}: {short} samples missing at the start or the end of the run")
+
+
+def _knowledge(run: Recording, transient: float | None) -> Knowledge | None:
+    try:
+        series = knowledge_error(run, transient)
+        return Knowledge.of(series.values, series.dt)
+    except ValueError:  # a BagError is one
+        return None
+
+
+def summarise(
+    run: Recording,
+    *,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+) -> Summary:
+    """Metrics and verdicts of one run.
+
+    Parameters
+    ----------
+    run : an opened bag
+    transient : seconds to drop at the start; by default the bag's ``transient_s``, else 5 s,
+        from runs shorter than 10 s their first half (:func:`pointing_analysis.indices.errors.default_transient`)
+    requirements : by default those of the reference telescope
+
+    Raises
+    ------
+    BagError
+        No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
+    """
+    chosen = applicable(load() if requirements is None else requirements, run)
+    series = performance_error(run, transient)
+    error, budget = Performance.of(series.values, series.dt), None
+    whole = metrics.is_whole(WINDOW, series.dt)
+    if whole and series.duration >= WINDOW and motion_of(run) is None:
+        budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
+    lost, problems, dropped = _integrity(run)
+    if not whole:
+        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
+    if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
+        problems.append(
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
+            f"{SETTLING:g} s (--transient SECONDS)"
+        )
+    if run.parameters.get("mode") == "replay":
+        problems.append(
+            "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
+        )
+    return Summary(
+        path=run.path,
+        loop=str(run.parameters.get("loop", "")),
+        mode=str(run.parameters.get("mode", "")),
+        scenario=scenario_of(run),
+        ticks=round((series.start + series.duration) / series.dt),
+        duration=series.start + series.duration,
+        transient=series.start,
+        **vars(error),
+        samples_lost=sum(lost.values()),
+        lost_by_topic=lost,
+        camera_dropped=dropped,
+        knowledge=_knowledge(run, transient),
+        verdicts=tuple(judge(r, [run], transient) for r in chosen),
+        problems=tuple(problems),
+        losses=run.losses,
+        budget=budget,
+    )
+
+
+def scenario_of(run: Recording) -> str:
+    """Scenario of a run; where it had a disturbance or a plant of the user, that one's name."""
+    given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))
+    return next((str(name) for name in given if name), "")
+
+
+def summarise_all(
+    runs: Sequence[Recording],
+    *,
+    transient: float | None = None,
+    requirements: Sequence[Requirement] | None = None,
+) -> list[Summary]:
+    """:func:`summarise` of each run; a requirement over several runs has the verdict on all of them in each summary.
+
+    The arguments are those of :func:`summarise`.
+    """
+    found = [summarise(run, transient=transient, requirements=requirements) for run in runs]
+    if len(runs) < 2:
+        return found
+    chosen = load() if requirements is None else requirements
+    joint = {str(r): judge(r, runs, transient) for r in chosen if r.across_runs}
+    return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in found]

@@ -1,0 +1,214 @@
+"""Pointing requirements: their text form, and files of them.
+
+The text form is the requirement form of ECSS-E-ST-60-10C::
+
+    prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
+
+    prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence
+
+``|RPE|`` is the error at every instant of disjoint windows, ``rms RPE`` one value of each window: the root mean square
+about its mean, both axes, which is what the weight W_RPE of the design weighs.
+
+The forms have an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`` for one axis), its window where it has
+one (two times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation:
+``temporal`` (default: every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over
+runs and time together).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pointing_analysis.files.structured_text import StructuredTextError, load_toml, load_yaml, read_text
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+
+ANGLES = {
+    "mas": RAD_PER_MAS,
+    "arcsec": RAD_PER_ARCSEC,
+    "nrad": 1e-9,
+    "urad": 1e-6,
+    "mrad": 1e-3,
+    "rad": 1.0,
+}
+TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
+#: index -> number of times it takes
+INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
+INTERPRETATIONS = ("temporal", "ensemble", "mixed")
+DEFAULT_FILE = Path(__file__).with_name("requirements.toml")
+_TEXT = re.compile(
+    r"prob\s*\(\s*(?P<sign>\||rms\s)\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
+    r"(?P<end>\|?)\s*<=?\s*"
+    r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]+)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
+    r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
+)
+
+
+class RequirementError(ValueError):
+    """A requirement that cannot be read; the message says what it must be and what it is."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One pointing requirement; `parse` makes it from its text.
+
+    Attributes
+    ----------
+    index : one of `INDICES`
+    axis : "" for the norm of the 2-vector, ``x`` or ``y`` for one axis
+    times : window, and separation for PDE [s]
+    limit : [rad]
+    unit : unit in which the limit is shown
+    probability, confidence : between 0 and 1
+    interpretation : temporal, ensemble or mixed
+    name : short name
+    loops : loop stages it applies to; empty for all
+    of_windows : of RPE and RKE whether each window has one value, its rms, instead of one at every instant
+    """
+
+    index: str
+    axis: str
+    times: tuple[float, ...]
+    limit: float
+    unit: str
+    probability: float
+    confidence: float
+    interpretation: str = "temporal"
+    name: str = ""
+    loops: tuple[str, ...] = ()
+    of_windows: bool = False
+
+    @property
+    def scale(self) -> float:
+        """Radians per display unit."""
+        return ANGLES[self.unit]
+
+    @property
+    def across_runs(self) -> bool:
+        """Whether it is judged on several runs together and not on each."""
+        return self.interpretation != "temporal" or self.index == "PRE"
+
+    @property
+    def quantity(self) -> str:
+        """The judged quantity, e.g. ``|RPE(20 ms)|`` or ``rms RPE(20 ms)``."""
+        times = ", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times)
+        axis = f"_{self.axis}" if self.axis else ""
+        text = f"{self.index}{axis}{f'({times})' if times else ''}"
+        return f"rms {text}" if self.of_windows else f"|{text}|"
+
+    def __str__(self) -> str:
+        tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
+        return (
+            f"prob({self.quantity} < {self.limit / self.scale:g} {self.unit}) >= {self.probability:g} "
+            f"at {100 * self.confidence:g} % confidence{tail}"
+        )
+
+
+def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
+    """Read a requirement from its text.
+
+    Raises
+    ------
+    RequirementError
+        The text has another form, or names an unknown index, unit or interpretation.
+
+    Examples
+    --------
+    >>> r = parse("prob(|RPE(20 ms)| < 40 mas) >= 99.7 % at 95 % confidence")
+    >>> print(r)
+    prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
+    """
+    m = _TEXT.fullmatch(text.strip())
+    if m is None or (m["sign"] == "|") != bool(m["end"]):
+        raise RequirementError(
+            f"requirement must read like 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence', got {text!r}"
+        )
+    index, kind = m["index"].upper(), m["kind"] or "temporal"
+    _member("index", index, INDICES)
+    of_windows = m["sign"] != "|"
+    if of_windows:
+        _member("index of rms", index, ("RPE", "RKE"))
+    _member("unit", m["unit"], ANGLES)
+    _member("interpretation", kind, INTERPRETATIONS)
+    times = tuple(_time(part) for part in (m["times"] or "").split(",") if part.strip())
+    if len(times) != INDICES[index]:
+        raise RequirementError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
+    probability, confidence = (
+        _float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
+    )
+    for what, value in (("probability", probability), ("confidence", confidence)):
+        if not 0 < value < 1:
+            raise RequirementError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
+    limit = _float(m["limit"]) * ANGLES[m["unit"]]
+    if not 0 < limit < math.inf:
+        raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
+    return Requirement(
+        index,
+        m["axis"] or "",
+        times,
+        limit,
+        m["unit"],
+        probability,
+        confidence,
+        kind,
+        name or index,
+        tuple(loops),
+        of_windows,
+    )
+
+
+def _member(what: str, value: str, known: Any) -> None:
+    if value not in known:
+        raise RequirementError(f"{what} must be one of {', '.join(known)}, got {value!r}")
+
+
+def _time(text: str) -> float:
+    m = re.fullmatch(r"\s*([\d.]+)\s*(us|ms|s|min)\s*", text)
+    if m is None or not 0 < _float(m[1]) < 1e9:
+        raise RequirementError(f"time must read like '20 ms', got {text.strip()!r}")
+    return float(m[1]) * TIMES[m[2]]
+
+
+def _float(text: str) -> float:
+    """A number, NaN where the text is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]:
+    """Read a requirement file: TOML with ``[[requirement]]`` tables, or YAML with a list ``requirement``.
+
+    Each entry has a ``text`` and may have a ``name`` and a ``loop`` (list of loop stages it applies to).
+
+    Examples
+    --------
+    >>> [r.quantity for r in load()]
+    ['|APE|', 'rms RPE(20 ms)', 'rms RPE(20 ms)']
+    """
+    file = Path(path)
+    try:
+        read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
+        content = read(read_text(file), file)
+    except StructuredTextError as error:
+        raise RequirementError(str(error)) from None
+    entries = content.get("requirement") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) and "text" in e for e in entries):
+        raise RequirementError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
+    found = []
+    for entry in entries:
+        unknown = set(entry) - {"text", "name", "loop"}
+        if unknown:
+            raise RequirementError(f"{file}: keys must be of text, name, loop, got {sorted(unknown)}")
+        loops = entry.get("loop", ())
+        loops = [loops] if isinstance(loops, str) else loops
+        if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
+            raise RequirementError(f"{file}: loop must be a name or a list of names, got {loops!r}")
+        found.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
+    return tuple(found)

@@ -1,0 +1,264 @@
+"""Pointing requirements: judge runs by them; their text form is that of :mod:`pointing_analysis.requirements.text`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.indices import confidence, metrics
+from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.read.mapped_arrays import by_parts, parts, present
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.text import DEFAULT_FILE, Requirement, RequirementError, load, parse
+
+__all__ = [
+    "DEFAULT_FILE",
+    "Requirement",
+    "RequirementError",
+    "Samples",
+    "Status",
+    "Verdict",
+    "decide",
+    "index_samples",
+    "judge",
+    "load",
+    "parse",
+]
+
+Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How runs stand against one requirement.
+
+    Attributes
+    ----------
+    status : compliant, not compliant, not enough data, or not judged (the index cannot be formed; see `note`)
+    exceeding : share of the samples above the limit
+    quantile : the required quantile with its bounds [rad]
+    samples : samples of the index
+    effective : independent samples they weigh as much as
+    seconds : length of data that was used [s]
+    seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
+    note : why it was not judged, or how many samples are missing
+    missing : samples of the index that are missing in the judged span; `decide` says how they count
+    """
+
+    requirement: Requirement
+    status: Status
+    exceeding: float
+    quantile: confidence.Quantile
+    samples: int
+    effective: float
+    seconds: float
+    seconds_needed: float
+    note: str = ""
+    missing: float = 0.0
+
+    @property
+    def keeps(self) -> bool:
+        """Whether the samples exceed the limit no more often than the requirement allows, proven or not.
+
+        Missing samples count as such that exceed it.
+        """
+        if math.isinf(self.missing):
+            return False
+        above = self.exceeding * self.samples + self.missing
+        return above <= (1 - self.requirement.probability) * (self.samples + self.missing) + 1e-9
+
+    @property
+    def statement(self) -> str:
+        """The verdict in words: of too short a run whether it keeps its limit, and what length would prove it."""
+        if self.status != "not enough data":
+            return self.status
+        if self.missing and not self.keeps:
+            what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
+            return f"not enough data: {what} missing"
+        if math.isinf(self.seconds_needed):
+            return f"{'at' if self.keeps else 'above'} its limit; no length of run decides it"
+        seconds = f"{math.ceil(self.seconds_needed)} s"
+        return (
+            f"keeps its limit; {seconds} would prove it" if self.keeps else f"above its limit; {seconds} would decide"
+        )
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of the index of one run, or of one pair of runs for the PRE.
+
+    Attributes
+    ----------
+    values : those that are there [rad]
+    effective : independent samples they weigh as much as
+    seconds : length of the data [s]
+    missing : samples missing; infinite where the recording was cut off and nothing says how many
+    """
+
+    values: NDArray[np.float64]
+    effective: float
+    seconds: float
+    missing: float = 0.0
+
+
+def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float, float]:
+    """Samples of the judged index [rad], the largest number of them that may count as independent, and those missing.
+
+    RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
+    its mean, so no more than one per window counts. Of a requirement of windows each window is one sample.
+    """
+    values, cap = _index(series.values, series.dt, requirement)
+    there = present(values)
+    if series.open_end:
+        return there, cap, math.inf
+    if not series.missing:
+        return there, cap, 0.0
+    whole, _ = _index(by_parts(np.zeros_like, series.values), series.dt, requirement)
+    return there, cap, float(len(whole) - len(there))
+
+
+def _index(e: NDArray[np.float64], dt: float, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
+    times, cap = requirement.times, math.inf
+    if requirement.of_windows:
+        return _norm(np.sqrt(metrics.windows(e, dt, times[0]).variance), requirement), cap
+    if requirement.index in ("APE", "AKE"):
+        samples = e
+    elif requirement.index in ("MPE", "MKE"):
+        samples = metrics.mpe(e, dt, times[0])
+    elif requirement.index in ("RPE", "RKE"):
+        samples = metrics.rpe_instant(e, dt, times[0])
+        cap = len(metrics.windows(e, dt, times[0]).mean)
+    else:
+        samples = metrics.pde(e, dt, times[0], times[1])
+    return _norm(samples, requirement), cap
+
+
+def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
+    """Samples of the PRE of every pair of runs: each window of the one against each of the other.
+
+    The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
+    """
+    series = [performance_error(run, transient) for run in runs]
+    found = []
+    for i, first in enumerate(series):
+        for second in series[i + 1 :]:
+            window = requirement.times[0]
+            samples = metrics.pre(first.values, second.values, first.dt, window)
+            values = _norm(samples, requirement)
+            means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
+            weight = min(confidence.effective_number(metrics.radial(m)) for m in means)
+            pairs = math.prod(int(len(s.values) * s.dt / window + 1e-9) for s in (first, second))
+            cut = first.open_end or second.open_end
+            missing = math.inf if cut else float(max(pairs - len(values), 0))
+            found.append(Samples(values, weight, first.duration + second.duration, missing))
+    return found
+
+
+def _norm(samples: NDArray[np.float64], requirement: Requirement) -> NDArray[np.float64]:
+    if requirement.axis:
+        column = metrics.AXES.index(requirement.axis)
+        return by_parts(lambda rows: np.abs(rows[:, column]), samples)
+    return metrics.radial(samples)
+
+
+def _not_judged(requirement: Requirement, why: str) -> Verdict:
+    nothing = confidence.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
+    return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
+
+
+def decide(
+    requirement: Requirement, values: NDArray[np.float64], effective: float, seconds: float, missing: float = 0.0
+) -> Verdict:
+    """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record.
+
+    Missing samples count against either verdict: for ``compliant`` each of them as one above the limit, for ``not
+    compliant`` as one below it. Where both fail, and where an unknown number is missing and the rest complies, there is
+    not enough data.
+    """
+    n = max(int(effective), 1)
+    above = sum(int(np.count_nonzero(values[part] >= requirement.limit)) for part in parts(len(values)))
+    rate = above / len(values)
+    p, c = requirement.probability, requirement.confidence
+    unknown = math.isinf(missing)
+    total = len(values) + (0.0 if unknown else missing)
+    worst, best = (1.0 if unknown else (above + missing) / total), above / total
+    # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
+    upper = confidence.exceedance_upper(math.ceil(worst * n - 1e-9), n, c)
+    lower = confidence.exceedance_lower(math.floor(best * n + 1e-9), n, c)
+    status: Status = "not enough data"
+    needed = seconds
+    if upper <= 1 - p:
+        status = "compliant"
+    elif lower > 1 - p:
+        status = "not compliant"
+    else:
+        needed = confidence.samples_to_decide(p, c, rate if unknown else worst) * seconds / effective
+    bounds = confidence.quantile(values, p, c, effective)
+    note = _missing_note(missing, total)
+    if missing:  # what is not there may lie beyond any bound
+        bounds = replace(bounds, upper=math.inf)
+    return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
+
+
+def _missing_note(missing: float, total: float) -> str:
+    if not missing:
+        return ""
+    if math.isinf(missing):
+        return "the recording was cut off, how much is missing is not known"
+    return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
+
+
+def judge(requirement: Requirement, runs: Sequence[Recording], transient: float | None = None) -> Verdict:
+    """Judge runs against one requirement.
+
+    With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
+    worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
+    puts the samples of all runs together.
+    """
+    if len(runs) < 2 and requirement.across_runs:
+        what = "PRE" if requirement.index == "PRE" else requirement.interpretation
+        return _not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
+    try:
+        collected = _collect(requirement, runs, transient)
+    except ValueError as error:
+        return _not_judged(requirement, str(error))
+    seconds = sum(one.seconds for one in collected)
+    if requirement.interpretation == "ensemble":
+        worst_of = [max(float(one.values[part].max()) for part in parts(len(one.values))) for one in collected]
+        known = [w for one, w in zip(collected, worst_of) if not one.missing or w >= requirement.limit]
+        if not known:
+            return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
+        worst = np.array(known)
+        return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
+    if requirement.interpretation == "mixed":
+        values = np.concatenate([one.values for one in collected])
+        missing = sum(one.missing for one in collected)
+        return decide(requirement, values, sum(one.effective for one in collected), seconds, missing)
+    verdicts = [decide(requirement, one.values, one.effective, one.seconds, one.missing) for one in collected]
+    order = {"not compliant": 0, "not enough data": 1, "compliant": 2, "not judged": 3}
+    return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
+
+
+def _collect(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
+    """Of each run, and for the PRE of each pair: the samples of the index."""
+    if requirement.index == "PRE":
+        return _reproducibility(requirement, runs, transient)
+    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
+    collected = []
+    for run in runs:
+        series = make(run, transient)
+        try:
+            values, cap, missing = index_samples(series, requirement)
+        except ValueError as error:
+            raise BagError(f"{run.path}: {error}") from None
+        if not values.size:
+            raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
+        effective = min(cap, confidence.effective_number(values))
+        collected.append(Samples(values, effective, series.duration, missing))
+    return collected

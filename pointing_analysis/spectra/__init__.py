@@ -1,0 +1,1 @@
+"""Spectra of the error and the tones in it."""

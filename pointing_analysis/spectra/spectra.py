@@ -1,0 +1,278 @@
+"""Spectra of the line of sight: power density, cumulative RMS, contribution of each disturbance line to the RPE.
+
+Nothing is detrended: an offset is part of the APE and stays in the spectrum at zero frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from pointing_analysis.indices import weights
+from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
+from pointing_analysis.read.topic import read_only
+
+Floats = NDArray[np.float64]
+NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
+FITTED = 20_000  # rows of a fit at a time
+MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral density.
+
+    Attributes
+    ----------
+    frequency : (m,) [Hz]
+    density : (m, 2) per axis [unit^2/Hz]; the integral over frequency is the mean square
+    segments, skipped : averaged segments, and those left out because a sample is missing
+    """
+
+    frequency: Floats
+    density: Floats
+    segments: int
+    skipped: int
+
+    @property
+    def step(self) -> float:
+        """Distance of two frequencies [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    def cumulative_rms(self, weight: ArrayLike = 1.0) -> Floats:
+        """Radial RMS of all that lies at or below each frequency: (m,), same unit as the error.
+
+        Parameters
+        ----------
+        weight : (m,) magnitude of a weight, for instance `weights.rpe_exact` for the RPE
+        """
+        total = self.density.sum(axis=1) * np.square(weight)
+        return np.asarray(np.sqrt(np.cumsum(total) * self.step))
+
+
+def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
+    """One-sided power spectral density by Welch's method (Hann window, half overlap, no detrending).
+
+    Parameters
+    ----------
+    error : (n, 2), NaN where a sample is missing
+    dt : sampling period [s]
+    segment : length of a segment [s]; cut to the length of the run
+
+    Raises
+    ------
+    ValueError
+        Fewer than 8 samples, or no segment without a missing sample.
+
+    Examples
+    --------
+    White noise of one unit rms per axis at 1 kHz has a density of 1 / 500 Hz:
+
+    >>> white = np.random.default_rng(0).standard_normal((100_000, 2))
+    >>> spectrum = psd(white, dt=1e-3, segment=0.1)
+    >>> bool(np.allclose(spectrum.density[1:-1].mean(axis=0), 1 / 500, rtol=0.02))
+    True
+    """
+    e = np.asarray(error, dtype=float)
+    n = min(max(round(segment / dt), 8), len(e))
+    if n < 8:
+        raise ValueError(f"error must have at least 8 samples for a spectrum, got {len(e)}")
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)  # Hann, periodic
+    scale = 2 * dt / np.square(window).sum()
+    density = np.zeros((n // 2 + 1, 2))
+    used = skipped = 0
+    for start in range(0, len(e) - n + 1, max(n // 2, 1)):
+        piece = np.array(e[start : start + n])
+        release()
+        if np.isnan(piece).any():
+            skipped += 1
+            continue
+        density += scale * np.square(np.abs(np.fft.rfft(piece * window[:, None], axis=0)))
+        used += 1
+    if not used:
+        raise ValueError(f"error must have a segment of {n * dt:g} s without missing samples for a spectrum, got none")
+    density /= used
+    density[0] /= 2
+    if n % 2 == 0:
+        density[-1] /= 2
+    return Spectrum(read_only(np.fft.rfftfreq(n, dt)), read_only(density), used, skipped)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A disturbance line in the error.
+
+    Attributes
+    ----------
+    omega : [rad/s]
+    amplitude : (2,) amplitude per axis, unit of the error
+    rms : radial rms of the line
+    rpe : radial RPE rms the line causes in windows of the stated length
+    merged : how many of the given tones this line stands for (the run is too short to tell them apart)
+    """
+
+    omega: float
+    amplitude: Floats
+    rms: float
+    rpe: float
+    merged: int = 1
+
+
+def _resolved(omegas: Floats, duration: float) -> list[Floats]:
+    """Group tones closer than one period over the whole run."""
+    groups: list[list[float]] = []
+    for omega in np.sort(omegas):
+        if groups and omega - groups[-1][0] < 2 * np.pi / duration:
+            groups[-1].append(float(omega))
+        else:
+            groups.append([float(omega)])
+    return [np.array(g) for g in groups]
+
+
+def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+    """Amplitude that a fit of a tone finds where there is none: noise and drift, rms over the phase, norm of both axes.
+
+    For tapered fits (`lines`). From the medians over frequencies that lie two to five whole periods in the run below
+    and above the tone, where the tone itself adds nothing; their geometric mean.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN count as zero
+    dt : [s]
+    omegas : frequencies of tones [rad/s]
+
+    Returns
+    -------
+    (k,), unit of the error; NaN for tones with less than 2.5 periods in the run, which have no such neighbours below
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).standard_normal((10_000, 2))
+    >>> bool(abs(background(noise, 1e-3, [500.0])[0] / np.sqrt(12 / 10_000) - 1) < 0.4)
+    True
+    """
+    e = np.asarray(error, dtype=float)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    present = ~np.isnan(e).any(axis=1)
+    n = len(e)
+    if n <= 2 * NEIGHBOURS[-1] or not present.any():
+        return np.full(tones.shape, np.nan)
+    w = np.where(present, _taper(n, np.arange(n)), 0.0)
+    e = np.where(present[:, None], e, 0.0)
+    e = w[:, None] * (e - w @ e / w.sum())
+    found = np.empty(tones.shape)
+    for i, omega in enumerate(tones):
+        spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
+        power = np.square(2 * np.abs(spectrum) / w.sum()).sum(axis=1) / MEDIAN
+        below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
+        found[i] = np.median(power[below]) * np.median(power[NEIGHBOURS]) if below.size else np.nan
+    return np.asarray(np.power(found, 0.25))
+
+
+def _taper(n: int, rows: NDArray[np.int64]) -> Floats:
+    """Hann weights of some of n rows."""
+    return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * (rows + 1) / (n + 1)), dtype=np.float64)
+
+
+def _fit_parts(rows: int) -> Iterator[slice]:
+    """Parts of a fit, smaller than others: each row has as many columns as there are tones."""
+    for part in parts(rows):
+        for begin in range(part.start, part.stop, FITTED):
+            yield slice(begin, min(begin + FITTED, part.stop))
+
+
+def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool = False) -> tuple[Line, ...]:
+    """Least-squares amplitudes of known tones in the error, and the RPE each causes.
+
+    All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN are left out
+    dt : [s]
+    omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
+        left out
+    window : RPE window [s]
+    taper : fit with Hann weights: a drift, too, then stays out of the tones, which are told apart less sharply
+
+    Returns
+    -------
+    Lines, largest RPE first
+
+    Examples
+    --------
+    >>> t = 1e-3 * np.arange(5000)
+    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.zeros(5000)])
+    >>> lines(tone, 1e-3, [100.0], window=0.02)[0].amplitude.round(9)
+    array([3., 0.])
+    """
+    e = np.asarray(error, dtype=float)
+    duration = dt * len(e)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)]
+    groups, centre, solution = _fit(e, dt, tones, taper)
+    if not groups:
+        return ()
+    m = len(centre)
+    amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])
+    rms = np.hypot(amplitude[:, 0], amplitude[:, 1]) / np.sqrt(2)
+    rpe = rms * weights.rpe_discrete(centre, max(round(window / dt), 1), dt)
+    order = np.argsort(-rpe, kind="stable")
+    return tuple(
+        Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
+        for i in order
+    )
+
+
+def _fit(e: Floats, dt: float, tones: Floats, taper: bool) -> tuple[list[Floats], Floats, Floats]:
+    """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
+    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
+    groups = _resolved(np.unique(tones), dt * len(e))
+    if not groups or present.sum() < 4 * len(groups) + 2:
+        return [], np.empty(0), np.empty((0, 2))
+    centre = np.array([g.mean() for g in groups])
+    k = 2 * len(centre) + 1
+    gram, right = np.zeros((k, k)), np.zeros((k, 2))
+    for part in _fit_parts(len(e)):
+        index = part.start + np.flatnonzero(present[part])
+        basis = _basis(index, dt, centre)
+        weighted = basis.T * _taper(len(e), index) if taper else basis.T
+        gram += weighted @ basis
+        right += weighted @ e[index]
+    return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
+
+
+def _basis(rows: NDArray[np.int64], dt: float, omegas: Floats) -> Floats:
+    angle = np.outer(rows * dt, omegas)
+    return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
+
+
+def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+    """The error without the tones that are fitted to it: noise and what else there is.
+
+    Parameters
+    ----------
+    error : (n, 2), rows with NaN are left out of the fit and stay NaN
+    dt : [s]
+    omegas : tone frequencies [rad/s], also those slower than one period in the run
+
+    Examples
+    --------
+    >>> t = 1e-3 * np.arange(5000)
+    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.cos(0.3 * t)])
+    >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 0.3])).max() < 1e-9)
+    True
+    """
+    e = np.asarray(error, dtype=float)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = tones[np.isfinite(tones) & (tones > 0) & (tones < np.pi / dt)]
+    groups, centre, solution = _fit(e, dt, tones, taper=False)
+    rest = empty(e.shape)
+    for part in _fit_parts(len(e)):
+        fitted = _basis(np.arange(part.start, part.stop), dt, centre) @ solution if groups else 0.0
+        rest[part] = e[part] - fitted
+    return rest

@@ -1,0 +1,203 @@
+"""Frequency response against control's and against closed forms."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import control
+import numpy as np
+import pytest
+import scipy.linalg
+from oracles.accurate_response import extended_response
+
+from lftkit import Port, StateSpace, state_space
+from lftkit.analysis.batched_linalg import largest_gains, singular_values
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
+
+
+def oscillators(n: int, zeta: float, rng: np.random.Generator):
+    w = np.geomspace(0.5, 500.0, n)
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:], A[n:, :n], A[n:, n:] = np.eye(n), -np.diag(w**2), -np.diag(2 * zeta * w)
+    B = np.vstack([np.zeros((n, 3)), rng.standard_normal((n, 3))])
+    C = np.hstack([rng.standard_normal((2, n)), np.zeros((2, n))])
+    return state_space(A, B, C, np.zeros((2, 3)), [Port("f", 3)], [Port("y", 2)])
+
+
+@pytest.mark.parametrize("zeta", [1e-4, 1e-2, 0.5])
+def test_agrees_with_control_at_and_between_resonances(zeta: float) -> None:
+    system = oscillators(20, zeta, np.random.default_rng(0))
+    data = system.data_at({})
+    omega = frequency_grid(np.linalg.eigvals(data.A), 1e-2, 1e4, points=60)
+    ours = frequency_response(data, omega)
+    theirs = control.frequency_response(system.nominal(), omega).complex.transpose(2, 0, 1)
+    size = np.abs(theirs).max(axis=(1, 2), keepdims=True)
+    assert np.max(np.abs(ours - theirs) / size) < 1e-9
+
+
+def test_a_jordan_block_falls_back_to_direct_solution() -> None:
+    """Three equal real poles in a chain have no basis of eigenvectors."""
+    A = -np.eye(3) + np.diag([1.0, 1.0], 1)
+    chain = state_space(A, [[0.0], [0.0], [1.0]], [[1.0, 0.0, 0.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
+    omega = np.geomspace(0.01, 100.0, 30)
+    expected = 1.0 / (1j * omega + 1.0) ** 3
+    np.testing.assert_allclose(frequency_response(chain.data_at({}), omega)[:, 0, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("modal", [True, False])
+def test_between_is_the_response_times_a_row_and_columns(modal: bool) -> None:
+    rng = np.random.default_rng(3)
+    A = np.diag(np.full(5, -0.2)) + np.eye(5, k=1) if not modal else rng.standard_normal((5, 5)) - 3.0 * np.eye(5)
+    B, C, D = rng.standard_normal((5, 3)), rng.standard_normal((2, 5)), rng.standard_normal((2, 3))
+    form = FrequencyResponse.of(A, B, C, D)
+    assert form.modal is modal
+    omega = np.array([0.1, 0.9, 4.0])
+    row = rng.standard_normal(2) + 1j * rng.standard_normal(2)
+    columns = rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))
+    expected = [row @ (C @ np.linalg.solve(1j * w * np.eye(5) - A, B) + D) @ x for w, x in zip(omega, columns.T)]
+    np.testing.assert_allclose(form.between(omega, row, columns), expected, rtol=1e-9)
+
+
+def test_a_torque_held_back_by_a_spring_keeps_its_digits() -> None:
+    """Between two masses on a spring an inner torque gives almost no slow motion: the modes cancel."""
+    J1, J2, k, d = 1e3, 1.0, 1e6, 1.0
+    inertia, stiffness = np.diag([J1, J2]), k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    ground = np.diag([1.0, 0.0])
+    damping = d * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-1 * ground
+    M = np.linalg.inv(inertia)
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-M @ (stiffness + ground), -M @ damping]])
+    B = np.concatenate([[0.0, 0.0], M @ [-1.0, 1.0]])[:, None]
+    system = state_space(A, B, [[1.0, 0, 0, 0]], [[0.0]], [Port("t", 1)], [Port("a", 1)])
+    omega = np.geomspace(1e-3, 1e-1, 20)
+    exact = [np.linalg.solve(-(w**2) * inertia + 1j * w * damping + stiffness + ground, [-1.0, 1.0])[0] for w in omega]
+    ours = frequency_response(system.data_at({}), omega)[:, 0, 0]
+    assert np.max(np.abs(ours - exact)) < 1e-6 * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (4, 1), (2, 7), (7, 2), (3, 5), (5, 3)])
+def test_largest_gain_is_the_first_singular_value(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(2)
+    H = rng.standard_normal((50, *shape)) + 1j * rng.standard_normal((50, *shape))
+    expected = np.array([scipy.linalg.svdvals(h) for h in H])
+    np.testing.assert_allclose(singular_values(H), expected, rtol=1e-12)
+    np.testing.assert_allclose(largest_gains(H), expected[:, 0], rtol=1e-12)
+
+
+def test_cancelling_modes_keep_their_digits() -> None:
+    """A free chain of masses, forces between neighbours: the slow modes cancel. Against extended precision."""
+    n = 5
+    k = np.geomspace(1e2, 1e5, n)
+    K = np.diag(np.append(k[1:], 0.0) + k) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -1e-5 * K - 1e-2 * np.eye(n)]])
+    inner = np.zeros((2 * n, 2))
+    inner[2 * n - 3 : 2 * n - 1, 0], inner[2 * n - 2 :, 1] = (1.0, -1.0), (1.0, -1.0)
+    C = np.eye(2 * n)[:1]
+    system = StateSpace(A, inner, C, np.zeros((1, 2)), (Port("f", 1), Port("g", 1)), (Port("y", 1),))
+    omega = np.geomspace(1e-3, 1e3, 25)
+    truth = extended_response(*system.matrices, omega)
+    assert FrequencyResponse.of(*system.matrices).modal
+    found = frequency_response(system, omega)
+    assert np.max(np.abs(found - truth) / np.abs(truth)) < 1e-9
+
+
+def test_real_poles_pairs_and_feedthrough_add_up() -> None:
+    """1 / (s + 2) + 3 s / (s^2 + 0.2 s + 25) + 0.5, in mixed coordinates."""
+    A = scipy.linalg.block_diag([[-2.0]], [[0.0, 1.0], [-25.0, -0.2]])
+    T = np.array([[1.0, 0.2, -0.3], [0.1, 1.0, 0.4], [0.5, -0.2, 1.0]])
+    inverse = np.linalg.inv(T)
+    form = FrequencyResponse.of(T @ A @ inverse, T @ [[1.0], [0.0], [1.0]], [[1.0, 0.0, 3.0]] @ inverse, [[0.5]])
+    s = 1j * np.array([0.0, 0.7, 5.0, 80.0])
+    expected = 1 / (s + 2) + 3 * s / (s**2 + 0.2 * s + 25) + 0.5
+    assert form.modal
+    np.testing.assert_allclose(form.at(s.imag)[:, 0, 0], expected, rtol=1e-13)
+    assert form.at([1.0, np.inf, -5.0])[1:].ravel() == pytest.approx([0.5, expected[2].conj()], rel=1e-13)
+
+
+def test_many_ports_are_summed_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = oscillators(6, 1e-2, np.random.default_rng(5)).data_at({})
+    omega = np.geomspace(0.1, 1e3, 37)
+    whole = FrequencyResponse.of(*data.matrices).at(omega)
+    monkeypatch.setattr("lftkit.analysis.frequency_response.MAX_ENTRIES", 40)
+    np.testing.assert_allclose(FrequencyResponse.of(*data.matrices).at(omega), whole, rtol=1e-11)
+
+
+def test_refined_solution_has_the_digits_that_the_matrices_determine() -> None:
+    """A chain of springs from 1 to 1e9 N/m: the direct solution loses what residuals in twice the precision restore."""
+    n = 8
+    k = np.geomspace(1.0, 1e9, n)
+    K = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -1e-3 * np.eye(n)]])
+    B, C, D = np.eye(2 * n)[:, -1:], np.eye(2 * n)[n - 1 : n], np.zeros((1, 1))
+    compliance = sum(Fraction(1) / Fraction(float(x)) for x in k)  # of springs in series, the far end free
+    # exact entries of A are sums of two stiffnesses, rounded; so is the reference, from those entries
+    exact = exact_static_gain(A, B, C)
+    assert float(abs(exact / compliance - 1)) < 1e-5
+    assert refined_response(A, B, C, D, 0.0).item() == pytest.approx(float(exact), rel=1e-15)
+
+
+def exact_static_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> Fraction:
+    """``-C A^-1 B`` of one input and one output by elimination with fractions."""
+    rows = [[Fraction(float(x)) for x in (*row, b)] for row, b in zip(A, B[:, 0])]
+    n = len(rows)
+    for i in range(n):
+        pivot = next(r for r in range(i, n) if rows[r][i] != 0)
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [x / rows[i][i] for x in rows[i]]
+        for r in range(n):
+            if r != i and rows[r][i] != 0:
+                rows[r] = [x - rows[r][i] * y for x, y in zip(rows[r], rows[i])]
+    return -sum((Fraction(float(c)) * row[-1] for c, row in zip(C[0], rows)), Fraction(0))
+
+
+@pytest.mark.parametrize("pole", [0.0, 2.0])
+def test_a_pole_on_the_axis_is_named(pole: float) -> None:
+    A = np.array([[0.0, 1.0], [-(pole**2), 0.0]]) if pole else np.zeros((1, 1))
+    n = len(A)
+    B, C, D = np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1))
+    system = StateSpace(A, B, C, D, (Port("u", 1),), (Port("y", 1),))
+    message = rf"omega must not be the frequency of a pole on the imaginary axis, got {pole} rad/s"
+    for call in (
+        lambda: direct_response(A, B, C, D, pole),
+        lambda: refined_response(A, B, C, D, pole),
+        lambda: FrequencyResponse.of(A, B, C, D).at([1.0, pole]),
+        lambda: frequency_response(system, [1.0, pole]),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+    beside = FrequencyResponse.of(A, B, C, D).at([pole + 1e-3])
+    assert np.abs(beside - direct_response(A, B, C, D, pole + 1e-3)).max() < 1e-12 * np.abs(beside).max()
+
+
+def test_poles_of_a_double_integrator_are_named_too() -> None:
+    """It has no modal form."""
+    A, B, C, D = np.array([[0.0, 1.0], [0.0, 0.0]]), np.eye(2)[:, 1:], np.eye(2)[:1], np.zeros((1, 1))
+    form = FrequencyResponse.of(A, B, C, D)
+    assert not form.modal and form.at([2.0]).item() == pytest.approx(-0.25)
+    with pytest.raises(ValueError, match=r"pole on the imaginary axis, got 0\.0 rad/s"):
+        form.at([0.0])
+
+
+@pytest.mark.parametrize("omega", [[[1.0]], [np.inf], [np.nan]])
+def test_frequencies_must_be_a_finite_vector(omega: list) -> None:
+    with pytest.raises(ValueError, match="omega must be a vector of finite numbers"):
+        frequency_response(oscillators(2, 0.1, np.random.default_rng(0)).data_at({}), omega)
+
+
+def test_grid_lies_on_the_resonances() -> None:
+    pole = -0.01 + 3.0j
+    grid = frequency_grid([pole, pole.conjugate()], 0.1, 10.0, points=20)
+    for offset in (-3, -2, -1, 0, 1, 2, 3):
+        assert np.min(np.abs(grid - (3.0 + 0.01 * offset))) < 1e-12
+    assert len(grid) == 27
+    assert grid[0] == 0.1 and grid[-1] == 10.0 and np.all(np.diff(grid) > 0)
+    assert len(frequency_grid([-3.0 + 3.0j, 3.0, -0.001 - 1j], 0.1, 10.0, points=20)) == 20
+    assert len(frequency_grid([], 0.1, 10.0, per_decade=30)) == 60
+    with pytest.raises(ValueError, match=r"low and high must be 0 < low < high, got 1\.0 and 0\.1"):
+        frequency_grid([pole], 1.0, 0.1)
+
+
+def test_grid_goes_around_an_undamped_pole() -> None:
+    grid = frequency_grid([2.0j, -2.0j], 0.2, 20.0, points=3)  # the middle of three points is the pole
+    nearest = np.sort(np.abs(grid - 2.0))
+    assert nearest[0] >= 2e-6 and nearest[1] < 1e-5 and grid[0] < 2.0 < grid[-1]

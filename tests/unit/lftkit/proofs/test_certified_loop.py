@@ -1,0 +1,308 @@
+"""Proofs of sampled loops: enclosures against single frequencies, known worst cases, proofs that are altered."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lftkit import Port, RealParameter, SampledSystem, UncertainSystem
+from lftkit.proofs.sampled_loop import (
+    LoopModel,
+    LoopProof,
+    Strip,
+    box_of,
+    check_loop_proof,
+    loop_model,
+    prove_level,
+)
+from lftkit.proofs.sampled_loop.bounds import member_gains
+from lftkit.proofs.sampled_loop.nominal import nominal_windows
+from lftkit.proofs.sampled_loop.polynomials import Polynomial, exponential, inverse, reciprocal
+from lftkit.proofs.state_space import ProofError
+
+DT = 0.01
+NYQUIST = math.pi / DT
+ZETA = 0.05
+
+
+def oscillator(low: float = 0.8, high: float = 1.3) -> UncertainSystem:
+    """Unit mass on a spring of uncertain stiffness k, damping 2 zeta; position by force, worst at the least k."""
+    k = RealParameter("k", 1.0, low, high)
+    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0], [-1.0, 1.0]]
+    C = [[1.0, 0.0], [1.0, 0.0]]
+    return UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("k",), (k,))
+
+
+def peak(k: float) -> float:
+    """Peak of 1 / |k - w^2 + 2 j zeta w|."""
+    return 1.0 / (2.0 * ZETA * math.sqrt(k - ZETA**2))
+
+
+def held_loop() -> tuple[UncertainSystem, SampledSystem]:
+    """The oscillator with a force command and a measured velocity, under a sampled velocity feedback with a lag."""
+    k = RealParameter("k", 1.0, 0.8, 1.3)
+    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
+    C, D = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
+    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
+    plant = UncertainSystem(A, B, C, D, inputs, outputs, ("k",), (k,))
+    law = SampledSystem([[0.8]], [[0.2]], [[-0.3]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
+    return plant, law
+
+
+def proof_of(system: UncertainSystem, level: float) -> LoopProof:
+    model = loop_model(system, DT)
+    bounds = prove_level(model, box_of(system), (0.0, NYQUIST), level)
+    assert not bounds.uncovered
+    names = tuple(p.name for p in system.parameters)
+    return LoopProof(model, names, box_of(system), (0.0, NYQUIST), level, tuple(bounds.strips))
+
+
+@pytest.fixture(scope="module")
+def proof() -> LoopProof:
+    return proof_of(oscillator(), 1.02 * peak(0.8))
+
+
+def inside(p: Polynomial, t: float, value: NDArray[np.complex128]) -> bool:
+    found = sum(c * t**k for k, c in enumerate(p.c))
+    return bool(np.all(np.abs(found - value) <= p.rad + 1e-13 * np.abs(value) + 1e-300))
+
+
+def test_polynomials_enclose_what_they_stand_for() -> None:
+    rng = np.random.default_rng(0)
+    for half in (1e-3, 0.05, 0.3):
+        middle = rng.uniform(0.0, 3.0, 4)
+        wave = exponential(middle, half * np.ones(4))
+        matrix = rng.normal(size=(4, 4)) + 3.0 * np.eye(4)
+        whole = Polynomial(np.stack([matrix, 0.3 * half * rng.normal(size=(4, 4))]).astype(complex))
+        shifted = wave + Polynomial(np.full((1, 4), 1.5, complex))
+        for t in (-1.0, -0.4, 0.0, 0.7, 1.0):
+            at = np.exp(1j * (middle + half * t))
+            assert inside(wave, t, at)
+            assert inside(reciprocal(shifted), t, 1.0 / (1.5 + at))
+            assert inside(inverse(whole), t, np.linalg.inv(whole.c[0] + t * whole.c[1]))
+            assert inside(wave * wave, t, at**2)
+            assert inside(whole @ whole, t, np.linalg.matrix_power(whole.c[0] + t * whole.c[1], 2))
+
+
+def test_what_may_be_singular_is_refused() -> None:
+    around_zero = Polynomial(np.array([[0.1], [0.2]], dtype=complex))
+    with pytest.raises(ArithmeticError, match="may be zero"):
+        reciprocal(around_zero)
+    with pytest.raises(ArithmeticError, match="may be singular"):
+        inverse(Polynomial(around_zero.c[:2, :, None]))
+
+
+@pytest.mark.parametrize("half", [0.001, 0.02])
+def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> None:
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    V = np.eye(2, dtype=complex)
+    z, e = model.responses(1.0, half, V)
+    for t in np.linspace(-1.0, 1.0, 9):
+        channels, errors = model.at(1.0 + half * t)
+        assert inside(z, float(t), channels) and inside(e, float(t), errors)
+
+
+def test_the_model_has_the_sampled_response_of_the_nominal_loop() -> None:
+    """Error by disturbance: what is sampled is stepped in time with a sinusoidal force."""
+    plant, law = held_loop()
+    omega = 0.9
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    _, errors = model.at(omega)
+    n = 2
+    data = plant.data_at({})
+    # one tick of state, held command and the force's two states exp(j w t)
+    whole = np.zeros((n + 3, n + 3))
+    whole[:n, :n], whole[:n, n], whole[:n, n + 1] = data.A, data.B[:, 1], data.B[:, 0]
+    whole[n + 1, n + 2], whole[n + 2, n + 1] = -omega, omega
+    from scipy.linalg import expm
+
+    step = expm(whole * DT)
+    x, command, filtered, force = np.zeros(n), 0.0, 0.0, np.array([1.0, 0.0])
+    found = []
+    ticks = 60000
+    for k in range(ticks):
+        measured = data.C[0] @ x
+        following = -0.3 * filtered
+        filtered = 0.8 * filtered + 0.2 * measured
+        if k >= ticks - 2 * round(2.0 * math.pi / (omega * DT)):
+            found.append((k, data.C[1] @ x))
+        after = step @ np.concatenate([x, [command], force])
+        x, force, command = after[:n], after[n + 1 :], following
+    times = np.array([k for k, _ in found]) * DT
+    basis = np.stack([np.cos(omega * times), np.sin(omega * times)], axis=1)
+    a, b = np.linalg.lstsq(basis, np.array([value for _, value in found]), rcond=None)[0]
+    assert a - 1j * b == pytest.approx(complex(errors[0, 1]), rel=2e-4)
+
+
+def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None:
+    checked = check_loop_proof(proof)
+    assert checked.band == (0.0, NYQUIST) and checked.strips == len(proof.strips)
+    truth = peak(0.8)
+    omega = math.sqrt(0.8 - 2.0 * ZETA**2)
+    assert float(member_gains(proof.model, omega, np.array([[-0.2]]))[0]) == pytest.approx(truth, rel=1e-9)
+    assert truth < proof.level
+
+
+@pytest.mark.parametrize("factor", [1.004, 0.999, 2.0])
+def test_a_proof_of_another_level_is_used_where_it_holds(proof: LoopProof, factor: float) -> None:
+    level, box = factor * peak(0.8), box_of(oscillator())
+    bounds = prove_level(proof.model, box, proof.band, level, known=proof.strips)
+    again = dataclasses.replace(proof, level=level, strips=tuple(bounds.strips))
+    if factor < 1.0:
+        assert bounds.uncovered or bounds.lower >= level
+        with pytest.raises(ProofError):
+            check_loop_proof(again)
+        return
+    assert not bounds.uncovered and check_loop_proof(again).level == level
+    kept = sum(len(strip.nodes) for strip in bounds.strips)
+    assert kept >= bounds.nodes and (factor < proof.level / peak(0.8) or bounds.nodes == 0)
+
+
+def test_no_proof_below_the_truth() -> None:
+    """A level just below the worst case: a member that exceeds it, or open parts, never a proof."""
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.85, 0.93), 0.999 * peak(0.8))
+    assert bounds.uncovered or bounds.lower >= 0.999 * peak(0.8)
+
+
+def test_an_unstable_member_is_never_covered() -> None:
+    """Negative damping beyond d = 0: a pole crosses the axis inside the box."""
+    d = RealParameter("d", 0.1, -0.02, 0.2)
+    A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
+    system = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("d",), (d,))
+    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3)
+    assert bounds.uncovered or bounds.lower >= 1e3
+
+
+def loop_eigenvalues(plant: UncertainSystem, law: SampledSystem) -> NDArray[np.complex128]:
+    """Of the nominal loop from tick to tick: plant, held command, law."""
+    from scipy.linalg import expm
+
+    data = plant.data_at({})
+    n, k = len(data.A), law.order
+    step = np.zeros((n + 1, n + 1))
+    step[:n, :n], step[:n, n] = data.A, data.B[:, 1]
+    step = expm(step * DT)
+    whole = np.zeros((n + k + 1, n + k + 1))
+    whole[:n, :n], whole[:n, n + k] = step[:n, :n], step[:n, n]
+    whole[n : n + k, :n], whole[n : n + k, n : n + k] = law.B @ data.C[:1], law.A
+    whole[n + k, :n], whole[n + k, n : n + k] = law.D @ data.C[:1], law.C
+    return np.linalg.eigvals(whole)  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("gain", [-30.0, -9.0, -1.0, -0.3, 0.05, 0.12, 1.0, 4.0, 20.0])
+def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
+    """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large."""
+    plant, law = held_loop()
+    law = SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
+    radius = float(np.abs(loop_eigenvalues(plant, law)).max())
+    assert abs(radius - 1.0) > 1e-5
+    windows = nominal_windows(loop_model(plant, DT, law, commands=["u"], measurements=["v"]))
+    assert (windows > 0) == (radius < 1.0)
+
+
+def test_the_limit_of_stability_is_found_from_both_sides() -> None:
+    """Between the two gains the largest eigenvalue passes 1."""
+    from scipy.optimize import brentq
+
+    plant, law = held_loop()
+
+    def changed(gain: float) -> SampledSystem:
+        return SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
+
+    limit = brentq(lambda g: np.abs(loop_eigenvalues(plant, changed(g))).max() - 1.0, -1000.0, -1.0)
+    for factor in (0.999, 1.001):
+        model = loop_model(plant, DT, changed(factor * limit), commands=["u"], measurements=["v"])
+        assert (nominal_windows(model) > 0) == (factor < 1.0)
+
+
+def test_unstable_controllers_and_open_plants_are_not_called_stable() -> None:
+    plant, law = held_loop()
+    growing = SampledSystem([[1.01]], law.B, law.C, law.D, law.inputs, law.outputs, dt=DT, name="law")
+    assert not nominal_windows(loop_model(plant, DT, growing, commands=["u"], measurements=["v"]))
+    assert not nominal_windows(loop_model(oscillator(), DT))
+
+
+def test_half_a_circle_is_enough_for_real_systems_alone() -> None:
+    """A mode without its conjugate: negative frequencies have not been looked at."""
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    assert nominal_windows(model)
+    assert not nominal_windows(dataclasses.replace(model, B=model.B * np.array([[1.0], [1.0 + 1e-9]])))
+    assert not nominal_windows(dataclasses.replace(model, K_C=model.K_C * 1j))
+
+
+@pytest.mark.parametrize(("factor", "proven"), [(1.002, True), (0.998, False)])
+def test_near_frequency_zero_the_bound_is_as_sharp(factor: float, proven: bool) -> None:
+    """Scalings D alone: the static gain of the softest spring, 1 / k."""
+    high = 0.02
+    truth = 1.0 / abs(0.8 - high**2 + 2j * ZETA * high)
+    bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, high), factor * truth)
+    assert (not bounds.uncovered and bounds.lower < factor * truth) == proven
+
+
+def test_all_members_of_a_sampled_loop_are_stable_by_a_bound_of_the_whole_band() -> None:
+    plant, law = held_loop()
+    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    box, names = box_of(plant), ("k",)
+    whole, part = (prove_level(model, box, band, 30.0) for band in ((0.0, NYQUIST), (0.5, 2.0)))
+    assert not whole.uncovered and not part.uncovered
+    assert check_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), 30.0, tuple(whole.strips))).stable
+    assert not check_loop_proof(LoopProof(model, names, box, (0.5, 2.0), 30.0, tuple(part.strips))).stable
+
+
+def test_a_file_gives_the_proof_again(proof: LoopProof, tmp_path: Path) -> None:
+    path = tmp_path / "proof.npz"
+    proof.to_file(path)
+    assert check_loop_proof(path).windows == check_loop_proof(proof).windows
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(ProofError):
+        check_loop_proof(path)
+
+
+def tightest(proof: LoopProof) -> Strip:
+    """The strip with the worst frequency."""
+    worst, lowest = math.sqrt(0.8), proof.box[0][0]
+    return next(s for s in proof.strips if s.nodes[0] <= worst <= s.nodes[-1] and s.box[0][0] == lowest)
+
+
+def with_strip(proof: LoopProof, **changes: object) -> LoopProof:
+    own = tightest(proof)
+    strips = [dataclasses.replace(s, **changes) if s is own else s for s in proof.strips]  # type: ignore[arg-type]
+    return dataclasses.replace(proof, strips=tuple(strips))
+
+
+def louder(model: LoopModel) -> LoopModel:
+    return dataclasses.replace(model, C=1.05 * model.C)
+
+
+CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
+    "strip removed": lambda p: dataclasses.replace(p, strips=p.strips[1:]),
+    "box widened": lambda p: with_strip(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
+    "claim widened": lambda p: dataclasses.replace(p, box=((p.box[0][0] - 0.1, p.box[0][1]),)),
+    "frequencies moved": lambda p: with_strip(p, nodes=0.99 * tightest(p).nodes),
+    "level lowered": lambda p: dataclasses.replace(p, level=0.97 * peak(0.8)),
+    "D negative": lambda p: with_strip(p, D=tuple(-d for d in tightest(p).D)),
+    "D zero": lambda p: with_strip(p, D=tuple(0.0 * d for d in tightest(p).D)),
+    "G turned": lambda p: with_strip(p, G=tuple(-g for g in tightest(p).G)),
+    "not Hermitian": lambda p: with_strip(p, G=tuple(g + 1e-3j for g in tightest(p).G)),
+    "factor negative": lambda p: with_strip(p, factor=-tightest(p).factor),
+    "factor infinite": lambda p: with_strip(p, factor=np.inf * tightest(p).factor),
+    "nodes exchanged": lambda p: with_strip(p, nodes=tightest(p).nodes[::-1].copy()),
+    "another plant": lambda p: dataclasses.replace(p, model=louder(p.model)),
+    "no strips": lambda p: dataclasses.replace(p, strips=()),
+    "another limit": lambda p: dataclasses.replace(p, model=dataclasses.replace(p.model, scale=0.9)),
+    "beyond Nyquist": lambda p: dataclasses.replace(p, band=(0.0, 1.1 * NYQUIST)),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_proof_is_refused(proof: LoopProof, name: str) -> None:
+    with pytest.raises(ProofError):
+        check_loop_proof(CHANGES[name](proof))

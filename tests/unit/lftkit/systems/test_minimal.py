@@ -1,0 +1,80 @@
+"""Minimal realisation: removes exactly what is too much, changes no response."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lftkit import Port, RealParameter, UncertainSystem, connect, state_space, static_gain
+from lftkit.systems.minimal import minimal_realisation
+
+POINT = {"k": 1.1, "m": 0.3}
+
+
+def padded(system: UncertainSystem, rng: np.random.Generator, states: int, copies: int) -> UncertainSystem:
+    """The same family with more states and occurrences, well mixed by similarity transformations."""
+    n, q = system.order, len(system.channels)
+    k_columns = [i for i, c in enumerate(system.channels) if c == "k"]
+    A = np.block([[system.A, np.zeros((n, states))], [rng.standard_normal((states, n + states))]])
+    B = np.vstack([system.B, rng.standard_normal((states, system.B.shape[1]))])  # reached, never seen
+    C = np.hstack([system.C, np.zeros((system.C.shape[0], states))])
+    T = rng.standard_normal((n + states, n + states)) + 3.0 * np.eye(n + states)
+    A, B, C = T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T)
+    # further channels of k that see everything but act on nothing
+    B = np.hstack([B[:, :q], np.zeros((n + states, copies)), B[:, q:]])
+    extra = rng.standard_normal((copies, n + states))
+    C = np.vstack([C[:q], extra, C[q:]])
+    D = np.insert(system.D, [q] * copies, 0.0, axis=1)
+    D = np.insert(D, [q] * copies, rng.standard_normal((copies, D.shape[1])), axis=0)
+    D[q : q + copies, q : q + copies] *= 0.1
+    channels = (*system.channels, *(["k"] * copies))
+    k = np.array([*k_columns, *range(q, q + copies)])
+    M = rng.standard_normal((k.size, k.size)) + 3.0 * np.eye(k.size)
+    B[:, k], D[:, k] = B[:, k] @ M, D[:, k] @ M
+    C[k], D[k] = np.linalg.solve(M, C[k]), np.linalg.solve(M, D[k])
+    return UncertainSystem(A, B, C, D, system.inputs, system.outputs, channels, system.parameters)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_planted_redundancy_is_found_and_the_response_stays(make, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    small = make(rng, 4)
+    large = padded(small, rng, states=3, copies=2)
+    result = minimal_realisation(large)
+    assert (result.removed_states, result.removed_occurrences) == (3, {"k": 2, "m": 0})
+    assert result.system.order == 4
+    for values in ({}, POINT, {"k": 0.2, "m": 1.4}):
+        np.testing.assert_allclose(result.system.at(values)(0.7j), small.at(values)(0.7j), rtol=1e-7, atol=1e-9)
+
+
+def test_a_minimal_system_keeps_its_coordinates(make) -> None:
+    system = make(np.random.default_rng(1)).sorted_channels()
+    result = minimal_realisation(system)
+    np.testing.assert_array_equal(result.system.A, system.A)
+    assert str(result) == "removed 0 states"
+
+
+def test_integrating_an_acceleration_twice_over_is_found() -> None:
+    """A body whose rate is integrated in two places: the trap of building spacecraft block by block."""
+    f, a, v = Port("f", 1, "N"), Port("a", 1, "m/s2"), Port("v", 1, "m/s")
+    mass = static_gain([[0.5]], [f], [a])
+    integrator = state_space([[0.0]], [[1.0]], [[1.0]], [[0.0]], [a], [v])
+    both = connect(
+        {"mass": mass, "one": integrator, "two": integrator},
+        [("f", "mass.f"), ("mass.a", "one.a"), ("mass.a", "two.a")],
+        inputs=[f],
+        outputs={"v": "one.v", "v2": "two.v"},
+    )
+    result = minimal_realisation(both)
+    assert result.removed_states == 1
+    assert abs(result.system.nominal()(2.0j)[0, 0] - 0.5 / 2.0j) < 1e-14
+
+
+def test_a_parameter_that_acts_on_nothing_goes_away() -> None:
+    k = RealParameter("k", 0.0, -1.0, 1.0)
+    empty = np.zeros((0, 0))
+    idle = UncertainSystem(
+        empty, empty, empty, [[0.0, 1.0], [0.0, 2.0]], (Port("u", 1),), (Port("y", 1),), ("k",), (k,)
+    )
+    result = minimal_realisation(idle)
+    assert result.system.occurrences() == {} and result.removed_occurrences == {"k": 1}

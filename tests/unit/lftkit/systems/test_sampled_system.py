@@ -1,0 +1,110 @@
+"""Sampled systems: parity with plain simulation, files, refusals."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from lftkit import Port, SampledSystem, state_space
+from lftkit.systems.filters import high_pass, with_input_filter
+from lftkit.systems.sampling import sampled
+
+PORTS = (Port("u", 2),), (Port("y", 1),)
+
+
+def example() -> SampledSystem:
+    rng = np.random.default_rng(0)
+    A = 0.4 * rng.standard_normal((5, 5))
+    return SampledSystem(A, rng.standard_normal((5, 2)), rng.standard_normal((1, 5)), [[0.3, -1.0]], *PORTS, 1e-3)
+
+
+def test_step_equals_dlsim_and_reset_repeats_it() -> None:
+    k, u = example(), np.random.default_rng(1).standard_normal((200, 2))
+    _, expected, _ = signal.dlsim((k.A, k.B, k.C, k.D, k.dt), u)
+    runs = []
+    for _ in range(2):
+        k.reset()
+        y = np.zeros((200, 1))
+        for i in range(200):
+            k.step(u[i], y[i])
+        runs.append(y)
+    np.testing.assert_allclose(runs[0], expected, rtol=1e-10, atol=1e-12)
+    assert runs[0].tobytes() == runs[1].tobytes()
+
+
+def test_step_keeps_no_memory() -> None:
+    k, u, y = example(), np.ones(2), np.zeros(1)
+    k.step(u, y)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(1000):
+        k.step(u, y)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 500
+
+
+def test_file_round_trip_is_exact(tmp_path: Path) -> None:
+    k = example()
+    k.to_file(tmp_path / "k.json")
+    again = SampledSystem.from_file(tmp_path / "k.json")
+    for key in "ABCD":
+        np.testing.assert_array_equal(getattr(again, key), getattr(k, key))
+    assert again.inputs == k.inputs and again.dt == k.dt
+    assert [p.name for p in tmp_path.iterdir()] == ["k.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "x"}, 'expected "format"'),
+        ({"version": 7}, "expected version 1, got 7"),
+        ({"A": [[float("nan")] * 5] * 5}, r"matrix A must be finite, got nan in entry \[0, 0\]"),
+        ({"B": [[1.0]]}, "matrix B must be 5 x 2"),
+        ({"C": [[1.0], [1.0, 2.0]]}, "matrix C must be a rectangular array"),
+        ({"dt": -1.0}, "sampling period must be positive"),
+        ({"inputs": ["u"]}, "expected ports as objects"),
+    ],
+)
+def test_bad_files_say_what_is_wrong(tmp_path: Path, change: dict, message: str) -> None:
+    path = tmp_path / "k.json"
+    example().to_file(path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(ValueError, match=message) as caught:
+        SampledSystem.from_file(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_not_a_file_and_not_json(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot read the controller file"):
+        SampledSystem.from_file(tmp_path / "none.json")
+    (tmp_path / "x.json").write_text("hello")
+    with pytest.raises(ValueError, match="is not a controller file: expected JSON"):
+        SampledSystem.from_file(tmp_path / "x.json")
+    (tmp_path / "y.json").write_text("{}")
+    with pytest.raises(ValueError, match="is not a controller file"):
+        SampledSystem.from_file(tmp_path / "y.json")
+
+
+def test_tustin_keeps_the_response_at_its_warped_frequency() -> None:
+    lag = state_space([[-2.0]], [[2.0]], [[1.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
+    k, w = sampled(lag, 1e-2), 3.0
+    z = np.exp(1j * w * k.dt)
+    H = k.C @ np.linalg.inv(z * np.eye(1) - k.A) @ k.B + k.D
+    warped = 2.0 / k.dt * np.tan(w * k.dt / 2.0)
+    assert H[0, 0] == pytest.approx(2.0 / (1j * warped + 2.0), rel=1e-12)
+    with pytest.raises(ValueError, match="method must be one of"):
+        sampled(lag, 1e-2, method="magic")
+
+
+def test_washout_takes_away_a_bias_and_nothing_else() -> None:
+    port = Port("a", 2, "m/s2")
+    integrator = state_space([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], [port], [Port("y", 1)])
+    both = with_input_filter(integrator, {"a": high_pass(port, 0.1)}).nominal()
+    assert abs(both(0)[0, 0]) < 1e-15
+    assert abs(both(50j)[0, 0] / integrator.nominal()(50j)[0, 0]) == pytest.approx(1.0, abs=1e-5)

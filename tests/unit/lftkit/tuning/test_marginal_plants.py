@@ -1,0 +1,116 @@
+"""Plants with poles on or near the imaginary axis, nested orders, and problems that have no good answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.nested_orders import embedded, lower_order
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
+from lftkit.tuning.structures import controller, gain, pid, state_space
+from lftkit.tuning.tuner import TuningOptions, tune
+
+
+def masses(ground: float, measured: int = 2) -> StateSpace:
+    """Two unit masses, a spring of 1 N/m between them and one of stiffness `ground` to the ground; no damping at all.
+
+    Force on the first, disturbance on the second, whose position counts; position and rate of the first are measured.
+    """
+    K = np.array([[1.0 + ground, -1.0], [-1.0, 1.0]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, np.zeros((2, 2))]])
+    B = np.array([[0.0, 0, 0, 1], [0, 0, 1, 0]]).T
+    C = np.array([[0.0, 1, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]])[: 2 + measured]
+    D = np.zeros((2 + measured, 2))
+    D[1, 1] = 1.0
+    return StateSpace(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", measured)], "two masses")
+
+
+def check_certified(result) -> None:
+    """Certificate and tuned value agree, or the status does not promise it."""
+    assert result.certificate is not None and result.certificate.stable
+    if result.status == "converged":
+        assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-3)
+        assert result.certificate.upper.max() == pytest.approx(result.soft, rel=1e-3)
+
+
+@pytest.mark.parametrize("ground", [0.0, 1e-4, 0.3])
+@pytest.mark.parametrize("order", [0, 1])
+def test_undamped_modes_are_tuned_and_certified(ground: float, order: int) -> None:
+    """From an unstable start and from a random one; once the tuned value was 4588 and the certificate 27.5."""
+    structure = state_space([("y", 2)], [("u", 1)], order)
+    options = TuningOptions(starts=1, iterations=40)
+    result = tune([masses(ground)], [HinfGain("w", "z")], structure, options=options)
+    check_certified(result)
+    assert result.soft < 6.0
+
+
+def test_position_alone_with_an_undamped_common_mode_needs_a_dynamic_controller() -> None:
+    """Position feedback takes no energy out: no static gain stabilises, and the run says so."""
+    static = tune([masses(0.0, 1)], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1))
+    assert static.status == "not_stabilised" and static.certificate is None
+
+
+def test_order_one_is_never_worse_than_static() -> None:
+    """The static controller is the start of the first order: same seed, same options."""
+    values = [
+        tune(
+            [masses(0.3)],
+            [HinfGain("w", "z")],
+            state_space([("y", 2)], [("u", 1)], order),
+            options=TuningOptions(starts=1, iterations=20),
+        ).soft
+        for order in (0, 1)
+    ]
+    assert values[1] <= values[0] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("form", ["full", "tridiagonal", "modal"])
+def test_embedded_controller_has_the_same_values(form: str) -> None:
+    plant = masses(0.3)
+    structure = state_space([("y", 2)], [("u", 1)], 2, form=form)
+    lower = lower_order(structure)
+    assert lower is not None and lower.order == 1 and lower.size == state_space([("y", 2)], [("u", 1)], 1).size
+    x = lower.parameters_of(StateSpace([[-2.0]], [[0.3, 0.1]], [[0.2]], [[-0.4, -0.9]], [("y", 2)], [("u", 1)]))
+    needs = [HinfGain("w", "z")]
+    before = Problem([plant], needs, lower).evaluate(x).values
+    problem = Problem([plant], needs, structure)
+    points = embedded(structure, lower, x, problem)
+    assert len(points) == 3
+    for point in points:
+        assert problem.evaluate(point).values == pytest.approx(before, rel=1e-6)
+        assert np.linalg.eigvals(controller(structure, point).A).real.max() < 0.0
+
+
+def test_structures_without_a_lower_order() -> None:
+    assert lower_order(gain([("y", 2)], [("u", 1)])) is None
+    assert lower_order(pid("y", "u", derivative_filter=0.1)) is None
+    assert lower_order(state_space([("y", 1)], [("u", 1)], 2, form="companion")) is None
+    assert lower_order(state_space([("y", 1)], [("u", 1)], 1, feedthrough=False)) is None, "no parameter would be left"
+
+
+def test_direct_path_that_no_controller_changes_bounds_the_value() -> None:
+    """z = x + 3 w: the gain at infinite frequency is 3 for every controller."""
+    D = [[3.0, 0.0], [0.0, 0.0]]
+    plant = StateSpace([[-1.0]], [[1, 1]], [[1], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    result = tune([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1))
+    assert result.soft == pytest.approx(3.0, rel=1e-3) and result.soft >= 3.0
+
+
+def test_the_ports_of_the_controller_may_be_those_of_a_requirement() -> None:
+    """Gain from the command to the measurement with the loop closed: g / (1 - g k) with g = 1 / (s + 1)."""
+    plant = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    needs = [HinfGain("u", "y"), HinfGain("u", "y", bound=0.25, hard=True, name="bound")]
+    result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=20))
+    assert result.feasible and result.soft <= 0.25 * (1 + 1e-6)
+
+
+def test_decay_that_no_static_gain_reaches_is_infeasible() -> None:
+    """Rate feedback moves both poles of an oscillator to at most -1 rad/s: a decay of 2 is never reached."""
+    A, B = [[0.0, 1.0], [-1.0, 0.0]], [[0.0, 0.0], [1.0, 1.0]]
+    plant = StateSpace(A, B, [[1, 0], [0, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    needs = [HinfGain("w", "z"), ClosedLoopPoles(min_decay=2.0)]
+    result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=60))
+    assert not result.feasible and result.status in ("infeasible", "stalled", "iterations")
+    assert result.abscissa == pytest.approx(-1.0, abs=0.02)

@@ -1,0 +1,76 @@
+"""The one-tick matrices of the sampled loop against the runtime classes, tick by tick."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_loop import DT, small_controllers, small_plant
+
+from fsm_pma_controller.runtime import FsmPmaController
+from los_estimator.runtime import LosEstimator
+from los_loop.sampled_loop import sampled_loop
+from titop_plant.simulation.build import sample
+from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+
+STAGES = ("none", "isolator", "fsm", "fsm+pma")
+
+
+@pytest.mark.parametrize("frame_ticks", [1, 5, 20])
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("basis", [{"los_sensitivity": 0.125}, {}])
+def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame_ticks: int, basis: dict) -> None:
+    """From a random state, with a constant error on every sensor in the place of noise.
+
+    The mirror law divides by the sensitivity of the observer's file, else by that of the telescope, here 0.2.
+    """
+    data, (k_fsm, k_pma) = small_plant(), small_controllers()
+    k_fsm = replace(k_fsm, design_basis=basis)
+    rng = np.random.default_rng(0)
+    error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
+    sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
+    plant = SampledPlant(
+        [sample(data, no_tones(), 1)], state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
+    )
+    estimator, controller = (
+        LosEstimator(k_fsm),
+        FsmPmaController(
+            k_pma, stage, los_sensitivity=basis.get("los_sensitivity", 0.2), fsm_authority=1e9, pma_authority=1e9
+        ),
+    )
+    loop = sampled_loop(data, k_fsm, k_pma, loop=stage, frame_ticks=frame_ticks, los_sensitivity=0.2)
+    z = np.zeros(len(loop.hold))
+    z[:10] = state
+    measured, estimate, command, los = np.zeros(22), np.zeros(2), np.zeros(8), np.zeros(2)
+    for k in range(60):
+        assert z[10:18] == pytest.approx(command, rel=1e-9, abs=1e-12)
+        plant.step(command, measured, los)
+        assert loop.truth @ z == pytest.approx(los, rel=1e-9, abs=1e-12)
+        estimator.step(measured, estimate)
+        controller.step(estimate, measured[:6], command)
+        A, N = (loop.hold, loop.noise_hold) if k % frame_ticks else (loop.frame, loop.noise_frame)
+        z = A @ z + N @ error
+    assert (stage == "fsm+pma") == bool(np.any(command[2:])) and (stage in STAGES[:2]) == (not np.any(command[:2]))
+    assert (loop.frame_ticks, loop.plant_order) == (frame_ticks, 10)
+
+
+@pytest.mark.parametrize(("gain", "stable"), [(1.0, True), (8.0, False)])
+@pytest.mark.parametrize("frame_ticks", [1, 9, 20])
+def test_spectral_radius_is_the_growth_in_simulation(gain: float, stable: bool, frame_ticks: int) -> None:
+    """The camera's share of the observer times 8 drives the mirror loop unstable."""
+    data, (k_fsm, k_pma) = small_plant(), small_controllers()
+    D = k_fsm.D.copy()
+    D[:, 18:20] *= gain
+    loop = sampled_loop(data, replace(k_fsm, D=D), k_pma, loop="fsm+pma", frame_ticks=frame_ticks)
+    z, logarithms = np.random.default_rng(1).standard_normal(len(loop.hold)), []
+    for _ in range(40000 // frame_ticks):
+        for k in range(frame_ticks):
+            z = (loop.hold if k else loop.frame) @ z
+        logarithms.append(np.log(np.linalg.norm(z)))
+        z /= np.linalg.norm(z)
+    half = len(logarithms) // 2  # the first half is for the other motions to die out
+    assert loop.spectral_radius() == pytest.approx(np.exp(np.mean(logarithms[half:]) / frame_ticks), abs=2e-4)
+    if frame_ticks > 1:
+        assert (loop.spectral_radius() < 1.0) is stable

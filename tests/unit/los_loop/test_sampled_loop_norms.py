@@ -1,0 +1,230 @@
+"""Gains and noise of the sampled loop against stepping it, with a controller that passes the camera straight on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+from small_loop import DT, small_controllers, small_plant
+
+from los_loop import sampled_loop_norms
+from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
+from los_loop.tone_model import LoopModel
+from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.parameters import load_parameters
+
+OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
+COMPLETE = 9  # 2 * SIDEBANDS + 1: no sideband is omitted and the response is exact
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters()
+
+
+def closed(frame_ticks: int, stage: str = "fsm+pma") -> SampledLoop:
+    return sampled_loop(small_plant(), *small_controllers(), loop=stage, frame_ticks=frame_ticks)
+
+
+def model(loop: SampledLoop, omega: float) -> LoopModel:
+    """One tone of unit amplitude on each of the 22 inputs in turn."""
+    return LoopModel(loop, small_plant(), np.full(22, omega), np.eye(22, dtype=complex), np.full(8, 1e9))
+
+
+def stepped(loop: SampledLoop, omega: float) -> np.ndarray:
+    """Line of sight (2) and commands (8) of the steady state at each tick of a period over the tone, (N, 10, 22).
+
+    The state that one period of ticks turns by the phase of the tone, found and checked by stepping.
+    """
+    frame, hold, through = model(loop, omega).forcing()
+    n, N, size, turn = loop.plant_order, loop.frame_ticks, len(loop.hold), np.exp(1j * omega * DT)
+    rows = np.zeros((N, 10, 22), complex)
+
+    def period(state: np.ndarray) -> np.ndarray:
+        for k in range(N):
+            phasor = turn**k
+            rows[k, :2] = loop.truth @ state / phasor + through
+            rows[k, 2:] = state[n : n + 8] / phasor
+            A, drive = (loop.hold, hold) if k else (loop.frame, frame)
+            state = A @ state + drive * phasor
+        return state
+
+    free = np.linalg.multi_dot([*[loop.hold] * (N - 1), loop.frame]) if N > 1 else loop.frame
+    start = np.linalg.solve(turn**N * np.eye(size) - free, period(np.zeros((size, 22), complex)))
+    end = period(start)
+    assert np.abs(end - turn**N * start).max() < 1e-9 * np.abs(end).max()
+    return rows
+
+
+@pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
+@pytest.mark.parametrize("frame_ticks", [1, 2, 4, 7, COMPLETE])
+def test_the_response_is_that_of_the_settled_periodic_loop(stage: str, frame_ticks: int) -> None:
+    """All sidebands included: equal to the solution of the periodic loop to rounding, above Nyquist too."""
+    loop = closed(frame_ticks, stage)
+    found = disturbance_response(loop, small_plant(), OMEGA)[:, :2]
+    for k, w in enumerate(OMEGA):
+        expected = model(loop, w).settled()
+        assert np.abs(found[k] - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_at_20_ticks_a_frame_nine_sidebands_are_enough_and_one_is_not(monkeypatch) -> None:
+    loop = closed(20)
+
+    def error() -> float:
+        found = disturbance_response(loop, small_plant(), OMEGA[:5])[:, :2]
+        expected = [model(loop, w).settled() for w in OMEGA[:5]]
+        return max(float(np.abs(f - e).max() / np.abs(e).max()) for f, e in zip(found, expected))
+
+    assert error() < 2e-2
+    monkeypatch.setattr(sampled_loop_norms, "SIDEBANDS", 0)
+    assert error() > 6e-2
+    monkeypatch.setattr(sampled_loop_norms, "SIDEBANDS", 10)
+    assert error() < 1e-8
+
+
+@pytest.mark.parametrize("omega", [55.0, 400.0])
+def test_commands_and_sidebands_are_those_of_the_stepped_loop(omega: float) -> None:
+    """The discrete Fourier transform of a settled period has the fundamental first and the sidebands behind it."""
+    loop = closed(COMPLETE)
+    spectrum = np.fft.fft(stepped(loop, omega), axis=0) / COMPLETE
+    tone = tone_response(loop, small_plant(), np.array([omega]))
+    scale = np.abs(spectrum[0]).max(axis=1, keepdims=True)
+    assert np.all(np.abs(tone.fundamental[0] - spectrum[0]) < 1e-6 * scale)
+    assert tone.camera is not None and len(tone.sidebands) == COMPLETE - 1
+    for shift, gain in tone.sidebands:
+        k = round(shift * COMPLETE * DT / (2.0 * np.pi))
+        assert np.abs(gain[0] @ tone.camera[0] - spectrum[k, :2]).max() < 1e-6 * np.abs(spectrum[0, :2]).max()
+        assert np.abs(spectrum[k, :2]).max() > 1e-4 * np.abs(spectrum[0, :2]).max()  # they matter here
+
+
+def relative_error_weight(omega: np.ndarray, window: float) -> np.ndarray:
+    """The paper's weight, written out once more."""
+    x = np.asarray(omega) * window
+    return x * np.hypot(x, np.sqrt(12.0)) / np.hypot(12.0 - x**2, 6.0 * x)
+
+
+@pytest.mark.parametrize("omega", [55.0, 217.0, 400.0])
+def test_the_relative_error_counts_the_power_of_all_sidebands(omega: float, parameters, monkeypatch) -> None:
+    loop = closed(COMPLETE)
+    amplitude = weight_amplitudes(parameters, omega)[0]
+    spectrum = np.fft.fft(stepped(loop, omega)[:, :2], axis=0) / COMPLETE
+    shifts = 2.0 * np.pi * np.fft.fftfreq(COMPLETE, DT)
+    weights = relative_error_weight(np.abs(omega + shifts), 0.02)
+    whole = (weights[:, None, None] * spectrum * amplitude).reshape(-1, 22)
+    expected = np.linalg.svd(whole)[1][0]
+    assert expected > 1.01 * np.linalg.svd(whole[:2])[1][0]
+    monkeypatch.setattr(sampled_loop_norms, "loop_grid", lambda *_: np.array([omega]))
+    grid, response, relative = weighted_response(loop, small_plant(), parameters)
+    assert grid.tolist() == [omega]
+    assert relative[0] == pytest.approx(expected, rel=1e-6)
+    assert np.abs(response[0, :2] - spectrum[0] * amplitude).max() < 1e-6 * np.abs(spectrum[0] * amplitude).max()
+
+
+def gains(loop: SampledLoop, omega: np.ndarray, parameters) -> np.ndarray:
+    """Largest singular values to line of sight, mirror and forces from the settled loop, shape (k, 3)."""
+    rows = []
+    for w in omega:
+        H = stepped(loop, w).mean(axis=0) * weight_amplitudes(parameters, w)[0]
+        rows.append([np.linalg.norm(H[part], 2) for part in (slice(0, 2), slice(2, 4), slice(4, 10))])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("frame_ticks", [1, COMPLETE])
+def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, parameters) -> None:
+    """Reached at a frequency of the grid, and not exceeded on another one."""
+    plant, controllers = small_plant(), small_controllers()
+    found = sampled_loop_metrics(plant, *controllers, parameters, loop="fsm+pma", frame_ticks=frame_ticks, noise=False)
+    loop = closed(frame_ticks)
+    omega, response, relative = weighted_response(loop, plant, parameters)
+    assert omega[0] == pytest.approx(1e-2) and omega[-1] == pytest.approx(3e3)
+    assert found.rpe == pytest.approx(relative.max() / 4.84813681109536e-07, rel=1e-12)
+    assert found.rpe_fine == pytest.approx(2.5 * found.rpe, rel=1e-12)
+    assert relative[omega == found.omega_rpe] == relative.max()
+    parts = slice(0, 2), slice(2, 4), slice(4, 10)
+    norms = np.array([np.linalg.norm(response[:, part], 2, axis=(1, 2)) for part in parts])
+    peaks = omega[norms.argmax(axis=1)]
+    limits = np.array([4.84813681109536e-05, 5.3e-3, 31.6])
+    expected = np.diag(gains(loop, peaks, parameters)) / limits
+    assert [found.ape, found.mirror, found.force] == pytest.approx(expected, rel=1e-8)
+    others = np.random.default_rng(3).uniform(np.log(1.0), np.log(2e3), 60)
+    elsewhere = gains(loop, np.exp(others), parameters).max(axis=0) / limits
+    assert np.all(elsewhere <= 1.001 * np.array([found.ape, found.mirror, found.force]))
+    assert np.isnan(found.noise_ape) and np.isnan(found.noise_rpe)
+    assert found.stable and found.radius == loop.spectral_radius()
+
+
+@pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
+def test_grid_resolves_the_resonances(stage: str, parameters) -> None:
+    """Near every lightly damped pole of the loop there are several frequencies."""
+    loop = closed(20, stage)
+    omega, _, _ = weighted_response(loop, small_plant(), parameters, 5.0)
+    assert omega[0] == pytest.approx(5.0)
+    for w in (12.0, 60.0, 180.0, 420.0):
+        assert np.sum(np.abs(omega / w - 1.0) < 0.05) >= 3
+
+
+def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
+    """Rms of the line of sight, plain and weighted, by iterating the covariance from zero until it is periodic."""
+    t = 0.02
+    numerator, denominator = [t**2, np.sqrt(12.0) * t, 0.0], [t**2, 6.0 * t, 12.0]
+    A, B, C, D = signal.tf2ss(*signal.bilinear(numerator, denominator, 1.0 / DT))
+    A, B, C, D = (np.kron(np.eye(2), M) for M in (A, B, C, D))
+    n, size = len(loop.hold), len(loop.hold) + 4
+    P, power = np.zeros((size, size)), np.zeros(2)
+    steps = []
+    for transition, noise in ((loop.frame, loop.noise_frame), (loop.hold, loop.noise_hold)):
+        F = np.zeros((size, size))
+        F[:n, :n], F[n:, :n], F[n:, n:] = transition, B @ loop.truth, A
+        G = np.vstack([noise @ np.diag(sigma), np.zeros((4, 22))])
+        steps.append((F, G @ G.T))
+    weighted = np.hstack([D @ loop.truth, C])
+    periods = 24000 // loop.frame_ticks
+    for k in range(periods * loop.frame_ticks):
+        if k >= (periods - 1) * loop.frame_ticks:
+            power += np.trace(loop.truth @ P[:n, :n] @ loop.truth.T), np.trace(weighted @ P @ weighted.T)
+        F, Q = steps[1 if k % loop.frame_ticks else 0]
+        P = F @ P @ F.T + Q
+    return tuple(np.sqrt(power / loop.frame_ticks))
+
+
+@pytest.mark.parametrize("sensors", [None, "platform"])
+@pytest.mark.parametrize("frame_ticks", [1, 20])
+def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, parameters) -> None:
+    """Sensors with different noise on every kind of channel, so that none is taken for another."""
+    table = {
+        "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
+        "camera_noise": 2e-3,
+        "strain_gauge_noise": 5e-2,
+    }
+    changed = {**parameters, "sensors": {**parameters["sensors"], **table}}
+    sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [2e-3] * 2, [5e-2] * 2]
+    if sensors == "platform":
+        sigma[6:] = 0.0
+    found = sampled_loop_metrics(
+        small_plant(), *small_controllers(), changed, loop="fsm+pma", frame_ticks=frame_ticks, sensors=sensors
+    )
+    expected = covariance(closed(frame_ticks), sigma)
+    assert [found.noise_ape, found.noise_rpe] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("frame_ticks", [9, 20])
+def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, parameters) -> None:
+    k_fsm, k_pma = small_controllers()
+    D = k_fsm.D.copy()
+    D[:, 18:20] *= 8.0
+    found = sampled_loop_metrics(
+        small_plant(), replace(k_fsm, D=D), k_pma, parameters, loop="fsm", frame_ticks=frame_ticks
+    )
+    assert not found.stable and found.radius > 1.0
+    values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
+    assert values == (np.inf,) * 7
+    assert np.isnan(found.omega_rpe)
+
+
+def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(parameters, monkeypatch) -> None:
+    monkeypatch.setattr(SampledLoop, "spectral_radius", lambda _: 1.0)
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), parameters, loop="fsm", frame_ticks=20)
+    assert not found.stable and found.ape == np.inf

@@ -1,0 +1,1 @@
+"""The telescope in time: disturbances, profiles, sampled plant."""

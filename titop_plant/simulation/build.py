@@ -1,0 +1,338 @@
+"""From a configuration to the sampled simulation of the telescope."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit import StateSpace, UncertainSystem
+from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
+from titop_plant.simulation.disturbances import (
+    Tones,
+    design_tones,
+    given_tones,
+    imbalance_tones,
+    joined,
+    loudest_speeds,
+    no_tones,
+    sadm_tones,
+)
+from titop_plant.simulation.plant_config import PlantConfig, motion, parameter_values, values_along
+from titop_plant.simulation.profiles import PROFILES
+from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
+from titop_plant.simulation.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
+from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
+
+SPEED_ROUNDS = 4
+
+DESIGN_TABLES = ("design_scenario", "weights", "sadm")
+"""Tables of a parameter file that :func:`titop_plant.simulation.disturbances.design_tones` reads."""
+
+
+@lru_cache(maxsize=4)
+def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
+    """The assembled telescope of a parameter file (kept for the next call)."""
+    return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
+
+
+@dataclass(frozen=True)
+class PlantFamily:
+    """The telescopes of one parameter file and one mounting: what all members share is made once.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the file.
+    control_loop : UncertainSystem
+        Commands (8), disturbances (22) to measurements (22), line of sight (2).
+    path : str or None
+        The file; None for the reference telescope.
+    isolated : bool
+    """
+
+    parameters: Parameters
+    control_loop: UncertainSystem
+    path: str | None
+    isolated: bool
+
+    @classmethod
+    def of(cls, config: PlantConfig) -> PlantFamily:
+        """The family that a configuration belongs to."""
+        parameters = load_parameters(config.parameters or REFERENCE)
+        return cls(parameters, _plant(config, parameters), config.parameters, config.isolated)
+
+    def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+        """The member of a configuration, see :func:`build_plant`.
+
+        Raises
+        ------
+        ValueError
+            A configuration of another family; a value out of its range; a start of another size.
+        """
+        if (config.parameters, config.isolated) != (self.path, self.isolated):
+            raise ValueError(
+                f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
+                f"and {config.isolated}"
+            )
+        first = parameter_values(config, self.parameters)
+        number, tones = self.control_loop.data_at(first), _tones(config, self.parameters, first)
+        state = _steady_state(number, tones) if start is None else start
+        if state.shape != (number.A.shape[0],):
+            raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
+        common = state, _sensors(config, self.parameters), _limits(self.parameters)
+        name = _hash(config, self.parameters)
+        if config.ramps:
+            return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
+        segments = [sample(number, tones, 1)]
+        return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+
+    def nodes(self, config: PlantConfig, dt: float, finer: float = 1.0) -> tuple[list[FloatArray], int, MovingTones]:
+        """Step matrices along the profile of a run, ticks between them, and the tones.
+
+        Parameters
+        ----------
+        config : PlantConfig
+        dt : float
+            Tick [s].
+        finer : float
+            So many times as many nodes as usual.
+        """
+        profile = motion(config, self.parameters)
+        unit = _unit_tones(config, self.parameters)
+        if unit is None:
+            unit = _tones(config, self.parameters, parameter_values(config, self.parameters))
+        tones = MovingTones(profile, unit)
+        interval = node_interval(profile, dt, finer)
+
+        def matrices(time: float) -> FloatArray:
+            data = self.control_loop.data_at(values_along(config, profile, time))
+            return sample(data, tones.at(profile.speeds(time)), 1, dt).step
+
+        return node_matrices(profile, interval, dt, matrices), interval, tones
+
+
+def build_plant(config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+    """The telescope of a configuration, sampled at 1 kHz.
+
+    Parameters
+    ----------
+    config : PlantConfig
+    start : ndarray, optional
+        State at the start. Default: the steady motion that the disturbance makes without fine control, so that modes of
+        hundreds of seconds need no settling.
+
+    Raises
+    ------
+    ValueError
+        A value out of its range; the message names the parameter. A start of another size.
+    """
+    return PlantFamily.of(config).build(config, start)
+
+
+def plant_order(config: PlantConfig) -> int:
+    """Number of states of :func:`build_plant`."""
+    return _plant(config, load_parameters(config.parameters or REFERENCE)).data_at({}).A.shape[0]
+
+
+def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
+    """Speeds of the four wheels [rad/s] at which their imbalance is strongest in the line of sight.
+
+    The relative error of the fundamental of each wheel on the isolated telescope without fine control, its amplitude
+    growing with the square of the speed, is largest there: the speeds are those of structural modes. Neighbouring
+    wheels turn in opposite senses, as the default speeds do.
+
+    Parameters
+    ----------
+    path : str, optional
+        Parameter file; default: the reference telescope.
+    """
+    parameters = load_parameters(path or REFERENCE)
+    senses = np.sign(parameters["reaction_wheel"]["default_speed"])
+    assembled = telescope(path, True).system["los_controlled", DISTURBANCES]
+    speeds = np.asarray(parameters["reaction_wheel"]["default_speed"], dtype=float)
+    for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
+        data = assembled.data_at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
+        speeds = senses * loudest_speeds(parameters, data, senses)
+    return tuple(float(round(s, 3)) for s in speeds)
+
+
+def command_limits(config: PlantConfig) -> FloatArray:
+    """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
+    return _limits(load_parameters(config.parameters or REFERENCE))
+
+
+def configuration_hash(config: PlantConfig) -> str:
+    """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
+    return _hash(config, load_parameters(config.parameters or REFERENCE))
+
+
+def _limits(parameters: Parameters) -> FloatArray:
+    limits = np.empty(COMMANDS)
+    limits[MIRROR], limits[FORCES] = parameters["fsm"]["authority"], parameters["pma"]["authority"]
+    return limits
+
+
+def control_loop_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
+    """The plant of the fine control loop: commands (8), disturbances (22) to measurements (22), line of sight (2).
+
+    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
+    """
+    return with_camera(assembled.system, parameters).select(
+        inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+    )
+
+
+def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
+    return control_loop_plant(telescope(config.parameters, config.isolated), parameters)
+
+
+def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
+    """The continuous plant at the start of a run, and the disturbance that acts on it.
+
+    What the run samples, for comparisons with its record.
+
+    Returns
+    -------
+    plant : StateSpace
+        Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
+    tones : Tones
+        On the 22 disturbance inputs.
+    """
+    parameters = load_parameters(config.parameters or REFERENCE)
+    values = parameter_values(config, parameters)
+    return _plant(config, parameters).data_at(values), _tones(config, parameters, values)
+
+
+def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
+    if not config.disturbance:
+        return no_tones()
+    if config.scenario == "worst_case":
+        return given_tones(config.tones)
+    rng = _phases(config.seed)
+    if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
+        return MovingTones(motion(config, parameters), unit).start()
+    if config.scenario == "imbalance":
+        speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
+        return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
+    tables = json.dumps({name: parameters[name] for name in DESIGN_TABLES}, sort_keys=True)
+    return _design_tones(config.parameters, tables, tuple(values.items()), config.seed)
+
+
+@lru_cache(maxsize=2)
+def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
+    """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
+    isolated = telescope(path, True).system["los_controlled", DISTURBANCES]
+    tones = design_tones(json.loads(tables), isolated.data_at(dict(values)), _phases(seed))
+    for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
+        array.flags.writeable = False
+    return tones
+
+
+def _phases(seed: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
+
+
+def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
+    """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
+    if not config.disturbance or config.scenario not in ("imbalance", "ramp"):
+        return None
+    rng = _phases(config.seed)
+    return joined([imbalance_tones(parameters, np.ones(4), rng), sadm_tones(parameters, rng)])
+
+
+def sensor_bias(config: PlantConfig) -> FloatArray:
+    """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
+    return _bias(config, load_parameters(config.parameters or REFERENCE))
+
+
+def _bias(config: PlantConfig, parameters: Parameters) -> FloatArray:
+    bias = np.r_[np.tile(parameters["sensors"]["accelerometer_bias"], 3), np.zeros(4)]
+    return np.asarray(bias if config.noise else np.zeros_like(bias))
+
+
+def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
+    table = parameters["sensors"]
+    three = np.tile(table["accelerometer_noise"], 3)
+    sigma = np.r_[three, np.full(2, table["camera_noise"]), np.full(2, table["strain_gauge_noise"])]
+    on, bias = 1.0 if config.noise else 0.0, _bias(config, parameters)
+    return SensorModel(on * sigma, bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
+
+
+def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:
+    """Exact sampling: commands held, tones integrated, all in one matrix exponential (Van Loan 1978).
+
+    Parameters
+    ----------
+    data : StateSpace
+        Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
+    tones : Tones
+    ticks : int
+        Length of the segment.
+    dt : float
+        Sampling period [s].
+    """
+    n, m = data.A.shape[0], COMMANDS
+    K = tones.frequency.size
+    size = n + m + 2 * K
+    whole = np.zeros((size, size))
+    whole[:n, :n], whole[:n, n : n + m] = data.A, data.B[:, :m]
+    whole[:n, n + m :] = _imaginary_part(data.B[:, m:] @ tones.amplitude)
+    real, imaginary = n + m + 2 * np.arange(K), n + m + 2 * np.arange(K) + 1
+    whole[real, imaginary], whole[imaginary, real] = -tones.frequency, tones.frequency
+    through = _imaginary_part(data.D[:, m:] @ tones.amplitude)
+    turn = np.exp(1j * tones.frequency * dt)
+    step = np.vstack([linalg.expm(whole * dt)[:n], np.hstack([data.C, data.D[:, :m], through])])
+    return Segment(ticks, np.ascontiguousarray(step), turn)
+
+
+def _imaginary_part(factors: ComplexArray) -> FloatArray:
+    """Matrix that gives Im(factors @ p) from the real and imaginary parts of p in turn."""
+    rows, tones = factors.shape
+    result = np.empty((rows, 2 * tones))
+    result[:, 0::2], result[:, 1::2] = factors.imag, factors.real
+    return result
+
+
+def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
+    drive = data.B[:, COMMANDS:] @ tones.amplitude
+    eye = np.eye(data.A.shape[0])
+    state = np.zeros(data.A.shape[0])
+    for k, w in enumerate(tones.frequency):
+        state += linalg.solve(1j * w * eye - data.A, drive[:, k]).imag
+    return state
+
+
+def _hash(config: PlantConfig, parameters: Parameters) -> str:
+    settings = asdict(config)
+    if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
+        del settings["profile"]
+    content: list[Any] = [parameters_hash(parameters), settings]
+    if config.profile not in PROFILES:
+        content.append(motion(config, parameters).table())
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+__all__ = [
+    "PlantConfig",
+    "PlantFamily",
+    "build_plant",
+    "command_limits",
+    "configuration_hash",
+    "control_loop_plant",
+    "parameter_values",
+    "plant_and_tones",
+    "plant_order",
+    "resonant_speeds",
+    "sensor_bias",
+]

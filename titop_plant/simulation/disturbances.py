@@ -1,0 +1,253 @@
+"""Micro-vibration disturbances in time: tones of the wheels and of the solar array drives.
+
+A disturbance is a set of tones on the 22 disturbance inputs (wheel imbalance 20, SADM torque 2)::
+
+    d(t) = sum_k Im( a_k exp(i phase_k(t)) ),   phase_k' = frequency_k
+
+Radial forces and torques of a wheel turn with it (x leads y by a quarter turn), so each is a complex
+pair. Three scenarios: ``imbalance``, physical amplitudes proportional to the square of the speed; ``design``, tones of
+unit norm at the frequencies where the telescope on its isolator alone is worst; ``worst_case``, the tone of unit norm
+that is worst for the loop that runs (:mod:`los_loop.worst_tone`). A tone has unit norm if its amplitudes over the
+synthesis weights have norm 1: **the H-infinity norm of a design bounds the response to it.**
+
+Source: the paper (weights W_rws and W_sa); harmonic ratios of a measured small wheel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from lftkit import StateSpace
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_response import frequency_response
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.weights import rpe_weight
+
+ComplexArray = NDArray[np.complex128]
+
+CHANNELS = 22
+
+MODE_WIDTH = 0.04
+"""Wheels whose speeds differ by less than this share are taken to be at the same mode."""
+
+
+@dataclass(frozen=True)
+class Tones:
+    """A set of K tones.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (K,)
+        rad/s.
+    amplitude : ndarray, shape (22, K), complex
+        On the disturbance inputs (N, Nm), with the phase at t = 0.
+    harmonic : ndarray, shape (K,)
+        For tones of a wheel: multiple of its speed; 0 for tones of fixed frequency.
+    wheel : ndarray of int, shape (K,)
+        Index of the wheel, or -1.
+    """
+
+    frequency: FloatArray
+    amplitude: ComplexArray
+    harmonic: FloatArray
+    wheel: NDArray[np.int64]
+
+    def at_speed(self, speed: FloatArray, reference: FloatArray) -> Tones:
+        """The tones of the wheels at other speeds: frequency follows, amplitude with the square.
+
+        Parameters
+        ----------
+        speed, reference : ndarray, shape (4,)
+            New speeds, and those that the tones were made for [rad/s].
+        """
+        follows = self.wheel >= 0
+        index = np.maximum(self.wheel, 0)
+        base = np.where(reference == 0.0, 1.0, reference)
+        ratio = np.where(follows, (speed / base)[index], 1.0)
+        frequency = np.where(follows, self.harmonic * np.abs(speed)[index], self.frequency)
+        return replace(self, frequency=frequency, amplitude=self.amplitude * ratio**2)
+
+
+def no_tones() -> Tones:
+    """An empty set."""
+    return Tones(np.zeros(0), np.zeros((CHANNELS, 0), complex), np.zeros(0), np.zeros(0, dtype=np.int64))
+
+
+def joined(parts: Sequence[Tones]) -> Tones:
+    """All tones of several sets."""
+    return Tones(
+        np.concatenate([p.frequency for p in parts]),
+        np.concatenate([p.amplitude for p in parts], axis=1),
+        np.concatenate([p.harmonic for p in parts]),
+        np.concatenate([p.wheel for p in parts]),
+    )
+
+
+def _tones(rows: list[tuple[float, ComplexArray, float, int]]) -> Tones:
+    if not rows:
+        return no_tones()
+    frequency, amplitude, harmonic, wheel = zip(*rows)
+    return Tones(np.array(frequency), np.array(amplitude).T, np.array(harmonic), np.array(wheel, dtype=np.int64))
+
+
+def _wheel_vector(force: float, axial: float, torque: float, sense: float, rng: np.random.Generator) -> ComplexArray:
+    """Complex amplitude of one wheel's five channels; **radial parts turn from x to y for sense > 0**."""
+    phase = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 3))
+    return np.array(
+        [
+            force * phase[0],
+            -1j * sense * force * phase[0],
+            axial * phase[1],
+            torque * phase[2],
+            -1j * sense * torque * phase[2],
+        ]
+    )
+
+
+def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.Generator) -> Tones:
+    """Tones of the four wheels at the given speeds, random phases.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Table ``imbalance``.
+    speeds : ndarray, shape (4,)
+        rad/s; a wheel at rest makes no tone.
+    rng : numpy.random.Generator
+    """
+    table = parameters["imbalance"]
+    rows: list[tuple[float, ComplexArray, float, int]] = []
+    for i, speed in enumerate(np.asarray(speeds, dtype=float)):
+        square, sense = speed**2, float(np.sign(speed)) or 1.0
+        kinds = (
+            (table["force_harmonics"], table["force_ratios"], table["radial_force"], table["axial_force"], 0.0),
+            (table["torque_harmonics"], table["torque_ratios"], 0.0, 0.0, table["radial_torque"]),
+        )
+        for harmonics, ratios, force, axial, torque in kinds:
+            for harmonic, ratio in zip(harmonics, ratios):
+                size = ratio * square
+                five = _wheel_vector(force * size, axial * size, torque * size, sense, rng)
+                amplitude = np.zeros(CHANNELS, complex)
+                amplitude[5 * i : 5 * i + 5] = five
+                rows.append((harmonic * abs(speed), amplitude, harmonic, i))
+    return _tones(rows)
+
+
+def sadm_tones(parameters: Parameters, rng: np.random.Generator) -> Tones:
+    """Micro-stepping torque of both drives: harmonics of the step frequency, their sum within the bound."""
+    table = parameters["sadm"]
+    ratios = np.array(table["step_harmonics"], dtype=float)
+    sizes = table["torque_bound"] * ratios / ratios.sum()
+    rows: list[tuple[float, ComplexArray, float, int]] = []
+    for h, size in enumerate(sizes, start=1):
+        amplitude = np.zeros(CHANNELS, complex)
+        amplitude[20:] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 2))
+        rows.append((h * table["step_frequency"], amplitude, 0.0, -1))
+    return _tones(rows)
+
+
+def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
+    """Amplitudes |W_rws|, W_sa of the 22 disturbance inputs at frequencies omega [rad/s], shape (k, 22)."""
+    table = parameters["weights"]
+    w = np.atleast_1d(np.asarray(omega, dtype=float))
+    high_pass = np.hypot(w, table["wheel_imbalance_zero"]) / np.hypot(w, table["wheel_imbalance_pole"])
+    wheels = high_pass[:, None] * np.tile(table["wheel_imbalance"], 4)
+    return np.hstack([wheels, np.full((w.size, 2), parameters["sadm"]["torque_bound"])])
+
+
+def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Generator) -> Tones:
+    """Tones of unit norm where the telescope on its isolator alone is worst.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Tables ``design_scenario`` and ``weights``.
+    plant : StateSpace
+        From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
+    rng : numpy.random.Generator
+        Phase of each tone as a whole.
+
+    Notes
+    -----
+    "Worst" is the largest singular value seen through the weight of the relative performance error. At each of these
+    frequencies the wheels have amplitudes along the right singular vector; so have the drives where they are worst.
+    """
+    low, high = parameters["design_scenario"]["band"]
+    omega = frequency_grid(linalg.eigvals(plant.A), low, high)
+    size = weight_amplitudes(parameters, omega)
+    response = frequency_response(plant, omega) * size[:, None, :]
+    seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
+    wheels, drives = slice(0, 20), slice(20, 22)
+    peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), parameters["design_scenario"]["tones"])
+    worst = int(np.argmax(seen * largest_gains(response[:, :, drives])))
+    rows: list[tuple[float, ComplexArray, float, int]] = []
+    for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:
+        right = linalg.svd(response[k][:, channels])[2][0].conj()
+        amplitude = np.zeros(CHANNELS, complex)
+        amplitude[channels] = size[k, channels] * right
+        rows.append((float(omega[k]), amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi)), 0.0, -1))
+    return _tones(rows)
+
+
+def given_tones(table: Sequence[Sequence[float]]) -> Tones:
+    """Tones of fixed frequency from plain numbers.
+
+    Parameters
+    ----------
+    table : sequence of sequences
+        Of each tone the frequency [rad/s], then the real and the imaginary parts of its 22 amplitudes [N, Nm].
+
+    Raises
+    ------
+    ValueError
+        Another length, or a number that is not finite.
+    """
+    rows: list[tuple[float, ComplexArray, float, int]] = []
+    for entry in table:
+        if len(entry) != 1 + 2 * CHANNELS or not np.isfinite(entry).all():
+            raise ValueError(f"a tone must be {1 + 2 * CHANNELS} finite numbers, got {len(entry)}")
+        values = np.asarray(entry, dtype=float)
+        rows.append((float(values[0]), values[1 : 1 + CHANNELS] + 1j * values[1 + CHANNELS :], 0.0, -1))
+    return _tones(rows)
+
+
+def loudest_speeds(parameters: Parameters, plant: StateSpace, senses: FloatArray) -> FloatArray:
+    """Speed of each wheel [rad/s] at which the relative error by its fundamental is largest; the senses are given.
+
+    No two wheels have the same mode: each takes what the wheels before it leave.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Tables ``imbalance``, ``reaction_wheel`` and ``weights``.
+    plant : StateSpace
+        From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
+    senses : ndarray, shape (4,)
+        +1 or -1.
+    """
+    table, top = parameters["imbalance"], parameters["reaction_wheel"]["maximum_speed"]
+    omega = frequency_grid(linalg.eigvals(plant.A), 0.05 * top, top)
+    response = frequency_response(plant, omega)
+    seen = rpe_weight(omega, parameters["weights"]["rpe_window"]) * omega**2
+    sizes = np.diag([table[name] for name in ("radial_force", "axial_force", "radial_torque")])
+    found, free = np.empty(4), np.ones(omega.size, dtype=bool)
+    for i, sense in enumerate(senses):
+        five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]
+        parts = response[:, :, 5 * i : 5 * i + 5] @ np.stack(five, axis=1)
+        power = np.sum(np.abs(parts) ** 2, axis=(1, 2))
+        found[i] = omega[np.argmax(np.where(free, seen * np.sqrt(power), -1.0))]
+        free &= np.abs(omega - found[i]) > MODE_WIDTH * found[i]
+    return found
+
+
+def _highest_peaks(values: FloatArray, count: int) -> list[int]:
+    inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
+    return [int(k) for k in inner[np.argsort(values[inner])[::-1][:count]]]

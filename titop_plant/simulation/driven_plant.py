@@ -1,0 +1,113 @@
+"""The telescope under a disturbance of the user: any signal in time, held over each tick.
+
+The tones of the scenarios are integrated exactly between ticks; a signal that is known at the ticks only is held from
+one tick to the next, as the commands are (zero-order hold)::
+
+    x+ = e^(A h) x + B_h v + E_h d,   y = C x + D v + D_d d + noise
+
+``d`` holds the values of `DISTURBANCE_PORTS`: forces and torques of the four wheels on the structure, each in its
+wheel's frame, torques of the two array drives, and a wrench on the spacecraft's bus.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from lftkit import sampled
+from lftkit.systems.ports import port_slices, total_size
+from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
+from titop_plant.simulation.build import telescope
+from titop_plant.simulation.plant_config import PlantConfig, parameter_values
+from titop_plant.simulation.sampled_plant import FloatArray, SampledPlant
+from titop_plant.telescope.assembly import EXTERNAL_WRENCH, SADM_TORQUE, WHEEL_IMBALANCE
+from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+DISTURBANCE_PORTS = (WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH)
+"""Ports of the vector that a disturbance of the user writes."""
+
+DISTURBANCE_COLUMNS = port_slices(DISTURBANCE_PORTS)
+"""Columns of each port in the vector."""
+
+DISTURBANCE_SIZE = total_size(DISTURBANCE_PORTS)
+"""Size of the vector."""
+
+
+class Disturbance(Protocol):
+    """A disturbance as a signal in time."""
+
+    def step(self, out: FloatArray) -> None:
+        """Write the forces and torques (28,) from this tick to the next [N, Nm] into `out`."""
+
+    def reset(self) -> None:
+        """Back to the first tick: the same values again."""
+
+
+class DrivenPlant:
+    """A telescope with a disturbance of the user; it has the interface of `SampledPlant`.
+
+    **A positive force acts on the structure along the axis of its port's frame.** The disturbance is added to the
+    tones of the plant, and switched off with them (`change`).
+
+    Parameters
+    ----------
+    plant : SampledPlant
+    held : ndarray, shape (n + 24, 28)
+        Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22) and
+        the truth (2).
+    disturbance : Disturbance
+    name : str
+        Of the disturbance, for the name of the configuration.
+    """
+
+    def __init__(self, plant: SampledPlant, held: FloatArray, disturbance: Disturbance, name: str) -> None:
+        self.plant, self.disturbance = plant, disturbance
+        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
+        self.parameters_hash = f"{plant.parameters_hash} with {name}"
+        self._held = np.ascontiguousarray(held)
+        self._value, self._added = np.zeros(held.shape[1]), np.zeros(held.shape[0])
+        self._on = True
+
+    def reset(self) -> None:
+        """Back to tick 0: same seed, same bits."""
+        self.plant.reset()
+        self.disturbance.reset()
+        self._on = True
+
+    def change(self, name: str, value: float) -> None:
+        """Change a setting from the next tick on, see `SampledPlant.change`."""
+        self.plant.change(name, value)
+        if name == "disturbance":
+            self._on = bool(value)
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
+        self.disturbance.step(self._value)
+        self.plant.step(command, measurement, truth)
+        if not self._on:
+            return
+        np.matmul(self._held, self._value, out=self._added)
+        order = self._added.size - MEASUREMENTS - TRUTH
+        self.plant.push(self._added[:order])
+        measurement += self._added[order : order + MEASUREMENTS]
+        truth += self._added[order + MEASUREMENTS :]
+
+
+def held_disturbance(config: PlantConfig, dt: float) -> FloatArray:
+    """What a disturbance held for one tick adds to next state, measurement and truth, shape (n + 24, 28).
+
+    Parameters
+    ----------
+    config : PlantConfig
+        A telescope of constant parameters.
+    dt : float
+        Tick [s].
+    """
+    parameters = load_parameters(config.parameters or REFERENCE)
+    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
+    ports = tuple(port.name for port in DISTURBANCE_PORTS)
+    driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
+    held = sampled(driven.data_at(parameter_values(config, parameters)), dt, method="hold")
+    return np.vstack([held.B, held.D])[:, -DISTURBANCE_SIZE:]

@@ -1,0 +1,179 @@
+"""Limits of real devices around the linear telescope: strokes, rates, quantisation, anti-alias filters.
+
+In each tick, in this order:
+
+1. The commands change by no more than the rate of their actuator allows (their size is limited by the telescope).
+2. A proof mass that reaches its stroke rests at an end stop until the force points back: a motor that presses the
+   mass on the stop has no net force on the structure. The displacement is that of the mass on its spring under the
+   force alone (``m x'' + d x' + k x = u``, exact for a force held over a tick). Neglected: the acceleration of the
+   mount, small beside it, and the impact.
+3. The telescope moves (`titop_plant.simulation.sampled_plant`), with noise and bias.
+4. Accelerations pass a Butterworth low-pass of second order (bilinear, prewarped at its cut-off), which delays slow
+   signals by ``sqrt(2) / (2 pi cut-off)``. It starts settled on the first sample.
+5. Every measurement is rounded to its quantisation step.
+
+**The truth is that of the telescope: no sensor changes it.** With infinite rates and stroke, no filter and no
+quantisation the plant is the linear one to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, signal
+
+from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
+from titop_plant.simulation.driven_plant import DrivenPlant
+from titop_plant.simulation.sampled_plant import SampledPlant
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DeviceLimits:
+    """Limits of actuators and sensors; the defaults are plausible for such devices and of no particular mission.
+
+    Parameters
+    ----------
+    mirror_rate : float
+        Largest rate of the mirror [rad/s]: full stroke of 10.6 mrad in 21 ms.
+    force_rate : float
+        Largest rate of the motor force of a proof-mass actuator [N/s].
+    stroke : float
+        Largest displacement of a proof mass from its rest position [m].
+    cut_off : float
+        Of the anti-alias filters of the accelerometers [Hz], below half the tick rate; 0 for none.
+    acceleration_step, camera_step, gauge_step : float
+        Quantisation steps [m/s2 and rad/s2; rad; rad]; 0 for none. Defaults: 16 bits over 0.5 g either way, a
+        twentieth of a pixel's noise, 16 bits over the stroke of the mirror.
+
+    Raises
+    ------
+    ValueError
+        A rate or stroke that is not positive, a step that is negative, a cut-off outside its range.
+    """
+
+    mirror_rate: float = 0.5
+    force_rate: float = 3e4
+    stroke: float = 0.01
+    cut_off: float = 250.0
+    acceleration_step: float = 1.5e-4
+    camera_step: float = 5e-10
+    gauge_step: float = 1.6e-7
+
+    def __post_init__(self) -> None:
+        for name in ("mirror_rate", "force_rate", "stroke"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("acceleration_step", "camera_step", "gauge_step"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0.0 <= self.cut_off < 0.5 / DT:
+            raise ValueError(f"cut_off must be from 0 to {0.5 / DT:g} Hz, got {self.cut_off}")
+
+
+class NonlinearPlant:
+    """The telescope with device limits; it has the interface of `SampledPlant`.
+
+    Parameters
+    ----------
+    plant : SampledPlant or DrivenPlant
+        The linear telescope, in the state in which the run starts.
+    limits : DeviceLimits
+    actuator : mapping
+        ``moving_mass`` [kg], ``stiffness`` [N/m] and ``damping`` [N s/m] of a proof-mass actuator.
+
+    Examples
+    --------
+    A filter of 250 Hz delays the accelerations by 0.9 ms at low frequency:
+
+    >>> round(1e3 * math.sqrt(2) / (2 * math.pi * DeviceLimits().cut_off), 2)
+    0.9
+    """
+
+    def __init__(self, plant: SampledPlant | DrivenPlant, limits: DeviceLimits, actuator: Mapping[str, Any]) -> None:
+        self.plant, self.device_limits = plant, limits
+        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
+        self.parameters_hash = f"{plant.parameters_hash} with {astuple(limits)}"
+        self._most = np.empty(COMMANDS)
+        self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * plant.dt, limits.force_rate * plant.dt
+        self._push, self._move = held_oscillator(actuator, plant.dt)
+        self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
+        if limits.cut_off:
+            self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / plant.dt))
+        self._filtered = bool(limits.cut_off)
+        self._step = np.zeros(MEASUREMENTS)
+        self._step[ACCELERATIONS], self._step[CAMERA] = limits.acceleration_step, limits.camera_step
+        self._step[FSM_ANGLE] = limits.gauge_step
+        self._coarse = self._step > 0.0
+        self._command = np.zeros(COMMANDS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to tick 0: same seed, same bits."""
+        self.plant.reset()
+        self._last: FloatArray | None = None
+        self._mass = np.zeros((2, FORCES.stop - FORCES.start))
+        self._memory: FloatArray | None = None
+
+    def change(self, name: str, value: float) -> None:
+        """Change a setting of the telescope from the next tick on, see `SampledPlant.change`."""
+        self.plant.change(name, value)
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Copy of the displacements of the six proof masses [m]."""
+        return np.array(self._mass[0])
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
+        v = self._command
+        np.clip(command, -self.limits, self.limits, out=v)
+        if self._last is not None:  # the first command is that of the start
+            np.clip(v, self._last - self._most, self._last + self._most, out=v)
+        forces = v[FORCES]
+        forces[(np.abs(self._mass[0]) >= self.device_limits.stroke) & (forces * self._mass[0] > 0.0)] = 0.0
+        self._last = v.copy()
+        self._mass = self._push @ self._mass + self._move[:, None] * forces
+        at_stop = np.abs(self._mass[0]) > self.device_limits.stroke
+        self._mass[0, at_stop] = np.copysign(self.device_limits.stroke, self._mass[0, at_stop])
+        self._mass[1, at_stop] = 0.0
+        self.plant.step(v, measurement, truth)
+        if self._filtered:
+            self._low_pass(measurement[ACCELERATIONS])
+        coarse = self._coarse
+        measurement[coarse] = np.round(measurement[coarse] / self._step[coarse]) * self._step[coarse]
+
+    def _low_pass(self, x: FloatArray) -> None:
+        """Filter in place, transposed direct form II."""
+        b, a = self._b, self._a
+        if self._memory is None:
+            z2 = (b[2] - a[2]) * x
+            self._memory = np.array([(b[1] - a[1]) * x + z2, z2])
+        y = b[0] * x + self._memory[0]
+        self._memory[0] = b[1] * x - a[1] * y + self._memory[1]
+        self._memory[1] = b[2] * x - a[2] * y
+        x[:] = y
+
+
+def held_oscillator(actuator: Mapping[str, Any], dt: float) -> tuple[FloatArray, FloatArray]:
+    """Displacement and velocity of a proof mass one tick on: matrix (2, 2) of the state, vector (2,) of a held force.
+
+    Examples
+    --------
+    A constant force ends at u / k:
+
+    >>> push, move = held_oscillator({"moving_mass": 2.5, "stiffness": 70.0, "damping": 10.0}, 1e-3)
+    >>> rest = linalg.solve(np.eye(2) - push, move * 7.0)
+    >>> rest.round(12).tolist()
+    [0.1, 0.0]
+    """
+    m, k, d = (float(actuator[name]) for name in ("moving_mass", "stiffness", "damping"))
+    generator = np.array([[0.0, 1.0, 0.0], [-k / m, -d / m, 1.0 / m], [0.0, 0.0, 0.0]])
+    held = linalg.expm(generator * dt)
+    return held[:2, :2], held[:2, 2]
