@@ -41,7 +41,7 @@ PATIENCE = 120.0
 CRASHES = 3
 """Members in a row that end their workers, each alone, after which the workers are at fault and not the members."""
 
-EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow"}
+EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow", "cryptography": "cryptography"}
 """Modules of the extra ``campaign``, and how they are called."""
 
 FILES = ("k_fsm", "k_pma", "parameters")

@@ -91,7 +91,8 @@ def campaign(
     with cluster(scheduler, workers) as client:
         check_workers(asked, client)
         done = folder.open(asked, resume)
-        console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
+        if client.dashboard_link:
+            console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         _evaluate(asked, folder, client, done)
     summary = campaign_summary(asked, folder, max(keep, 5))
     summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
