@@ -22,6 +22,7 @@ from los_testbed.campaign.execution import _fetched as fetched
 from los_testbed.campaign.execution import _one_by_one as one_by_one
 from los_testbed.campaign.execution import _portable as portable
 from los_testbed.campaign.execution import check_workers, cluster, evaluate_chunk, identity, run_campaign
+from los_testbed.campaign.tls_files import TlsFiles
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 
@@ -339,8 +340,11 @@ def test_address_of_a_worker_is_refused() -> None:
     pytest.importorskip("distributed")
     with cluster("", 1) as client:
         (worker,) = client.scheduler_info(n_workers=-1)["workers"]
-        message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker answers"
-        with pytest.raises(ValueError, match=message), cluster(worker, 0):
+        files = TlsFiles(
+            *(Path(getattr(client.security, f"tls_{name}")) for name in ("ca_file", "client_cert", "client_key"))
+        )
+        message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker.* answers"
+        with pytest.raises(ValueError, match=message), cluster(worker, 0, files):
             pass
 
 
@@ -349,7 +353,7 @@ def test_worker_with_other_parameters_is_refused() -> None:
     other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "parameters": "0123"})
     with (
         cluster("", 1) as client,
-        pytest.raises(ValueError, match=r"worker tcp://.*: parameters must be 0123 as here, got [0-9a-f]{12}"),
+        pytest.raises(ValueError, match=r"worker tls://.*: parameters must be 0123 as here, got [0-9a-f]{12}"),
     ):
         check_workers(other, client)
 
@@ -364,7 +368,10 @@ def test_worker_that_joins_later_is_compared_too(tmp_path: Path) -> None:
     assert folder.parts() == []
 
 
-@pytest.mark.parametrize(("module", "name"), [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow")])
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow"), ("cryptography", "cryptography")],
+)
 def test_missing_extra_is_named_before_members_are_searched_for(
     module: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ REMEDIES = {
     "could not import 'pandas": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",
+    "could not import 'cryptography": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'axe_core_python": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'mkdocs": "install the extra: pip install 'los-testbed[docs]'",

@@ -25,6 +25,7 @@ from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.local_cluster import local_cluster
 from los_testbed.campaign.member import CRASHED, DEPTHS, MemberEvaluator, finished_row
+from los_testbed.campaign.tls_files import TlsFiles, client_security
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files
 
@@ -41,7 +42,7 @@ PATIENCE = 120.0
 CRASHES = 3
 """Members in a row that end their workers, each alone, after which the workers are at fault and not the members."""
 
-EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow"}
+EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow", "cryptography": "cryptography"}
 """Modules of the extra ``campaign``, and how they are called."""
 
 FILES = ("k_fsm", "k_pma", "parameters")
@@ -73,26 +74,28 @@ class WorkerMismatchError(RuntimeError):
 
 
 @contextlib.contextmanager
-def cluster(scheduler: str, workers: int) -> Iterator[Any]:
+def cluster(scheduler: str, workers: int, tls: TlsFiles | None = None) -> Iterator[Any]:
     """Client of the cluster at an address, or of a new one on this machine.
 
     Parameters
     ----------
     scheduler : str
-        For example ``tcp://host:8786``; empty for a local cluster.
+        For example ``tcp://host:8786`` or ``tls://host:8786``; empty for a local cluster.
     workers : int
         Processes of a local cluster; 0 for one each processor.
+    tls : TlsFiles, optional
+        Certificates for an address ``tls://``; default: those that Dask is configured with.
 
     Raises
     ------
     ValueError
-        The extra is not installed; no scheduler at the address, or one without workers.
+        The extra is not installed; no scheduler at the address, one that refuses, or one without workers.
     """
-    check_cluster(scheduler)
+    check_cluster(scheduler, tls)
     from distributed import Client
 
     if scheduler:
-        with Client(scheduler, timeout=CONNECT) as client:
+        with Client(scheduler, timeout=CONNECT, security=client_security(scheduler, tls)) as client:
             if not client.scheduler_info(n_workers=-1)["workers"]:
                 raise ValueError(f"scheduler must have workers, got none at {scheduler}")
             yield client
@@ -103,12 +106,13 @@ def cluster(scheduler: str, workers: int) -> Iterator[Any]:
         yield client
 
 
-def check_cluster(scheduler: str) -> None:
+def check_cluster(scheduler: str, tls: TlsFiles | None = None) -> None:
     """Refuse, before anything is computed, a cluster that cannot be.
 
     Parameters
     ----------
     scheduler : str
+    tls : TlsFiles, optional
         As of :func:`cluster`.
 
     Raises
@@ -120,19 +124,18 @@ def check_cluster(scheduler: str) -> None:
         if find_spec(module) is None:
             raise ValueError(f"{name} must be installed: pip install 'los-testbed[campaign]'")
     if scheduler:
-        _check_address(scheduler)
+        _check_address(scheduler, client_security(scheduler, tls).get_connection_args("client"))
 
 
-def _check_address(scheduler: str) -> None:
+def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
     """Refuse an address where no Dask scheduler answers: nothing, a program that is silent, or one that is not Dask's.
 
     Dask itself waits for the answer of a silent one without an end.
     """
     from distributed.core import rpc
-    from distributed.security import Security
 
     async def identity_there() -> dict[str, Any]:
-        async with rpc(scheduler, timeout=CONNECT, connection_args=Security().get_connection_args("client")) as there:
+        async with rpc(scheduler, timeout=CONNECT, connection_args=arguments) as there:
             found: dict[str, Any] = await there.identity()
             return found
 

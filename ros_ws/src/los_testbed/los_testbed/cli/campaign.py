@@ -39,7 +39,8 @@ campaign goes on with --resume.
 
     los-testbed campaign --samples 0 --sampling corners --loop fsm --keep 3    # bags of the three worst
 
-    los-testbed campaign --samples 10000 --scheduler tcp://host:8786
+    los-testbed campaign --samples 10000 --scheduler tls://host:8786 --tls-ca-file ca.pem --tls-cert me.pem
+    --tls-key me.key
 """
 
 
@@ -57,7 +58,12 @@ def campaign(
     k_pma: ForceLawFile = None,
     designs: Designs = None,
     parameters: Telescope = None,
-    scheduler: Annotated[str, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask scheduler.")] = "",
+    scheduler: Annotated[str, typer.Option(metavar="tls://HOST:PORT", help="A running Dask scheduler.")] = "",
+    tls_ca_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="For tls://: whom you trust, as PEM.")
+    ] = None,
+    tls_cert: Annotated[Path | None, typer.Option(metavar="FILE", help="For tls://: your certificate.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key; default: in --tls-cert.")] = None,
     workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
     keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
@@ -69,6 +75,7 @@ def campaign(
     from los_testbed.campaign.execution import check_cluster, check_workers, cluster, identity
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
+    from los_testbed.campaign.tls_files import TlsFiles
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
 
@@ -78,20 +85,22 @@ def campaign(
     number("--keep", keep, 0, 1000)
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
+    tls = TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
     folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
     folder.check(resume)
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
     warn(check_controllers(base))
-    check_cluster(scheduler)  # before a search for adversarial members, which takes minutes
+    check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
     if resume:
         folder.compare(asked)
     console = Screen(stderr=json_)
-    with cluster(scheduler, workers) as client:
+    with cluster(scheduler, workers, tls) as client:
         check_workers(asked, client)
         done = folder.open(asked, resume)
-        console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
+        if client.dashboard_link:
+            console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         _evaluate(asked, folder, client, done)
     summary = campaign_summary(asked, folder, max(keep, 5))
     summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
