@@ -23,13 +23,17 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.ports import FloatArray, Port, total_size
 from lftkit.systems.state_space import StateSpace
+
+if TYPE_CHECKING:
+    import control
 
 FORMAT = "los-testbed/sampled-system"
 VERSION = 1
@@ -154,6 +158,41 @@ class SampledSystem:
         partial = target.with_name(target.name + ".partial")
         partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         partial.replace(target)
+
+    @classmethod
+    def from_control(cls, system: Any, units: Mapping[str, str] | None = None, name: str = "") -> SampledSystem:
+        """System of a `control.StateSpace` in discrete time; signals ``port[0], port[1], ...`` become one port.
+
+        Parameters
+        ----------
+        system : control.StateSpace
+            With its sampling period [s].
+        units : mapping, optional
+            SI unit of each port by name.
+        name : str, optional
+            Taken from the system otherwise.
+
+        Raises
+        ------
+        ValueError
+            Another type, continuous time or a period that is not given in seconds, or labels from which the ports do
+            not follow.
+        """
+        matrices, inputs, outputs = ports_and_matrices(system, units)
+        if not system.dt or system.dt is True:
+            raise ValueError(f"system must have a sampling period in seconds, got dt {system.dt}")
+        return cls(*matrices, inputs, outputs, float(system.dt), name or str(system.name))
+
+    def to_control(self, name: str | None = None) -> control.StateSpace:
+        """`control.StateSpace` of the same period, with the signal names of the ports; the present state stays behind.
+
+        Raises
+        ------
+        ValueError
+            A port whose name is that of a signal of another port, for instance ``w[0]``.
+        """
+        matrices = self.A, self.B, self.C, self.D
+        return control_system(matrices, self.inputs, self.outputs, self.dt, self.name if name is None else name)
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> SampledSystem:

@@ -7,7 +7,6 @@ time, ready to run) hold one each.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lftkit.systems.control_conversion import continuous_only, control_system, ports_and_matrices
 from lftkit.systems.ports import FloatArray, Port, as_ports, port_indices, read_only, total_size
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class StateSpace:
 
     @classmethod
     def from_control(cls, system: Any, units: Mapping[str, str] | None = None, name: str = "") -> StateSpace:
-        """Model of a `control.StateSpace`; signals ``port[0], port[1], ...`` become one port each.
+        """Model of a `control.StateSpace`; signals ``port[0], port[1], ...`` become one port, wherever they stand.
 
         Parameters
         ----------
@@ -125,31 +125,23 @@ class StateSpace:
         Raises
         ------
         ValueError
-            Another type, or a system in discrete time.
+            Another type, a system in discrete time (:meth:`SampledSystem.from_control` takes it), or labels from which
+            the ports do not follow: one used twice, a missing index, ``w`` beside ``w[0]``.
         """
-        import control
-
-        if not isinstance(system, control.StateSpace):
-            raise ValueError(f"system must be a control.StateSpace, got {type(system).__name__}")
-        if system.dt:
-            raise ValueError(f"system must be in continuous time, got sampling period {system.dt}")
-        units = units or {}
-        inputs, outputs = _ports(system.input_labels, units), _ports(system.output_labels, units)
-        return cls(system.A, system.B, system.C, system.D, inputs, outputs, name or str(system.name))
+        matrices, inputs, outputs = ports_and_matrices(system, units)
+        continuous_only(system)
+        return cls(*matrices, inputs, outputs, name or str(system.name))
 
     def to_control(self, name: str | None = None) -> control.StateSpace:
-        """`control.StateSpace` with the signal names of the ports."""
-        import control
+        """`control.StateSpace` with the signal names of the ports, from which :meth:`from_control` makes them again.
 
-        return control.ss(
-            self.A,
-            self.B,
-            self.C,
-            self.D,
-            inputs=[s for p in self.inputs for s in p.signals],
-            outputs=[s for p in self.outputs for s in p.signals],
-            name=self.name if name is None else name,
-        )
+        Raises
+        ------
+        ValueError
+            A port whose name is that of a signal of another port, for instance ``w[0]``.
+        """
+        dt = 0.0 if self.order else None  # a gain may stand in either time
+        return control_system(self.matrices, self.inputs, self.outputs, dt, self.name if name is None else name)
 
 
 def checked_matrices(
@@ -169,7 +161,7 @@ def checked_matrices(
     ValueError
         Wrong shape or an entry that is not finite; the message names the matrix, its required and its actual shape.
     """
-    given = {key: _array(key, value) for key, value in zip("ABCD", (A, B, C, D))}
+    given = {key: real_array(key, value) for key, value in zip("ABCD", (A, B, C, D))}
     d = np.atleast_2d(given["D"])
     m = d.shape[1] if inputs is None else inputs
     p = d.shape[0] if outputs is None else outputs
@@ -192,16 +184,13 @@ def checked_matrices(
     return given["A"], given["B"], given["C"], given["D"]
 
 
-def _array(key: str, value: ArrayLike) -> FloatArray:
+def real_array(key: str, value: ArrayLike) -> FloatArray:
+    """`value` as an array of floats; a ValueError names the matrix `key` where it holds anything but real numbers."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"matrix {key} must be a rectangular array of numbers, got {type(value).__name__}") from None
-
-
-def _ports(labels: Sequence[str], units: Mapping[str, str]) -> tuple[Port, ...]:
-    sizes: dict[str, int] = {}
-    for label in labels:
-        base = re.sub(r"\[\d+\]$", "", label)
-        sizes[base] = sizes.get(base, 0) + 1
-    return tuple(Port(name, size, units.get(name, "1")) for name, size in sizes.items())
+        raise ValueError(
+            f"matrix {key} must be a rectangular array of real numbers, got {type(value).__name__}"
+        ) from None

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lftkit.systems.control_conversion import continuous_only, ports_and_matrices
 from lftkit.systems.ports import FloatArray, Port, port_indices
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.state_space import StateSpace, real_array
 from lftkit.systems.system_summary import html, one_line, text
 from lftkit.uncertainty.parameters import RealParameter, checked_values, parameter_table
 
@@ -253,24 +254,46 @@ class UncertainSystem:
 
 def static_gain(matrix: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]) -> UncertainSystem:
     """Gain without states or parameters: ``y = matrix u``."""
-    return UncertainSystem(_EMPTY, _EMPTY, _EMPTY, np.asarray(matrix, float), tuple(inputs), tuple(outputs))
+    return UncertainSystem(_EMPTY, _EMPTY, _EMPTY, real_array("D", matrix), tuple(inputs), tuple(outputs))
 
 
 def state_space(
     A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]
 ) -> UncertainSystem:
     """System without parameters from its matrices."""
-    a, b, c, d = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
+    a, b, c, d = (real_array(key, matrix) for key, matrix in zip("ABCD", (A, B, C, D)))
     return UncertainSystem(a, b, c, d, tuple(inputs), tuple(outputs))
 
 
 def from_control(
     system: Any, inputs: Sequence[Port] | None = None, outputs: Sequence[Port] | None = None
 ) -> UncertainSystem:
-    """A `control.StateSpace` as a system without parameters; ports default to its signal labels."""
-    inputs = inputs or [Port(label, 1) for label in system.input_labels]
-    outputs = outputs or [Port(label, 1) for label in system.output_labels]
-    return state_space(system.A, system.B, system.C, system.D, inputs, outputs)
+    """A `control.StateSpace` in continuous time as a system without parameters.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous time (dt 0 or None).
+    inputs, outputs : sequence of Port, optional
+        Ports whose signals are the labels of the system in some order, or which name its signals anew. Otherwise the
+        signals ``w[0], w[1], ...`` become one port ``w``, wherever they stand.
+
+    Raises
+    ------
+    ValueError
+        Another type, a system in discrete time (:meth:`SampledSystem.from_control` takes it), or labels from which
+        the ports do not follow.
+
+    Examples
+    --------
+    >>> import control
+    >>> w = control.ss([[-1]], [[1, 2, 3]], [[1]], [[0, 0, 0]], inputs=["w[0]", "v", "w[1]"], outputs=["z"])
+    >>> from_control(w)["z", "w"].B.tolist()
+    [[1.0, 3.0]]
+    """
+    matrices, ports_in, ports_out = ports_and_matrices(system, None, inputs, outputs)
+    continuous_only(system)
+    return state_space(*matrices, ports_in, ports_out)
 
 
 _EMPTY = np.zeros((0, 0))

@@ -1,0 +1,151 @@
+"""Conversions from and to python-control: every signal reaches its port, the period is kept or refused."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import control
+import numpy as np
+import pytest
+
+from lftkit import Port, SampledSystem, StateSpace, UncertainSystem, from_control, state_space, static_gain
+from lftkit.systems.signal_labels import order_for_ports, ports_of_labels
+
+LABELS = ("w[0]", "w[1]", "w[2]", "v", "q[0]", "q[1]")
+COLUMN = dict(zip(LABELS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+ORDERS = list(permutations(LABELS))[::29]
+
+
+def system(inputs: tuple[str, ...], outputs: tuple[str, ...], dt: float | bool | None = 0) -> control.StateSpace:
+    """Pole 0.5 - 1 or 0.5; B, C and D tell which label a column or row has."""
+    b, c = np.array([COLUMN[name] for name in inputs]), np.array([COLUMN[name] for name in outputs])
+    pole = [[0.5 if dt else -0.5]]
+    return control.ss(pole, b[None], 10 * c[:, None], c[:, None] + 100 * b, dt, inputs=inputs, outputs=outputs)
+
+
+def check(made: StateSpace | SampledSystem | UncertainSystem) -> None:
+    """Each signal of each port has the column and row of its label."""
+    b = [COLUMN[label] for port in made.inputs for label in port.signals]
+    c = np.array([COLUMN[label] for port in made.outputs for label in port.signals])
+    assert {(p.name, p.size) for p in made.inputs} == {("w", 3), ("v", 1), ("q", 2)}
+    np.testing.assert_array_equal(made.B, [b])
+    np.testing.assert_array_equal(made.C, 10 * c[:, None])
+    np.testing.assert_array_equal(made.D, c[:, None] + 100 * np.array(b))
+
+
+@pytest.mark.parametrize("labels", ORDERS[:25])
+def test_labels_in_any_order_reach_their_ports(labels: tuple[str, ...]) -> None:
+    check(StateSpace.from_control(system(labels, labels[::-1])))
+    check(from_control(system(labels, labels[::-1])))
+    sampled = SampledSystem.from_control(system(labels, labels[::-1], 0.25))
+    check(sampled)
+    assert sampled.dt == 0.25
+
+
+def test_ports_that_are_given_take_the_signals_of_their_names() -> None:
+    given = [Port("q", 2, "N"), Port("w", 3), Port("v", 1)]
+    made = from_control(system(LABELS[::-1], LABELS), given, given)
+    check(made)
+    assert made.inputs == tuple(given)
+    assert made.B.tolist() == [[5.0, 6.0, 1.0, 2.0, 3.0, 4.0]]
+
+
+def test_ports_of_new_names_go_by_position_and_a_mixture_is_refused() -> None:
+    plant = system(LABELS[:3], LABELS[3:])
+    made = from_control(plant, [Port("force", 2), Port("torque", 1)], [Port("y", 3)])
+    np.testing.assert_array_equal(made.B, plant.B)
+    with pytest.raises(ValueError, match=r"input ports must have the signals w\[0\], w\[1\], w\[2\], got 'v'"):
+        from_control(plant, [Port("w", 2), Port("v", 1)])
+    with pytest.raises(ValueError, match="input ports must have 3 signals in all, got 2"):
+        from_control(plant, [Port("w", 2)])
+    assert order_for_ports(["u[0]"], [Port("u", 1)]).tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (["w[0]", "v", "w[2]"], r"labels of port 'w' must have the indices 0 to 1, got 0, 2"),
+        (["w[1]", "w[2]"], r"labels of port 'w' must have the indices 0 to 1, got 1, 2"),
+        (["w[1]"], r"labels of port 'w' must have the indices 0 to 0, got 1"),
+        (["w", "w[0]"], r"must name one signal each, got 'w' and 'w\[0\]' for port 'w'"),
+        (["w[1]", "w"], r"must name one signal each, got 'w\[1\]' and 'w' for port 'w'"),
+        (["w", "w[1]"], r"must name one signal each, got 'w' and 'w\[1\]' for port 'w'"),
+        (["w[0]", "v", "w[0]"], r"must name one signal each"),
+        (["w", "w"], "must name one signal each"),
+    ],
+)
+def test_doubtful_labels_are_refused(labels: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        ports_of_labels(labels)
+    assert "\n" not in str(caught.value)
+    plant = control.ss([[-1.0]], np.ones((1, len(labels))), [[1.0]], np.zeros((1, len(labels))), inputs=labels)
+    for convert in (StateSpace.from_control, from_control):
+        with pytest.raises(ValueError, match="input labels"):
+            convert(plant)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0, True])
+def test_a_discrete_system_is_no_continuous_one(dt: float | bool) -> None:
+    """The stable pole 0.5 of the discrete system would be an unstable one of the continuous system."""
+    plant = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt)
+    for convert in (StateSpace.from_control, from_control):
+        with pytest.raises(ValueError, match=f"system must be in continuous time, got sampling period {dt}") as caught:
+            convert(plant)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dt", [0, None, True])
+def test_a_sampled_system_needs_its_period(dt: float | bool | None) -> None:
+    with pytest.raises(ValueError, match=f"must have a sampling period in seconds, got dt {dt}"):
+        SampledSystem.from_control(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt))
+
+
+def test_other_types_are_refused_by_name() -> None:
+    for convert in (StateSpace.from_control, SampledSystem.from_control, from_control):
+        with pytest.raises(ValueError, match=r"must be a control\.StateSpace, got TransferFunction"):
+            convert(control.tf([1], [1, 1]))
+
+
+def test_round_trips_are_exact() -> None:
+    rng = np.random.default_rng(0)
+    ports = (Port("w", 3), Port("v", 1)), (Port("y", 2), Port("z", 1))
+    matrices = rng.normal(size=(4, 4)), rng.normal(size=(4, 4)), rng.normal(size=(3, 4)), rng.normal(size=(3, 4))
+    model, sampled = StateSpace(*matrices, *ports), SampledSystem(*matrices, *ports, 0.125, "k")
+    uncertain = state_space(*matrices, *ports)
+    for one, again in (
+        (model, StateSpace.from_control(model.to_control())),
+        (sampled, SampledSystem.from_control(sampled.to_control())),
+        (uncertain, from_control(uncertain.nominal())),
+    ):
+        assert (one.inputs, one.outputs) == (again.inputs, again.outputs)
+        assert all(np.array_equal(getattr(one, key), getattr(again, key)) for key in "ABCD")
+    assert sampled.to_control().dt == 0.125 and sampled.to_control().name == "k"
+
+
+def test_a_continuous_model_stays_one_whatever_the_default_of_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(control.config.defaults, "control.default_dt", 0.1)
+    monkeypatch.setitem(control.config.defaults, "statesp.remove_useless_states", True)
+    model = StateSpace([[-1.0, 0.0], [0.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    assert model.to_control().dt == 0 and model.to_control().nstates == 2
+    assert static_gain([[2.0]], [Port("u", 1)], [Port("y", 1)]).nominal().dt is None
+
+
+def test_a_port_with_the_name_of_a_signal_does_not_become_a_label() -> None:
+    model = StateSpace.static([[1.0, 2.0, 3.0]], [("w", 2), ("w[0]", 1)], [("y", 1)])
+    with pytest.raises(
+        ValueError, match=r"input port must have a name without an index to become labels, got 'w\[0\]'"
+    ):
+        model.to_control()
+
+
+def test_complex_matrices_are_refused() -> None:
+    """Their imaginary part would be lost."""
+    ports = [Port("u", 1)], [Port("y", 1)]
+    for make in (
+        lambda: StateSpace([[-1 + 1j]], [[1]], [[1]], [[0]], *ports),
+        lambda: state_space([[-1 + 1j]], [[1]], [[1]], [[0]], *ports),
+        lambda: SampledSystem([[0.5j]], [[1]], [[1]], [[0]], *map(tuple, ports), 0.1),
+        lambda: static_gain(np.array([[1j]]), *ports),
+    ):
+        with pytest.raises(ValueError, match="must be a rectangular array of real numbers"):
+            make()
