@@ -11,6 +11,7 @@ from numpy.linalg import det as _det
 from numpy.linalg import eigh as _eigh
 from numpy.linalg import eigvals as _eigvals
 from numpy.linalg import eigvalsh as _eigvalsh
+from numpy.linalg import inv as _inv
 from numpy.linalg import solve as _solve
 from numpy.linalg import svd as _svd
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ def solve(M: ComplexArray, X: ComplexArray) -> ComplexArray:
         Y[:, 1] = (a * X[:, 1] - c * X[:, 0]) / determinant
         return Y
     return np.asarray(_solve(M, X))
+
+
+def inverses(M: ComplexArray) -> ComplexArray:
+    """Inverse of each matrix of the stack `M` (N, k, k)."""
+    return np.asarray(_inv(M))
 
 
 def determinants(M: ComplexArray) -> ComplexArray:
@@ -63,6 +69,19 @@ def largest_gains(T: ComplexArray) -> FloatArray:
         middle = 0.5 * (gram[:, 0, 0] + gram[:, 1, 1]).real
         return np.asarray(np.sqrt(middle + np.hypot(half, np.abs(gram[:, 0, 1]))))
     return np.asarray(np.sqrt(np.maximum(_eigvalsh(gram)[:, -1], 0.0)))
+
+
+def largest_eigenvalues(M: ComplexArray) -> FloatArray:
+    """Largest eigenvalue, 0 at least, of each Hermitian matrix of the stack `M` (N, k, k)."""
+    k = M.shape[1]
+    if k == 0:
+        return np.zeros(len(M))
+    if k == 1:
+        return np.asarray(np.maximum(M[:, 0, 0].real, 0.0))
+    if k == 2:
+        half, middle = 0.5 * (M[:, 0, 0] - M[:, 1, 1]).real, 0.5 * (M[:, 0, 0] + M[:, 1, 1]).real
+        return np.asarray(np.maximum(middle + np.hypot(half, np.abs(M[:, 0, 1])), 0.0))
+    return np.asarray(np.maximum(_eigvalsh(M)[:, -1], 0.0))
 
 
 def singular_values(T: ComplexArray) -> FloatArray:

@@ -142,6 +142,14 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
+def eigenvector_residual(A: FloatArray, modes: Modes) -> FloatArray:
+    """``A W - W L`` for the eigenvectors W (without `low`) and the poles L, in the real form, rounded once."""
+    first = np.flatnonzero(modes.poles.imag > 0)
+    partner = np.arange(len(modes.poles))
+    partner[first], partner[first + 1] = first + 1, first
+    return _residual(A, modes.vectors, modes.poles, partner)
+
+
 def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]:
     """Corrections of the eigenvalues (n,) and of the eigenvectors (n, n), the latter in the real form."""
     poles, W = modes.poles, modes.vectors

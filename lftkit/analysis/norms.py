@@ -1,8 +1,8 @@
 """System norms that hold for lightly damped models of hundreds of states.
 
 The H-infinity norm is two-sided: a gain really reached (computed by a direct solution at the reported frequency),
-and a level certified never to be exceeded. Discrete-time systems (`dt` given) go through the bilinear
-map, which keeps the norm and maps the frequencies one to one.
+and a level certified never to be exceeded. Discrete-time systems (`dt` given) are not mapped to continuous time:
+gains and level are those of the given matrices on the unit circle.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
 from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
 from lftkit.analysis.peak_search import climb
 from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
-from lftkit.systems.bilinear import to_continuous
 from lftkit.systems.state_space import Matrices, checked_matrices
 
 sl: Any = scipy.linalg
@@ -46,7 +46,9 @@ class HInfNorm:
     omega : float
         Frequency of the peak [rad/s]; of the least stable pole for an unstable system.
     certificate : str
-        ``interval``, ``hamiltonian``, ``static`` or ``unstable``: the test behind `upper`.
+        ``interval``, ``hamiltonian``, ``static`` or ``unstable``: the test behind `upper`. In discrete time also
+        ``polynomial`` (integer arithmetic) and ``none``: rounding leaves it open whether the system is stable, `value`
+        is the norm of D and `upper` infinite.
     """
 
     value: float
@@ -77,12 +79,15 @@ def hinf_norm(
         Relative distance of the two sides.
     certificate : {"auto", "interval", "hamiltonian"}
         ``auto`` takes the Hamiltonian for up to 40 states whose damping is far from rounding; else the interval test
-        where the modal form is sound and the Hamiltonian otherwise.
+        where the modal form is sound and the Hamiltonian otherwise. In discrete time intervals of the unit circle are
+        used, and integer arithmetic where rounding would matter and there are at most 24 states.
 
     Returns
     -------
     HInfNorm
-        ``value <= norm <= upper = value (1 + rtol)``.
+        ``value <= norm <= upper``, and ``upper <= value (1 + rtol)``. In discrete time the sides are farther apart
+        where rounding of a system of more than 24 states hides the difference. Poles on the unit circle to rounding,
+        four roundings per state, count as unstable.
 
     Raises
     ------
@@ -111,10 +116,9 @@ def hinf_norm(
         return _continuous(system, rtol, certificate)
     if not dt > 0:
         raise ValueError(f"dt must be positive, got {dt}")
-    if (worst := _on_or_outside_circle(system[0])) is not None:
-        return HInfNorm(np.inf, np.inf, float(abs(np.angle(worst))) / dt, "unstable")
-    norm = _continuous(to_continuous(*system), rtol, certificate)
-    return HInfNorm(norm.value, norm.upper, 2.0 * float(np.arctan(norm.omega)) / dt, norm.certificate)
+    if certificate == "hamiltonian":
+        raise ValueError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
+    return _discrete(system, dt, rtol)
 
 
 def hinf_norms(
@@ -177,6 +181,20 @@ def _on_or_outside_circle(A: FloatArray) -> complex | None:
     poles = sl.eigvals(A)
     worst = complex(poles[np.argmax(np.abs(poles))])
     return worst if abs(worst) >= 1.0 - 4.0 * EPS * len(A) else None
+
+
+def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
+    A, B, C, D = system
+    if len(A) == 0:
+        return _norm_of_feedthrough(A, D)
+    peak = discrete_norm(system, rtol)
+    if peak is None:
+        poles = sl.eigvals(balanced(A, B, C)[0])
+        worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
+        return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
+    if peak.upper < np.inf and not (B.any() and C.any()):
+        return _norm_of_feedthrough(A[:0, :0], D)
+    return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
 
 
 def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:

@@ -1,0 +1,272 @@
+"""Expansions of a discrete-time response along the unit circle, with bounds of what they leave out and of rounding.
+
+Around ``z0 = exp(j theta)`` the circle is ``z = z0 (1 + jt) / (1 - jt)`` with a real t, and a modal term is
+
+    1 / (z - pole) = (1 + sum_k (-jt)^k (q + 1) q^(k-1)) / (z0 - pole),   q = (z0 + pole) / (z0 - pole).
+
+The poles and residues are those of the matrices that were given: what rounding may have done to them is computed from
+the residual of the eigenvectors, in twice the working precision, and is part of every bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.analysis.batched_linalg import inverses
+from lftkit.analysis.compensated import matrix_product, two_product, two_sum
+from lftkit.analysis.eigenvectors import (
+    EPS,
+    Modes,
+    complex_columns,
+    complex_rows,
+    corrected_modes,
+    eigenvector_residual,
+    modes,
+)
+from lftkit.systems.ports import FloatArray
+from lftkit.systems.state_space import Matrices
+
+lapack: Any = scipy.linalg.lapack
+ComplexArray = NDArray[np.complex128]
+
+ORDER = 4  # of the expansions
+INSIDE = 0.75  # |t q| of a pole, at most
+ANGLE = 1e-15  # rounding of the angle of a pole or of a point of the circle [rad]
+SETTLED = 0.25  # sum of a row of the residual over the distance of its pole from the circle, at most
+SEPARATE = 1e-11  # the same, above which the eigenvectors are corrected
+TWICE = 2.0**-74  # rounding of a product in twice the working precision
+RESOLVENTS = 200_000  # entries of the inverses that are held at once
+MAX_CONDITION = 1e12  # of the eigenvectors
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Response on intervals of the circle: ``sum_k coefficients[:, k] x^k`` with x from -1 to 1.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (N, ORDER + 1, p, m), complex
+    rest : ndarray, shape (N,)
+        Norm of what the expansion leaves out, at most; infinite where it does not converge.
+    rounding : ndarray, shape (N,)
+        Norm of the error by rounding, at most.
+    """
+
+    coefficients: ComplexArray
+    rest: FloatArray
+    rounding: FloatArray
+
+
+@dataclass(frozen=True)
+class CircleModes:
+    """Modal form of a stable discrete-time system.
+
+    Parameters
+    ----------
+    angle, gap : ndarray, shape (n,)
+        Of each pole the angle [rad] and the distance from the unit circle, the latter to its own rounding.
+    residues : ndarray, shape (n, p m), complex
+    sizes : ndarray, shape (n,)
+        Norms of the residues.
+    inexact : ndarray, shape (n,)
+        Error of the residues, at most.
+    couplings : ndarray, shape (n, n)
+        Magnitudes of the residual in modal coordinates, times the norms of the factors on both sides.
+    D : ndarray, shape (p, m)
+    """
+
+    angle: FloatArray
+    gap: FloatArray
+    residues: ComplexArray
+    sizes: FloatArray
+    inexact: FloatArray
+    couplings: FloatArray
+    D: FloatArray
+
+    def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
+        """Expansions around the angles `theta` (N,) [rad], for `half` (N,) to both sides."""
+        t = np.tan(0.5 * half)[:, None]
+        phi = theta[:, None] - self.angle
+        turned = np.exp(1j * phi)
+        base = (self.gap - 2.0 * np.sin(0.5 * phi) ** 2) + 1j * turned.imag  # turned - radius, without cancellation
+        weight = np.exp(-1j * self.angle) / base
+        more = 2.0 * turned / base
+        q = more - 1.0
+        size, reach = np.abs(weight), np.abs(q)
+        moved = t * reach
+        converges = moved.max(axis=1, initial=0.0) < INSIDE
+        left = 1.0 - np.minimum(moved, INSIDE)
+        weights = np.empty((len(theta), ORDER + 1, len(self.gap)), dtype=complex)
+        weights[:, 0] = weight
+        weights[:, 1] = (-1j * t) * more * weight
+        for k in range(1, ORDER):
+            weights[:, k + 1] = (-1j * t) * q * weights[:, k]
+        coefficients = (weights @ self.residues).reshape(*weights.shape[:2], *self.D.shape)
+        coefficients[:, 0] += self.D
+        rest = (t * moved**ORDER * np.abs(more) * size / left) @ self.sizes
+        return Expansion(coefficients, np.where(converges, rest, np.inf), self._rounding(size / left))
+
+    def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response at the angle `theta` and its first and second derivative with respect to it."""
+        return _derivatives(self, theta)
+
+    def _rounding(self, near: FloatArray) -> FloatArray:
+        """Error of the response where the poles are no farther than 1 / `near` (N, n)."""
+        terms = near @ self.sizes
+        coupled = np.einsum("ki,ij,kj->k", near, self.couplings, near, optimize=False)
+        turn = near * near * self.sizes  # a turn that all poles share moves a peak and keeps its height
+        others = turn.sum(axis=1) - turn.max(axis=1, initial=0.0)
+        return np.asarray(8.0 * EPS * terms + near @ self.inexact + 2.0 * coupled + 2.0 * ANGLE * others)
+
+
+def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bool | None]:
+    """Modal form of a balanced system, and whether all poles have a magnitude below `limit`.
+
+    The form is None where the eigenvectors do not carry it, the answer is None where rounding hides it.
+    """
+    A, B, C, D = system
+    n = len(A)
+    found = modes(A)
+    if found.reciprocal_condition * MAX_CONDITION < 1.0:
+        return None, None
+    off = _residual(A, found)
+    gap, angle = _polar(found.poles, off)
+    if not np.all(np.abs(off).sum(axis=1) <= SEPARATE * np.abs(gap)):
+        found = corrected_modes(A, found)
+        vectors = found.vectors + found.low
+        found = Modes(found.poles, vectors, np.zeros((n, n)), lapack.dgetrf(vectors)[:2])
+        off = _residual(A, found)
+        gap, angle = _polar(found.poles, off)
+    couplings = _couplings(A, found, off)
+    reach = couplings.sum(axis=1)
+    band = 1.0 - limit
+    if np.any(np.abs(gap - band) <= 2.0 * reach):
+        return None, None
+    if np.any(gap <= band):
+        return None, False
+    if np.any(reach > SETTLED * gap):
+        return None, None
+    left = complex_columns(found.poles, found.observed(C))
+    right, error = _excited(found, B)
+    rows, columns = np.sqrt(np.sum(np.abs(left) ** 2, axis=0)), np.sqrt(np.sum(np.abs(right) ** 2, axis=1))
+    residues = (left.T[:, :, None] * right[:, None, :]).reshape(n, -1)
+    inexact = rows * error + 4.0 * EPS * rows * columns
+    return CircleModes(angle, gap, residues, rows * columns, inexact, couplings * rows[:, None] * columns, D), True
+
+
+def _couplings(A: FloatArray, found: Modes, off: ComplexArray) -> FloatArray:
+    """Magnitudes of what is left of the residual beside the diagonal, with its own rounding."""
+    size = np.abs(off)
+    inverse = len(A) / max(found.reciprocal_condition, EPS)
+    doubt = inverse * (EPS * float(size.max(initial=0.0)) + TWICE * float(np.abs(A).max(initial=0.0)))
+    size[np.diag_indices(len(A))] = 0.0
+    return size + doubt
+
+
+def _residual(A: FloatArray, found: Modes) -> ComplexArray:
+    """``V^-1 A V - diag(poles)`` (n, n)."""
+    real = lapack.dgetrs(*found.factors, eigenvector_residual(A, found))[0]
+    off = complex_columns(found.poles, real)
+    first = np.flatnonzero(found.poles.imag > 0)
+    x, y = off[first], off[first + 1]
+    off[first], off[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
+    return off
+
+
+def _polar(poles: ComplexArray, off: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Distance from the circle, negative outside, and angle of the poles with the diagonal of `off` added."""
+    low = np.diag(off)
+    total: FloatArray = np.ones(len(poles))
+    error: FloatArray = np.zeros(len(poles))
+    for part in (poles.real, poles.imag):
+        square, rest = two_product(part, part)
+        total, lost = two_sum(total, -square)
+        error += lost - rest
+    error -= 2.0 * (poles.real * low.real + poles.imag * low.imag) + np.abs(low) ** 2
+    gap = (total + error) / (1.0 + np.abs(poles))
+    return gap, np.asarray(np.angle(poles + low), dtype=float)
+
+
+def _excited(found: Modes, B: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """``V^-1 B`` (n, m), complex, and the error of its rows (n,)."""
+    first = lapack.dgetrs(*found.factors, B)[0]
+    high, low = matrix_product(found.vectors, first)
+    correction = lapack.dgetrs(*found.factors, (B - high) - low)[0]
+    right = complex_rows(found.poles, first + correction)
+    inverse = len(B) / max(found.reciprocal_condition, EPS)
+    lost = EPS * float(np.abs(correction).max(initial=0.0)) + TWICE * float(np.abs(first).max(initial=0.0))
+    return right, 2.0 * EPS * np.sqrt(np.sum(np.abs(right) ** 2, axis=1)) + inverse * lost
+
+
+@dataclass(frozen=True)
+class CircleResolvents:
+    """A discrete-time system of few states by the inverses of ``z - A``, for matrices without a basis of eigenvectors.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (p, n), (p, m)
+    angle, gap : ndarray, shape (n,)
+        Of the computed poles; only to place intervals. That they are inside the circle is shown by the expansions:
+        where all of them converge, no pole can have crossed the circle by rounding.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    angle: FloatArray
+    gap: FloatArray
+
+    @classmethod
+    def of(cls, system: Matrices) -> CircleResolvents:
+        """Response of a balanced system."""
+        poles = modes(system[0]).poles
+        return cls(*system, np.asarray(np.angle(poles), dtype=float), 1.0 - np.abs(poles))
+
+    def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
+        """Expansions around the angles `theta` (N,) [rad], for `half` (N,) to both sides."""
+        step = max(1, RESOLVENTS // self.A.size)
+        parts = [self._expansion(theta[k : k + step], half[k : k + step]) for k in range(0, len(theta), step)]
+        return Expansion(*(np.concatenate([getattr(x, f.name) for x in parts]) for f in fields(Expansion)))
+
+    def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response at the angle `theta` and its first and second derivative with respect to it."""
+        return _derivatives(self, theta)
+
+    def _expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
+        n = len(self.A)
+        z, t = np.exp(1j * theta)[:, None, None], np.tan(0.5 * half)
+        R = inverses(z * np.eye(n) - self.A)
+        Q = t[:, None, None] * (2.0 * z * R - np.eye(n))
+        X = R @ self.B
+        coefficients = np.empty((len(theta), ORDER + 1, *self.D.shape), dtype=complex)
+        coefficients[:, 0] = self.C @ X + self.D
+        excited = np.sqrt(np.sum(np.abs(X) ** 2, axis=(1, 2)))
+        X = 2.0 * t[:, None, None] * z * (R @ X)
+        moved, seen = np.sqrt(np.sum(np.abs(X) ** 2, axis=(1, 2))), self.C.astype(complex) + 0.0 * z
+        observed = np.sqrt(np.sum(np.abs(self.C @ R) ** 2, axis=(1, 2)))
+        for k in range(1, ORDER + 1):
+            coefficients[:, k] = (-1j) ** k * (self.C @ X)
+            X, seen = Q @ X, seen @ Q
+        reach = np.sqrt(np.sum(np.abs(Q) ** 2, axis=(1, 2)))
+        rounding = 10.0 * n * EPS * (1.0 + float(np.sqrt(np.sum(self.A**2))))
+        resolvent = np.sqrt(np.sum(np.abs(R) ** 2, axis=(1, 2)))
+        converges = (reach < INSIDE) & (rounding * resolvent < SETTLED * (1.0 - INSIDE))
+        left = 1.0 - np.minimum(reach, INSIDE)
+        rest = np.sqrt(np.sum(np.abs(seen) ** 2, axis=(1, 2))) * moved / left
+        error = 2.0 * rounding * observed * excited / left**2 + 8.0 * EPS * float(np.sqrt(np.sum(self.D**2)))
+        return Expansion(coefficients, np.where(converges, rest, np.inf), error)
+
+
+def _derivatives(
+    response: CircleModes | CircleResolvents, theta: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    size = 1e-3 * max(float(response.gap.min(initial=1.0)), 1e-14)
+    found = response.expansion(np.array([theta]), np.array([size])).coefficients[0]
+    t = 2.0 * np.tan(0.5 * size)  # t = tan(phi / 2), so that d/dphi = 1/2 d/dt at 0
+    return found[0], found[1] / t, 2.0 * found[2] / (t * t)

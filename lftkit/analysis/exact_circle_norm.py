@@ -1,0 +1,286 @@
+"""H-infinity norm in discrete time in exact integer arithmetic, for systems whose poles rounding would hide.
+
+The transfer matrix of matrices of floating-point numbers is a quotient of polynomials with integer coefficients
+(Leverrier and Faddeev). On the circle, ``z = (1 + jt) / (1 - jt)``, it is one of polynomials in a real t. Stability is
+the definiteness of the Schur-Cohn matrix, a level is a bound where a polynomial in t is positive, which its Bernstein
+coefficients show. Nothing is rounded but the gains that are reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from lftkit.systems.ports import FloatArray
+from lftkit.systems.state_space import Matrices
+
+sl: Any = scipy.linalg
+Integers = NDArray[np.object_]
+
+MAX_STATES = 24
+LARGEST_EXPONENT = 400  # bits between the largest and the smallest digit of the matrices, at most
+MAX_DEPTH, MAX_PARTS, MAX_ROUNDS = 120, 20_000, 60
+SEARCH = 60  # steps of the search for a peak
+MARGIN = 2.0**-44  # relative size of an eigenvalue whose sign counts
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+@dataclass(frozen=True)
+class Quotient:
+    """``numerator(z) / denominator(z)``: coefficients of ascending powers, (n + 1, p, m) and (n + 1,), integers."""
+
+    numerator: Integers
+    denominator: Integers
+
+    @classmethod
+    def of(cls, system: Matrices) -> Quotient | None:
+        """Transfer matrix, or None for a system that is too large or of too wide a range."""
+        n = len(system[0])
+        if n > MAX_STATES:
+            return None
+        scaled = [_integers(matrix) for matrix in system]
+        if any(bits > LARGEST_EXPONENT for _, bits in scaled):
+            return None
+        (A, a), (B, b), (C, c), (D, d) = scaled
+        identity = np.array([[int(i == k) for k in range(n)] for i in range(n)], dtype=object)
+        power, own, numerator = identity, [1], []
+        for k in range(1, n + 1):
+            numerator.append(C @ power @ B)  # of the power n - k
+            product = A @ power
+            own.append(-int(np.trace(product)) // k)
+            power = product + own[-1] * identity
+        # det(y I - A) with y = 2^a z; the resolvent is 2^a times adjugate over determinant
+        q = np.array([own[n - i] << (a * i) for i in range(n + 1)], dtype=object)
+        common = max(b + c, d)
+        N = np.zeros((n + 1, *D.shape), dtype=object)
+        for k, part in enumerate(numerator, start=1):
+            N[n - k] += part * (1 << (a * (n - k + 1) + common - b - c))
+        N += q[:, None, None] * (D * (1 << (common - d)))
+        return cls(N, q * (1 << common))
+
+    def stable(self, limit: float) -> bool:
+        """Whether all poles have a magnitude below `limit`."""
+        above, below = limit.as_integer_ratio()
+        n = len(self.denominator) - 1
+        q = [int(c) * above**i * below ** (n - i) for i, c in enumerate(self.denominator)]
+        S = [[0] * n for _ in range(n)]
+        for i in range(n):
+            for j in range(i + 1):
+                S[i][j] = S[j][i] = sum(q[n - i + k] * q[n - j + k] - q[i - k] * q[j - k] for k in range(j + 1))
+        return _positive_definite(S)
+
+    @cached_property
+    def halves(self) -> tuple[_Half, _Half]:
+        """Quotients in t from 0 to 1 (z from 1 to j) and in 1 / t from 0 to 1 (z from -1 to j)."""
+        n = len(self.denominator) - 1
+        basis = [_product(_power(1, i), _power(-1, n - i)) for i in range(n + 1)]
+        real, imaginary = (np.array([[part[k] for part in row] for row in basis], dtype=object) for k in (0, 1))
+        parts = [(x, part) for x in (self.denominator, self.numerator) for part in (real, imaginary)]
+        q_real, q_imaginary, p_real, p_imaginary = (np.tensordot(part.T, x, axes=1) for x, part in parts)
+        return (
+            _Half(q_real, q_imaginary, p_real, p_imaginary, False),
+            _Half(q_real[::-1], q_imaginary[::-1], p_real[::-1], p_imaginary[::-1], True),
+        )
+
+
+@dataclass(frozen=True)
+class _Half:
+    """Quotient in t: real and imaginary coefficients of the denominator (n + 1,) and numerator (n + 1, p, m)."""
+
+    q_real: Integers
+    q_imaginary: Integers
+    p_real: Integers
+    p_imaginary: Integers
+    inverse: bool
+
+    def angle(self, t: float) -> float:
+        """Angle on the circle [rad]."""
+        turn = 2.0 * float(np.arctan(t))
+        return float(np.pi) - turn if self.inverse else turn
+
+    def gain(self, t: float) -> float:
+        """Largest singular value at t, of the response rounded once."""
+        above, below = t.as_integer_ratio()
+        n = len(self.q_real) - 1
+        powers = np.array([above**k * below ** (n - k) for k in range(n + 1)], dtype=object)
+        qr, qi = int(powers @ self.q_real), int(powers @ self.q_imaginary)
+        pr, pi = np.tensordot(powers, self.p_real, axes=1), np.tensordot(powers, self.p_imaginary, axes=1)
+        size = qr * qr + qi * qi
+        shape = pr.shape
+        real = [int(x) / size for x in (pr * qr + pi * qi).ravel()]
+        imaginary = [int(x) / size for x in (pi * qr - pr * qi).ravel()]
+        response = np.array(real).reshape(shape) + 1j * np.array(imaginary).reshape(shape)
+        return float(sl.svdvals(response)[0])
+
+    def excess(self, level: float) -> tuple[Integers, Integers]:
+        """Bernstein coefficients (2 n + 1, k, k), real and imaginary, of ``level^2 |q|^2 - P P^H`` on [0, 1]."""
+        above, below = level.as_integer_ratio()
+        n = len(self.q_real) - 1
+        pr, pi = self.p_real, self.p_imaginary
+        if pr.shape[1] > pr.shape[2]:
+            pr, pi = pr.swapaxes(1, 2), -pi.swapaxes(1, 2)
+        k = pr.shape[1]
+        real, imaginary = np.zeros((2 * n + 1, k, k), dtype=object), np.zeros((2 * n + 1, k, k), dtype=object)
+        identity = np.array([[int(i == j) for j in range(k)] for i in range(k)], dtype=object)
+        for i in range(n + 1):
+            for j in range(n + 1):
+                own = self.q_real[i] * self.q_real[j] + self.q_imaginary[i] * self.q_imaginary[j]
+                real[i + j] += above**2 * own * identity - below**2 * (pr[i] @ pr[j].T + pi[i] @ pi[j].T)
+                imaginary[i + j] -= below**2 * (pi[i] @ pr[j].T - pr[i] @ pi[j].T)
+        return _bernstein(real), _bernstein(imaginary)
+
+
+def exact_circle_norm(quotient: Quotient, rtol: float) -> tuple[float, float, float] | None:
+    """Gain reached, level not exceeded and angle [rad] of the gain of a stable quotient; None where it gave up."""
+    starts = [(half, k / 16.0) for half in quotient.halves for k in range(17)]
+    half, t = max(starts, key=lambda start: start[0].gain(start[1]))
+    gain, t = _peak(half, t, 1.0 / 16.0)
+    for _ in range(MAX_ROUNDS):
+        level = gain * (1.0 + 0.9 * rtol)
+        if level == 0.0:
+            level = 1e-300
+        above = next((found for other in quotient.halves for found in _above(other, level)), None)
+        if above is None:
+            return gain, level, half.angle(t)
+        if above[1] != above[1]:
+            return None
+        better, place = _peak(above[0], above[1], above[2])
+        if better <= gain:
+            return None
+        gain, half, t = better, above[0], place
+    return None
+
+
+def _above(half: _Half, level: float) -> Iterator[tuple[_Half, float, float]]:
+    """A point above the level and the width of its interval; none: the gain stays below; NaN: given up."""
+    parts = [(0.0, 1.0, *half.excess(level), 0)]
+    done = 0
+    while parts:
+        low, high, real, imaginary, depth = parts.pop()
+        done += 1
+        signs = _signs(real, imaginary)
+        for t, sign in ((low, signs[0]), (high, signs[-1])):
+            if sign < 0:
+                yield half, t, high - low
+                return
+        if min(signs) > 0:
+            continue
+        middle = 0.5 * (low + high)
+        if depth >= MAX_DEPTH or done >= MAX_PARTS or not low < middle < high:
+            yield half, float("nan"), 0.0
+            return
+        (first, second), (one, two) = _split(real), _split(imaginary)
+        parts += [(low, middle, first, one, depth + 1), (middle, high, second, two, depth + 1)]
+
+
+def _peak(half: _Half, t: float, width: float) -> tuple[float, float]:
+    """Largest gain near t: (gain, t), by golden section."""
+    low, high = max(t - width, 0.0), min(t + width, 1.0)
+    best, place = half.gain(t), t
+    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    ga, gb = half.gain(a), half.gain(b)
+    for _ in range(SEARCH):
+        if ga >= gb:
+            high, b, gb = b, a, ga
+            a = high - GOLDEN * (high - low)
+            ga = half.gain(a)
+        else:
+            low, a, ga = a, b, gb
+            b = low + GOLDEN * (high - low)
+            gb = half.gain(b)
+        for x, gain in ((a, ga), (b, gb)):
+            if gain > best:
+                best, place = gain, x
+    return best, place
+
+
+def _signs(real: Integers, imaginary: Integers) -> list[int]:
+    """Sign of the smallest eigenvalue of each matrix: 1 (positive), -1, or 0 where rounding hides it."""
+    if real.shape[1] == 1:
+        return [(x > 0) - (x < 0) for x in real[:, 0, 0]]
+    signs = []
+    for x, y in zip(real, imaginary):
+        bits = max(max(abs(v) for v in x.ravel()).bit_length() - 60, 0)
+        matrix = (x >> bits).astype(float) + 1j * (y >> bits).astype(float)
+        values = sl.eigvalsh(matrix)
+        size = MARGIN * max(abs(values[0]), abs(values[-1]))
+        signs.append(1 if values[0] > size else -1 if values[0] < -size else 0)
+    return signs
+
+
+def _bernstein(coefficients: Integers) -> Integers:
+    """Bernstein coefficients on [0, 1], times a positive integer, of a polynomial in t."""
+    degree = len(coefficients) - 1
+    row = [1]
+    for k in range(degree):
+        row.append(row[-1] * (degree - k) // (k + 1))
+    common = int(np.lcm.reduce(np.array(row, dtype=object)))
+    out = np.array([c * (common // r) for c, r in zip(coefficients, row)], dtype=object)
+    for k in range(1, degree + 1):  # b_j = sum_i comb(j, i) a_i / comb(degree, i), by sums of neighbours
+        out[k:] = _running(out, k)
+    return out
+
+
+def _running(values: Integers, k: int) -> Integers:
+    """One pass of the binomial transform."""
+    result = values.copy()
+    for j in range(len(values) - 1, k - 1, -1):
+        result[j] = values[j] + values[j - 1]
+    return result[k:]
+
+
+def _split(values: Integers) -> tuple[Integers, Integers]:
+    """Bernstein coefficients of both halves (de Casteljau), times a power of two, the same for both."""
+    degree = len(values) - 1
+    first, second, row = values.copy(), values.copy(), values
+    for k in range(degree + 1):
+        first[k] = row[0] * (1 << (degree - k))
+        second[degree - k] = row[-1] * (1 << (degree - k))
+        row = row[1:] + row[:-1]
+    return first, second
+
+
+def _positive_definite(S: list[list[int]]) -> bool:
+    """Whether all leading minors are positive (elimination without fractions, Bareiss 1968)."""
+    last = 1
+    n = len(S)
+    for k in range(n):
+        if S[k][k] <= 0:
+            return False
+        for i in range(k + 1, n):
+            for j in range(k + 1, n):
+                S[i][j] = (S[i][j] * S[k][k] - S[i][k] * S[k][j]) // last
+        last = S[k][k]
+    return True
+
+
+def _power(sign: int, exponent: int) -> list[tuple[int, int]]:
+    """Coefficients (real, imaginary) of ``(1 + sign j t)^exponent``."""
+    out = [(1, 0)]
+    for _ in range(exponent):
+        out = _product(out, [(1, 0), (0, sign)])
+    return out
+
+
+def _product(a: list[tuple[int, int]], b: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    out = [(0, 0)] * (len(a) + len(b) - 1)
+    for i, (x, y) in enumerate(a):
+        for j, (u, v) in enumerate(b):
+            real, imaginary = out[i + j]
+            out[i + j] = real + x * u - y * v, imaginary + x * v + y * u
+    return out
+
+
+def _integers(matrix: FloatArray) -> tuple[Integers, int]:
+    """``matrix = integers / 2^bits`` with the smallest `bits` that is 0 at least."""
+    ratios = [float(x).as_integer_ratio() for x in matrix.ravel()]
+    bits = max((below.bit_length() - 1 for _, below in ratios), default=0)
+    values = np.empty(len(ratios), dtype=object)
+    values[:] = [above << (bits - below.bit_length() + 1) for above, below in ratios]
+    return values.reshape(matrix.shape), bits
