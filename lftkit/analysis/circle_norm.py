@@ -6,7 +6,7 @@ coefficients bound it (the basis functions are positive and add up to 1, and the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 from typing import Protocol
 
@@ -65,9 +65,25 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
     resolvents, then exact arithmetic; where none of them closes the gap to `rtol`, the best bounds are returned, of the
     certificate ``none`` where there is no upper bound.
     """
+    given, unit = _in_units(system)
+    found = _norm_in_units(given, rtol)
+    return found and replace(found, value=found.value * unit, upper=found.upper * unit)
+
+
+def _in_units(system: Matrices) -> tuple[Matrices, float]:
+    """Balanced system with entries of B, C and D of 1 at most, and by what its gain is to be multiplied; exact."""
     A, B, C = balanced(*system[:3])
-    given = (A, B, C, system[3])
-    limit = 1.0 - 4.0 * EPS * len(A)
+    b, c = (int(np.frexp(np.abs(X).max(initial=0.0))[1]) for X in (B, C))
+    d = int(np.frexp(np.abs(system[3]).max(initial=0.0))[1])
+    if not (B.any() and C.any()):
+        b = c = 0
+    unit = max(b + c, d) if system[3].any() else b + c
+    unit = int(np.clip(unit, -1000, 1000))
+    return (A, np.ldexp(B, c - unit), np.ldexp(C, -c), np.ldexp(system[3], -unit)), float(np.ldexp(1.0, unit))
+
+
+def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
+    limit = 1.0 - 4.0 * EPS * len(given[0])
     form, stable = circle_modes(given, limit)
     if stable is False:
         return None
@@ -85,7 +101,7 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
             return CirclePeak(*exact, certificate="polynomial")
     if best is not None:
         return best
-    direct = float(largest_gains(system[3][None].astype(complex))[0])  # the norm is that of D at least
+    direct = float(largest_gains(given[3][None].astype(complex))[0])  # the norm is that of D at least
     return CirclePeak(direct, float("inf"), 0.0, "none")
 
 

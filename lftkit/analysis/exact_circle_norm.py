@@ -26,7 +26,7 @@ Integers = NDArray[np.object_]
 MAX_STATES = 24
 LARGEST_EXPONENT = 400  # bits between the largest and the smallest digit of the matrices, at most
 MAX_DEPTH, MAX_PARTS, MAX_ROUNDS = 120, 20_000, 60
-SEARCH = 60  # steps of the search for a peak
+SEARCH = 40  # steps of the search for a peak
 MARGIN = 2.0**-44  # relative size of an eigenvalue whose sign counts
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
@@ -62,7 +62,10 @@ class Quotient:
         for k, part in enumerate(numerator, start=1):
             N[n - k] += part * (1 << (a * (n - k + 1) + common - b - c))
         N += q[:, None, None] * (D * (1 << (common - d)))
-        return cls(N, q * (1 << common))
+        q = q * (1 << common)
+        every = [int(x) for x in (*q, *N.ravel()) if x]
+        spare = min((x & -x).bit_length() - 1 for x in every)
+        return cls(N // (1 << spare), q // (1 << spare))
 
     def stable(self, limit: float) -> bool:
         """Whether all poles have a magnitude below `limit`."""
@@ -118,22 +121,30 @@ class _Half:
         response = np.array(real).reshape(shape) + 1j * np.array(imaginary).reshape(shape)
         return float(sl.svdvals(response)[0])
 
-    def excess(self, level: float) -> tuple[Integers, Integers]:
-        """Bernstein coefficients (2 n + 1, k, k), real and imaginary, of ``level^2 |q|^2 - P P^H`` on [0, 1]."""
-        above, below = level.as_integer_ratio()
+    @cached_property
+    def squares(self) -> tuple[Integers, Integers, Integers]:
+        """Bernstein coefficients on [0, 1] of ``|q|^2`` (2 n + 1,) and of ``P P^H``, real and imaginary part."""
         n = len(self.q_real) - 1
         pr, pi = self.p_real, self.p_imaginary
         if pr.shape[1] > pr.shape[2]:
             pr, pi = pr.swapaxes(1, 2), -pi.swapaxes(1, 2)
         k = pr.shape[1]
+        own = np.zeros(2 * n + 1, dtype=object)
         real, imaginary = np.zeros((2 * n + 1, k, k), dtype=object), np.zeros((2 * n + 1, k, k), dtype=object)
-        identity = np.array([[int(i == j) for j in range(k)] for i in range(k)], dtype=object)
         for i in range(n + 1):
+            own[i : i + n + 1] += self.q_real[i] * self.q_real + self.q_imaginary[i] * self.q_imaginary
             for j in range(n + 1):
-                own = self.q_real[i] * self.q_real[j] + self.q_imaginary[i] * self.q_imaginary[j]
-                real[i + j] += above**2 * own * identity - below**2 * (pr[i] @ pr[j].T + pi[i] @ pi[j].T)
-                imaginary[i + j] -= below**2 * (pi[i] @ pr[j].T - pr[i] @ pi[j].T)
-        return _bernstein(real), _bernstein(imaginary)
+                real[i + j] += pr[i] @ pr[j].T + pi[i] @ pi[j].T
+                imaginary[i + j] += pi[i] @ pr[j].T - pr[i] @ pi[j].T
+        return _bernstein(own), _bernstein(real), _bernstein(imaginary)
+
+    def excess(self, level: float) -> tuple[Integers, Integers]:
+        """Bernstein coefficients (2 n + 1, k, k), real and imaginary, of ``level^2 |q|^2 - P P^H`` on [0, 1]."""
+        above, below = level.as_integer_ratio()
+        own, real, imaginary = self.squares
+        k = real.shape[1]
+        identity = np.array([[int(i == j) for j in range(k)] for i in range(k)], dtype=object)
+        return above**2 * own[:, None, None] * identity - below**2 * real, -(below**2) * imaginary
 
 
 def exact_circle_norm(quotient: Quotient, rtol: float) -> tuple[float, float, float] | None:

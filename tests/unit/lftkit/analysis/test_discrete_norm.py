@@ -1,0 +1,178 @@
+"""H-infinity norms in discrete time against 100 digits: the certificate is about the matrices that were given."""
+
+from __future__ import annotations
+
+import mpmath as mp
+import numpy as np
+import pytest
+import scipy.linalg
+from support.circle_reference import butterworth, chebyshev, delayed, exact_norm, filtered, near_the_circle
+from support.resonant_systems import resonator, sum_of
+
+import lftkit.analysis.circle_norm
+from lftkit.analysis.circle_response import CircleResolvents, circle_modes
+from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.exact_circle_norm import Quotient, exact_circle_norm
+from lftkit.analysis.norms import hinf_norm
+
+EPS = np.finfo(float).eps
+RTOL = 1e-7
+TINY = 1e-12
+KINDS = {"near": near_the_circle, "filter": filtered, "delay": delayed}
+
+
+def check(system: tuple[np.ndarray, ...], rtol: float = RTOL) -> str:
+    """The norm lies between both sides, which are at most `rtol` apart; returns the certificate."""
+    exact, radius = exact_norm(system)
+    norm = hinf_norm(*system, dt=1.0, rtol=rtol)
+    if radius >= 1.0 - 4 * len(system[0]) * EPS:
+        assert (norm.value, norm.upper, norm.certificate) == (np.inf, np.inf, "unstable")
+        return norm.certificate
+    assert norm.value <= exact * (1 + TINY)
+    assert norm.upper >= exact
+    assert norm.upper <= norm.value * (1 + rtol * (1 + 1e-6))
+    return norm.certificate
+
+
+@pytest.mark.parametrize("edge", [0.01, 0.02, 0.96, 0.97, 0.975, 0.98, 0.99])
+def test_chebyshev_filters_of_order_8(edge: float) -> None:
+    """Their norm by the bilinear map was 3 % too low (0.97), infinite (0.01, 0.975 to 0.99) or 2.5e-3 too high."""
+    assert check(chebyshev(8, edge)) in ("interval", "polynomial")
+
+
+def test_value_is_the_gain_at_the_frequency_that_is_named() -> None:
+    A, B, C, D = chebyshev(8, 0.97)
+    norm = hinf_norm(A, B, C, D, dt=0.5)
+    with mp.workdps(60):
+        z = mp.expj(mp.mpf(norm.omega) / 2)
+        resolvent = mp.lu_solve(z * mp.eye(8) - mp.matrix(A.tolist()), mp.matrix(B.tolist()))
+        gain = abs((mp.matrix(C.tolist()) * resolvent)[0] + D.item())
+    assert norm.value == pytest.approx(float(gain), rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [4, 12])
+def test_butterworth_filters(order: int) -> None:
+    for edge in (0.02, 0.5, 0.98):
+        check(butterworth(order, edge))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_systems(kind: str) -> None:
+    rng = np.random.default_rng(20)
+    for _ in range(4):
+        check(KINDS[kind](rng))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("kind", KINDS)
+def test_five_hundred_random_systems(kind: str, block: int) -> None:
+    rng = np.random.default_rng([block, *kind.encode()])
+    for _ in range(17):
+        check(KINDS[kind](rng))
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-5, 1e-9])
+def test_both_sides_for_other_tolerances(rtol: float) -> None:
+    check(chebyshev(6, 0.9), rtol)
+    check(near_the_circle(np.random.default_rng(3)), rtol)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_pole_at_one_or_minus_one_to_nine_digits(side: float) -> None:
+    """1 / (z - a) has the norm 1 / (1 - |a|), which the double holds to its last digit."""
+    a = side * (1.0 - 1e-9)
+    norm = hinf_norm([[a]], [[1.0]], [[1.0]], [[0.0]], dt=1.0)
+    exact = 1.0 / (1.0 - abs(a))
+    assert norm.value == pytest.approx(exact, rel=1e-12) and exact <= norm.upper <= exact * (1 + 1.01e-7)
+
+
+def test_all_pass_has_the_norm_1_everywhere() -> None:
+    """No peak tells where to look: the expansion must follow the response, not its terms."""
+    poles = np.array([0.5, -0.3, 0.9 * np.exp(0.7j), 0.9 * np.exp(-0.7j), 0.99 * np.exp(2j), 0.99 * np.exp(-2j)])
+    a = np.poly(poles).real
+    norm = hinf_norm(*scipy_system(a[::-1], a), dt=1.0)
+    assert norm.certificate == "interval"
+    assert norm.value == pytest.approx(1.0, rel=1e-10) and 1.0 <= norm.upper <= 1.0 + 1.01e-7
+
+
+def scipy_system(b: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
+    """tf2ss."""
+    from scipy import signal
+
+    return signal.tf2ss(b, a)
+
+
+def test_shift_register_and_larger_system_without_eigenvectors() -> None:
+    """A delay keeps the norm; 40 states are too many for integers, so resolvents must do."""
+    lag = np.array([[0.9]]), np.array([[1.0]]), np.array([[1.0]]), np.array([[0.25]])
+    alone = 10.25
+    for k in (1, 3, 39):
+        A = np.zeros((k + 1, k + 1))
+        A[0, 0], A[0, k] = 0.9, 1.0
+        A[np.arange(2, k + 1), np.arange(1, k)] = 1.0
+        B, C = np.eye(k + 1)[:, 1:2], np.eye(k + 1)[:1] + 0.25 * np.eye(k + 1)[k:]
+        norm = hinf_norm(A, B, C, np.zeros((1, 1)), dt=1.0)
+        assert norm.value == pytest.approx(alone, rel=1e-10) and alone <= norm.upper <= alone * (1 + 1.01e-7)
+    assert hinf_norm(*lag, dt=1.0).value == pytest.approx(alone, rel=1e-12)
+
+
+def test_what_cannot_be_decided_is_said() -> None:
+    """Fifty equal poles in one chain 0.05 from the circle: rounding hides whether they are inside."""
+    A = 0.95 * np.eye(50) + np.eye(50, k=1)
+    A[-1, 0] = 1e-60
+    T = scipy.linalg.hilbert(50) + np.eye(50)
+    norm = hinf_norm(T @ A @ scipy.linalg.inv(T), np.ones((50, 1)), np.ones((1, 50)), [[0.5]], dt=1.0)
+    assert (norm.value, norm.upper, norm.certificate) == (0.5, np.inf, "none")
+
+
+def test_three_ways_agree() -> None:
+    """Modal form, resolvents and integers, on a system that all of them can do."""
+    rng = np.random.default_rng(8)
+    A, *others = (rng.normal(size=shape) for shape in ((6, 6), (6, 2), (3, 6), (3, 2)))
+    A *= 0.95 / np.abs(scipy.linalg.eigvals(A)).max()
+    B, C, D = others
+    given = *balanced(A, B, C), D
+    form, stable = circle_modes(given, 1.0 - 1e-14)
+    assert stable and form is not None
+    peaks = [lftkit.analysis.circle_norm.circle_norm(way, 1e-6) for way in (form, CircleResolvents.of(given))]
+    quotient = Quotient.of(given)
+    assert quotient is not None and quotient.stable(1.0 - 1e-14)
+    value, upper, _ = exact_circle_norm(quotient, 1e-6)
+    for peak in peaks:
+        assert peak is not None
+        assert peak.value <= upper and value <= peak.upper
+        assert peak.value == pytest.approx(value, rel=1e-6) and peak.upper == pytest.approx(upper, rel=3e-6)
+
+
+def test_bound_covers_an_error_of_the_modal_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poles of another matrix, 1e-6 away: the residual shows it, and the sides move apart or another way is taken."""
+    rng = np.random.default_rng(1)
+    A, B, C, D = rng.normal(size=(5, 5)), rng.normal(size=(5, 1)), rng.normal(size=(1, 5)), np.zeros((1, 1))
+    A *= 0.9 / np.abs(scipy.linalg.eigvals(A)).max()
+    honest = lftkit.analysis.circle_response.modes
+    monkeypatch.setattr(lftkit.analysis.circle_response, "modes", lambda X: honest(X + 1e-6 * np.ones_like(X)))
+    monkeypatch.setattr(lftkit.analysis.circle_response, "corrected_modes", lambda _, found: found)
+    form, stable = circle_modes((A, B, C, D), 1.0 - 1e-14)
+    assert stable and form is not None
+    peak = lftkit.analysis.circle_norm.circle_norm(form, 1e-9)
+    exact, _ = exact_norm((A, B, C, D))
+    assert peak.value <= exact <= peak.upper and peak.upper > peak.value * (1 + 1e-7)
+
+
+def test_schur_cohn_counts_the_circle_as_outside() -> None:
+    for radius, inside in ((0.5, True), (1.0 - 1e-12, True), (1.0, False), (1.5, False)):
+        for angle in (0.7, 2.0):
+            quotient = Quotient.of(tuple(np.asarray(x, float) for x in resonator(radius, angle)))
+            assert quotient is not None and quotient.stable(1.0) == inside
+    both = sum_of(([[0.5]], [[1.0]], [[1.0]], [[0.0]]), ([[-2.0]], [[1.0]], [[1.0]], [[0.0]]))
+    assert not Quotient.of(both).stable(1.0)
+
+
+def test_smallest_and_largest_gains() -> None:
+    """Squares of the gains have no place in a double."""
+    assert Quotient.of((np.array([[0.5]]), np.array([[1e-200]]), np.ones((1, 1)), np.zeros((1, 1)))) is None
+    large = hinf_norm([[0.5]], [[1e200]], [[1.0]], [[1e200]], dt=1.0)
+    assert large.value == pytest.approx(3e200, rel=1e-9)
+    norm = hinf_norm([[0.5]], [[1e-200]], [[1.0]], [[0.0]], dt=1.0)
+    assert norm.value == pytest.approx(2e-200, rel=1e-9, abs=0.0) and norm.upper >= 2e-200
