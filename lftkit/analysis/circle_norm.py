@@ -65,12 +65,12 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
     resolvents, then exact arithmetic; where none of them closes the gap to `rtol`, the best bounds are returned, of the
     certificate ``none`` where there is no upper bound.
     """
-    given, unit = _in_units(system)
+    given, unit = in_units(system)
     found = _norm_in_units(given, rtol)
     return found and replace(found, value=found.value * unit, upper=found.upper * unit)
 
 
-def _in_units(system: Matrices) -> tuple[Matrices, float]:
+def in_units(system: Matrices) -> tuple[Matrices, float]:
     """Balanced system with entries of B, C and D of 1 at most, and by what its gain is to be multiplied; exact."""
     A, B, C = balanced(*system[:3])
     b, c = (int(np.frexp(np.abs(X).max(initial=0.0))[1]) for X in (B, C))
@@ -82,8 +82,13 @@ def _in_units(system: Matrices) -> tuple[Matrices, float]:
     return (A, np.ldexp(B, c - unit), np.ldexp(C, -c), np.ldexp(system[3], -unit)), float(np.ldexp(1.0, unit))
 
 
+def stability_limit(system: Matrices) -> float:
+    """Magnitude of a pole from which a system counts as unstable: four roundings per state below 1."""
+    return 1.0 - 4.0 * EPS * len(system[0])
+
+
 def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
-    limit = 1.0 - 4.0 * EPS * len(given[0])
+    limit = stability_limit(given)
     form, stable = circle_modes(given, limit)
     if stable is False:
         return None

@@ -72,11 +72,23 @@ class Quotient:
         above, below = limit.as_integer_ratio()
         n = len(self.denominator) - 1
         q = [int(c) * above**i * below ** (n - i) for i, c in enumerate(self.denominator)]
-        S = [[0] * n for _ in range(n)]
-        for i in range(n):
-            for j in range(i + 1):
-                S[i][j] = S[j][i] = sum(q[n - i + k] * q[n - j + k] - q[i - k] * q[j - k] for k in range(j + 1))
-        return _positive_definite(S)
+        return _eliminated(_schur_cohn(q), n) > 0
+
+    def variance(self) -> float:
+        """Sum of the variances of the outputs for unit white noise on every input, of a stable quotient, rounded once.
+
+        The covariance of n successive values of white noise through ``1 / denominator`` is the inverse of the
+        Schur-Cohn matrix; an elimination of that matrix bordered by the numerators leaves what is asked for.
+        """
+        n = len(self.denominator) - 1
+        q = [int(c) for c in self.denominator]
+        direct = [int(x) for x in self.numerator[n].ravel()]
+        V = [[int(x) * q[n] - d * q[k] for x, d in zip(self.numerator[k].ravel(), direct)] for k in range(n)]
+        bordered = [[*row, *v] for row, v in zip(_schur_cohn(q), V)]
+        bordered += [[*(V[k][c] for k in range(n)), *([0] * len(direct))] for c in range(len(direct))]
+        size = _eliminated(bordered, n)
+        strict = -sum(bordered[n + c][n + c] for c in range(len(direct)))
+        return (strict + sum(d * d for d in direct) * size) / (size * q[n] ** 2)
 
     @cached_property
     def halves(self) -> tuple[_Half, _Half]:
@@ -257,18 +269,30 @@ def _split(values: Integers) -> tuple[Integers, Integers]:
     return first, second
 
 
-def _positive_definite(S: list[list[int]]) -> bool:
-    """Whether all leading minors are positive (elimination without fractions, Bareiss 1968)."""
+def _schur_cohn(q: list[int]) -> list[list[int]]:
+    """Matrix (n, n) that is positive definite if and only if all roots of the polynomial are inside the circle."""
+    n = len(q) - 1
+    S = [[0] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            S[i][j] = S[j][i] = sum(q[n - i + k] * q[n - j + k] - q[i - k] * q[j - k] for k in range(j + 1))
+    return S
+
+
+def _eliminated(S: list[list[int]], steps: int) -> int:
+    """Last of the first `steps` leading minors, 0 where one is not positive.
+
+    Elimination without fractions, in place (Bareiss 1968): what is left is the Schur complement times that minor.
+    """
     last = 1
-    n = len(S)
-    for k in range(n):
+    for k in range(steps):
         if S[k][k] <= 0:
-            return False
-        for i in range(k + 1, n):
-            for j in range(k + 1, n):
+            return 0
+        for i in range(k + 1, len(S)):
+            for j in range(k + 1, len(S)):
                 S[i][j] = (S[i][j] * S[k][k] - S[i][k] * S[k][j]) // last
         last = S[k][k]
-    return True
+    return last
 
 
 def _power(sign: int, exponent: int) -> list[tuple[int, int]]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from lti.circle_h2 import discrete_h2
 from numpy.typing import ArrayLike, NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
@@ -132,7 +133,15 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
     """H2 norm: rms of the output for white noise of unit (two-sided) density on every input.
 
     Continuous time: ``sqrt(trace(C P C'))`` with ``A P + P A' + B B' = 0``; infinite for an unstable system or D other
-    than 0. Discrete time (`dt` given): rms of y for unit-variance samples, D included.
+    than 0. Discrete time (`dt` given): rms of y for unit-variance samples, D included; the relative error is about 1e-9
+    at most for up to 24 states.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, numbers that are not finite.
+    ArithmeticError
+        Discrete time, more than 24 states, and rounding hides the norm.
 
     Examples
     --------
@@ -153,10 +162,10 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
         return float(np.sqrt(max(np.sum((seen @ P) * seen), 0.0)))
-    if _on_or_outside_circle(a) is not None:
-        return float("inf")
-    P = sl.solve_discrete_lyapunov(a, b @ b.T) if len(a) else np.zeros((0, 0))
-    return float(np.sqrt(max(np.trace(c @ P @ c.T + d @ d.T), 0.0)))
+    if not len(a):
+        return float(np.sqrt(np.sum(d * d)))
+    norm = discrete_h2((a, b, c, d))
+    return float("inf") if norm is None else norm
 
 
 def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:
@@ -172,15 +181,6 @@ def spectral_abscissa(A: ArrayLike) -> float:
     """Largest real part of the eigenvalues of `A` (n, n) [rad/s]; minus infinity for n = 0."""
     a = np.asarray(A, dtype=float)
     return float(sl.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
-
-
-def _on_or_outside_circle(A: FloatArray) -> complex | None:
-    """Eigenvalue of the largest magnitude if that is 1 or more to rounding."""
-    if not len(A):
-        return None
-    poles = sl.eigvals(A)
-    worst = complex(poles[np.argmax(np.abs(poles))])
-    return worst if abs(worst) >= 1.0 - 4.0 * EPS * len(A) else None
 
 
 def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
