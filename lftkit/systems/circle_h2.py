@@ -34,8 +34,8 @@ def discrete_h2(system: Matrices) -> float | None:
         if error <= TRUSTED * variance:
             return unit * float(np.sqrt(variance))
     if (quotient := Quotient.of(given)) is not None:
-        return unit * quotient.variance() ** 0.5 if quotient.stable(limit) else None
-    return unit * _by_doubling(given, limit) ** 0.5
+        return unit * float(np.sqrt(quotient.variance())) if quotient.stable(limit) else None
+    return unit * float(np.sqrt(_by_doubling(given, limit)))
 
 
 def _of_modes(form: CircleModes) -> tuple[float, float]:
