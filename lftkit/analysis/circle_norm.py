@@ -163,14 +163,14 @@ def _distance(response: Expandable, theta: float) -> float:
 def _cuts(response: Expandable, seeds: FloatArray, peak: float) -> FloatArray:
     """First cuts of half the circle: intervals that grow with the distance from the nearest pole and from the peak."""
     steps = _distance(response, peak) * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
-    near = response.gap < 0.3
+    near = (response.gap < 0.3) & (response.angle >= 0.0)
     angle, gap = np.abs(response.angle[near]), response.gap[near]
     growth = int(np.ceil(np.log(np.pi / max(float(gap.min(initial=1.0)), 1e-15)) / np.log(GROWTH)))
     reach = 0.5 * gap * GROWTH ** np.arange(growth + 2)[:, None]
     around = np.concatenate([angle - reach, angle + reach]).ravel()
     owner = np.tile(np.arange(len(angle)), 2 * len(reach))
     nearest = np.abs(around[:, None] - angle).argmin(axis=1) if len(angle) else owner
-    around = around[np.isclose(angle[nearest], angle[owner], rtol=0.0, atol=1e-12)]
+    around = around[np.abs(angle[nearest] - angle[owner]) <= 1e-12]
     every = np.concatenate([np.linspace(0.0, np.pi, 9), seeds, around, [peak], peak - steps, peak + steps])
     every = np.unique(every[(every >= 0.0) & (every <= np.pi)])
     return np.asarray(every)

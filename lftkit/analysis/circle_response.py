@@ -113,7 +113,13 @@ class CircleModes:
 
     def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Response at the angle `theta` and its first and second derivative with respect to it."""
-        return _derivatives(self, theta)
+        phi = theta - self.angle
+        turned = np.exp(1j * phi)
+        more = 2.0 * turned / (self.gap - 2.0 * np.sin(0.5 * phi) ** 2 + 1j * turned.imag)
+        first = -0.25j * more * more * np.exp(-1j * theta)  # t = tan(phi / 2): d/dphi is d/dt, halved
+        weights = np.stack([0.5 * more * np.exp(-1j * theta), first, -1j * (more - 1.0) * first])
+        G, G1, G2 = (weights @ self.residues).reshape(3, *self.D.shape)
+        return G + self.D, G1, G2
 
     def _rounding(self, near: FloatArray) -> FloatArray:
         """Error of the response where the poles are no farther than 1 / `near` (N, n)."""
@@ -236,7 +242,10 @@ class CircleResolvents:
 
     def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Response at the angle `theta` and its first and second derivative with respect to it."""
-        return _derivatives(self, theta)
+        size = 1e-3 * max(float(self.gap.min(initial=1.0)), 1e-14)
+        found = self._expansion(np.array([theta]), np.array([size])).coefficients[0]
+        t = 2.0 * np.tan(0.5 * size)  # t = tan(phi / 2), so that d/dphi = 1/2 d/dt at 0
+        return found[0], found[1] / t, 2.0 * found[2] / (t * t)
 
     def _expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
         n = len(self.A)
@@ -261,12 +270,3 @@ class CircleResolvents:
         rest = np.sqrt(np.sum(np.abs(seen) ** 2, axis=(1, 2))) * moved / left
         error = 2.0 * rounding * observed * excited / left**2 + 8.0 * EPS * float(np.sqrt(np.sum(self.D**2)))
         return Expansion(coefficients, np.where(converges, rest, np.inf), error)
-
-
-def _derivatives(
-    response: CircleModes | CircleResolvents, theta: float
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    size = 1e-3 * max(float(response.gap.min(initial=1.0)), 1e-14)
-    found = response.expansion(np.array([theta]), np.array([size])).coefficients[0]
-    t = 2.0 * np.tan(0.5 * size)  # t = tan(phi / 2), so that d/dphi = 1/2 d/dt at 0
-    return found[0], found[1] / t, 2.0 * found[2] / (t * t)
