@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from robust_design.certified_loop.premises import require_box
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.proofs.sampled_loop.branching import Branching
@@ -116,7 +117,13 @@ def prove_level(
         Of the members that are looked at.
     known : sequence of Strip
         Of a proof for another level that covers this box and band: what also holds for this level is kept.
+
+    Raises
+    ------
+    ValueError
+        The box does not contain zero, the nominal member: a proof of it would be refused.
     """
+    require_box(box)
     start = time.process_time()
     slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
     state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow, Branching(model, level, until))

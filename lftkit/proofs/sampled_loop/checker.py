@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from robust_design.certified_loop.premises import require_premises
 from scipy import linalg
 
 from lftkit.proofs.sampled_loop.model import LoopModel
@@ -237,8 +238,8 @@ def covered(proof: LoopProof) -> None:
 def check_strip(item: tuple[LoopModel, Strip, float]) -> int | str:
     """Number of windows in which the inequality of a strip was verified, or why the strip is refused."""
     model, strip, level = item
-    if len(strip.nodes) < 2 or not np.all(np.diff(strip.nodes) > 0.0) or not scalings_allowed(strip, model.angle):
-        return "nodes must ascend and scalings be positive definite"
+    if not scalings_allowed(strip, model.angle):
+        return "scalings must be Hermitian, D positive definite and factors positive"
     windows = 0
     for number in range(len(strip.nodes) - 1):
         count = windows_of(model, strip, number, level)
@@ -259,12 +260,16 @@ def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int |
         Maps a function over the strips; they may be checked in several processes.
     """
     proof = LoopProof.from_file(proof) if isinstance(proof, Path) else proof
+    try:
+        return _checked(proof, each)
+    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
+        known = isinstance(error, ProofError)
+        raise ProofError(str(error) if known else f"the file must be a proof of a loop, got {error!r}") from None
+
+
+def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]]) -> CheckedLoop:
     model, band = proof.model, proof.band
-    if not (0.0 <= band[0] < band[1] <= math.pi / model.dt * (1.0 + 1e-12) and 0.0 < proof.level < math.inf):
-        raise ProofError(f"a proof needs 0 <= low < high <= pi / dt and a level, got {band} and {proof.level}")
-    channels = sorted(channel for group in model.groups for channel in group)
-    if channels != list(range(model.sizes[0])) or len(proof.names) != len(model.groups):
-        raise ProofError("every channel must belong to one parameter")
+    require_premises(proof)
     covered(proof)
     windows = 0
     for number, outcome in enumerate(each(check_strip, [(model, strip, proof.level) for strip in proof.strips])):

@@ -245,12 +245,18 @@ def digest(proof: dict[str, Any]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def check_proof(proof: dict[str, Any] | Path) -> CheckedProof:
-    """Verify a proof file, or its content; a ProofError says why it is refused."""
+def check_proof(proof: Any) -> CheckedProof:
+    """Verify a proof; a ProofError says why it is refused.
+
+    Parameters
+    ----------
+    proof : Path, dict or Proof
+        File, its content, or an object that has the content as attribute ``content``.
+    """
     if isinstance(proof, Path) and not proof.is_file():
         raise ProofError(f"the proof must be an ordinary file, got {proof}")
     try:
-        content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else proof
+        content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else getattr(proof, "content", proof)
         return _checked(content)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         known = isinstance(error, ProofError)
