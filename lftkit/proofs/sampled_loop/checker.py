@@ -23,11 +23,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from robust_design.certified_loop.above import windows_above
 from robust_design.certified_loop.premises import require_premises
 from scipy import linalg
 
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.sampled_loop.nominal import members_stable
+from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
 from lftkit.proofs.state_space.checker import ProofError, uncovered
@@ -54,7 +55,13 @@ class CheckedLoop:
     windows: int
     about: dict[str, Any]
     stable: bool
-    """Every member: the band ends at half of the sampling rate, and the nominal loop was proven stable."""
+    """Every member of the loop of the file: the band is the whole one up to half of the sampling rate, the nominal loop
+    was proven stable, and no pole crosses the axis above.
+    """
+    stable_below: float
+    """No pole crosses the axis up to this frequency [rad/s] and the nominal loop was proven stable: infinite if
+    `stable`, zero if nothing was proven of stability.
+    """
 
 
 def ends_of(angle: bool, low: float, high: float) -> tuple[float, float, float, float]:
@@ -276,5 +283,17 @@ def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]]) -> Chec
         if isinstance(outcome, str):
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
-    about, stable = dict(proof.about), members_stable(model, band)
-    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable)
+    below = stable_below(model, band, proof.box)
+    about, stable = dict(proof.about), math.isinf(below)
+    return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable, below)
+
+
+def stable_below(model: LoopModel, band: Interval, box: tuple[Interval, ...]) -> float:
+    """Frequency [rad/s] up to which no pole of a member crosses the axis, if its gain is bounded over `band`.
+
+    Poles move continuously with the parameters. Infinite if every member was proven stable; half of the sampling rate
+    if the nominal loop is, but poles may cross above; zero if that was not proven or the band is a part.
+    """
+    if not (whole_axis(band, model.dt) and nominal_windows(model)):
+        return 0.0
+    return math.inf if windows_above(model, box) else math.pi / model.dt

@@ -118,7 +118,7 @@ class LoopModel:
             return own.rows(slice(0, q)), own.rows(list(range(q, len(self.C)))).rows(list(self.rows))
         seen = self._sampled(z, slice(q, None))
         felt = ((constant(self.C[:q]) * phi) @ constant(into) + constant(self.D[:q, q + d :])) * hold
-        K = self._controller(z, middle, half)
+        K = self.controller(z, middle, half)
         loop = inverse(constant(np.eye(len(self.K_C))) - K @ seen.rows(slice(0, y)))
         u = loop @ (K @ own.rows(slice(q, q + y)))
         channels = own.rows(slice(0, q)) + felt @ u
@@ -136,7 +136,7 @@ class LoopModel:
         q, y = self.sizes[:2]
         z = exponential(np.array([middle * self.dt]), np.array([half * self.dt]))
         seen = self._sampled(z, slice(q, q + y))
-        return constant(np.eye(len(self.K_C))) - self._controller(z, middle, half) @ seen
+        return constant(np.eye(len(self.K_C))) - self.controller(z, middle, half) @ seen
 
     def at(self, omega: float) -> tuple[ComplexArray, ComplexArray]:
         """``z`` and the bounded output by (w, d) at one frequency, (q, q + d) and (rows, q + d), without bounds."""
@@ -169,7 +169,7 @@ class LoopModel:
         driven = constant(gain[:, None] * self.B[:, first:], error)
         return (constant(self.C[rows]) * held) @ driven + constant(self.D[rows, first:])
 
-    def _controller(self, z: Polynomial, middle: float, half: float) -> Polynomial:
+    def controller(self, z: Polynomial, middle: float, half: float) -> Polynomial:
         """Commands by measurements, with the delay of a tick and the hold of frames."""
         K = (constant(self.K_C) * reciprocal(z - constant(self.K_poles))) @ constant(self.K_B) + constant(self.K_D)
         ticks = np.arange(int(self.frame.max(initial=1)))
@@ -182,7 +182,8 @@ class LoopModel:
     def _hold(self, middle: float, half: float) -> Polynomial:
         """``(1 - exp(-j w dt)) / (j w dt)``."""
         x = Polynomial(
-            np.array([[-1j * middle * self.dt], [-1j * half * self.dt]]), np.array([UNIT * middle * self.dt])
+            np.array([[-1j * middle * self.dt], [-1j * half * self.dt]]),
+            np.array([2.0 * UNIT * (middle + half) * self.dt]),
         )
         if (middle + half) * self.dt < 0.05:
             total = power = constant(np.ones(1))

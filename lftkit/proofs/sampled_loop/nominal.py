@@ -26,15 +26,6 @@ DEEPEST = 50
 """Most bisections of the frequencies."""
 
 
-def members_stable(model: LoopModel, band: tuple[float, float]) -> bool:
-    """Whether a gain that is bounded for all members over a band shows that all of them are stable.
-
-    The bound keeps their poles off the axis, and they move continuously with the parameters: all are as stable as the
-    nominal one, if the band is the whole axis up to half of the sampling rate.
-    """
-    return whole_axis(band, model.dt) and nominal_windows(model) > 0
-
-
 def whole_axis(band: tuple[float, float], dt: float) -> bool:
     """Whether a band [rad/s] reaches from zero to half of the sampling rate ``1/dt``."""
     return band[0] == 0.0 and band[1] >= math.pi / dt

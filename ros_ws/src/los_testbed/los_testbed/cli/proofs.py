@@ -31,6 +31,7 @@ from titop_plant.interface import (
 )
 
 if TYPE_CHECKING:
+    from lftkit.proofs.sampled_loop import CheckedLoop
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
     from los_loop.implemented_loop import ImplementedLoop
@@ -254,13 +255,25 @@ def _check_loop(file: Path, count: int, json_: bool) -> None:
     with one_thread(), Workers(count) as pool:
         checked = check_loop_proof(file, pool.each)
     if json_:
-        print_json(vars(checked))
+        below = checked.stable_below if math.isfinite(checked.stable_below) else None
+        print_json({**vars(checked), "stable_below": below})
         return
     box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
     sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
-    if checked.stable:
-        sys.stdout.write("proven: stable\n")
-    sys.stdout.write(f"for all deviations from the nominal values {box} (the last an angle [rad])\n")
+    sys.stdout.write(f"{_stability(checked)}\n")
+    sys.stdout.write(f"for all deviations from the nominal values {box} (of an angle [rad])\n")
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
+
+
+def _stability(checked: CheckedLoop) -> str:
+    """What a proof of a loop says about stability, with its condition."""
+    if checked.stable:
+        return "proven: stable, as a loop without the sidebands that sampling makes of uncertain parameters and frames"
+    if checked.stable_below:
+        return (
+            f"proven: stable nominal loop, and no pole crosses the axis up to {checked.stable_below:.6g} rad/s; "
+            "not proven: stable, as poles may cross above"
+        )
+    return "not proven: stable; the level is that of the frequency response"
