@@ -89,9 +89,9 @@ def channels(model: LoopModel, low: float, high: float) -> Polynomial:
 
 
 def commands_bound(model: LoopModel) -> FloatArray:
-    """Bound of changes of the commands from tick to tick, ``(1 - 1/z) u``, by what is added to the measurements, (u, y).
+    """Bound of the commands' changes from tick to tick, ``(1 - 1/z) u``, by what is added to the measurements.
 
-    It holds at all frequencies, as functions of z are periodic.
+    Shape (u, y). It holds at all frequencies, as functions of z are periodic.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def commands_bound(model: LoopModel) -> FloatArray:
         The nominal loop may have a pole on the axis.
     """
     y, u = model.sizes[1], model.sizes[4]
-    largest = np.zeros((u, y))
+    largest: FloatArray = np.zeros((u, y))
     waiting = [(0.0, math.pi / model.dt, 0)] if u else []
     while waiting:
         low, high, depth = waiting.pop()

@@ -181,10 +181,8 @@ class LoopModel:
 
     def _hold(self, middle: float, half: float) -> Polynomial:
         """``(1 - exp(-j w dt)) / (j w dt)``."""
-        x = Polynomial(
-            np.array([[-1j * middle * self.dt], [-1j * half * self.dt]]),
-            np.array([2.0 * UNIT * (middle + half) * self.dt]),
-        )
+        rounding = np.array([2.0 * UNIT * (middle + half) * self.dt])
+        x = Polynomial(np.array([[-1j * middle * self.dt], [-1j * half * self.dt]]), rounding)
         if (middle + half) * self.dt < 0.05:
             total = power = constant(np.ones(1))
             for k in range(1, 9):

@@ -1,0 +1,159 @@
+"""Each premise of a loop's proof: a forged proof that lacks it alone is refused, by the function that asks for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from robust_design.certified_loop.above import beyond, channels, commands_bound, windows_above
+
+from lftkit import Port, RealParameter, SampledSystem, UncertainSystem
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof, bounds, check_loop_proof, loop_model, premises, prove_level
+from lftkit.proofs.sampled_loop.checker import stable_below
+from lftkit.proofs.sampled_loop.nominal import nominal_windows
+from lftkit.proofs.state_space import ProofError, check_proof, worst_case_gain
+
+DT = 0.01
+NYQUIST = math.pi / DT
+BAND = (0.5, 2.0)
+BOX = ((-0.05, 0.3),)
+
+
+def damped(frequency: float, damping: float = 0.1, feedthrough: float = 0.0) -> LoopModel:
+    """A mode whose damping is uncertain, under a weak sampled velocity feedback; a channel may have a feedthrough."""
+    d = RealParameter("d", damping, 0.5 * damping, 2.0 * damping)
+    A, B = [[0.0, 1.0], [-(frequency**2), -damping]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
+    C, D = [[0.0, 1.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
+    D[0, 0] = feedthrough
+    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
+    plant = UncertainSystem(A, B, C, D, inputs, outputs, ("d",), (d,))
+    law = SampledSystem([[0.8]], [[0.2]], [[-0.003]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
+    return loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+
+
+def proven(model: LoopModel, box: tuple[tuple[float, float], ...]) -> LoopProof:
+    found = prove_level(model, box, BAND, 1e3)
+    assert not found.uncovered
+    return LoopProof(model, ("d",), box, BAND, 1e3, tuple(found.strips))
+
+
+@pytest.fixture(scope="module")
+def proof() -> LoopProof:
+    return proven(damped(1.0), BOX)
+
+
+def with_model(proof: LoopProof, **changes: object) -> LoopProof:
+    return dataclasses.replace(proof, model=dataclasses.replace(proof.model, **changes))  # type: ignore[arg-type]
+
+
+def with_strips(proof: LoopProof, **changes: Callable[[object], object]) -> LoopProof:
+    strips = [
+        dataclasses.replace(s, **{name: change(getattr(s, name)) for name, change in changes.items()})  # type: ignore[arg-type]
+        for s in proof.strips
+    ]
+    return dataclasses.replace(proof, strips=tuple(strips))
+
+
+ALONE: dict[str, tuple[str, Callable[[LoopProof], LoopProof]]] = {
+    "single precision": ("require_numbers", lambda p: with_model(p, poles=p.model.poles.astype(np.complex64))),
+    "complex feedthrough": ("require_numbers", lambda p: with_model(p, D=p.model.D * (1.0 + 0.0j))),
+    "infinite limit": ("require_numbers", lambda p: with_model(p, scale=math.inf)),
+    "nothing bounded": ("require_sizes", lambda p: with_model(p, rows=())),
+    "row from the end": ("require_sizes", lambda p: with_model(p, rows=(-1,))),
+    "no interval": ("require_groups", lambda p: dataclasses.replace(p, box=())),
+    "no name": ("require_groups", lambda p: dataclasses.replace(p, names=())),
+    "nominal left out": ("require_box", lambda p: dataclasses.replace(p, box=((0.1, 0.3),))),
+    "single precision of nodes": ("require_strip", lambda p: with_strips(p, nodes=lambda n: np.float32(n))),
+}
+"""Function that refuses, and a proof that all other code accepts."""
+
+ALSO: dict[str, Callable[[LoopProof], LoopProof]] = {
+    "not a number": lambda p: with_model(p, C=p.model.C * np.nan),
+    "infinite interval": lambda p: dataclasses.replace(p, box=((-math.inf, math.inf),)),
+    "turned interval": lambda p: dataclasses.replace(p, box=((0.3, -0.05),)),
+    "negative hold": lambda p: with_model(p, frame=np.array([-5])),
+    "dt zero": lambda p: with_model(p, dt=0.0),
+    "channel twice": lambda p: with_model(p, groups=((0, 0),)),
+    "no scalings": lambda p: with_strips(p, D=lambda _: ()),
+    "scalings of one node": lambda p: with_strips(p, G=lambda g: tuple(m[:1] for m in g)),  # type: ignore[attr-defined]
+    "negative frequencies": lambda p: with_strips(p, nodes=lambda n: n - 1.0),  # type: ignore[operator]
+    "band above half of the sampling rate": lambda p: dataclasses.replace(p, band=(0.5, 1.1 * NYQUIST)),
+    "level infinite": lambda p: dataclasses.replace(p, level=math.inf),
+}
+
+
+def test_the_proof_itself_passes(proof: LoopProof) -> None:
+    checked = check_loop_proof(proof)
+    assert (checked.stable, checked.stable_below) == (False, 0.0), "a part of the band says nothing of stability"
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_what_lacks_one_premise_is_refused_by_its_function_alone(
+    proof: LoopProof, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    function, change = ALONE[name]
+    forged = change(proof)
+    with pytest.raises(ProofError):
+        check_loop_proof(forged)
+    monkeypatch.setattr(premises, function, lambda *_: None)
+    check_loop_proof(forged)
+
+
+@pytest.mark.parametrize("name", ALSO)
+def test_other_forged_proofs_are_refused_with_a_reason(proof: LoopProof, name: str) -> None:
+    with pytest.raises(ProofError):
+        check_loop_proof(ALSO[name](proof))
+
+
+def test_a_box_of_unstable_members_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Damping -0.4 to -0.2: each member has a frequency response, none is stable, none crosses the axis."""
+    box = ((-0.5, -0.3),)
+    with pytest.raises(ValueError, match="contain zero"):
+        prove_level(damped(1.0), box, BAND, 1e3)
+    with monkeypatch.context() as unasked:
+        unasked.setattr(bounds, "require_box", lambda _: None)
+        forged = proven(damped(1.0), box)
+    with pytest.raises(ProofError, match="contain zero"):
+        check_loop_proof(forged)
+
+
+def test_stable_includes_poles_above_half_of_the_sampling_rate() -> None:
+    """A mode of 500 rad/s above 314 rad/s: its damping passes zero, or does not."""
+    model, whole = damped(500.0), (0.0, NYQUIST)
+    assert nominal_windows(model)
+    assert stable_below(model, whole, ((-0.101, 0.0),)) == NYQUIST
+    assert stable_below(model, whole, ((-0.09, 0.2),)) == math.inf
+    assert stable_below(model, BAND, ((-0.09, 0.2),)) == 0.0
+
+
+def test_stable_needs_a_stable_nominal_loop() -> None:
+    model = damped(1.0)
+    assert stable_below(dataclasses.replace(model, K_C=-1e3 * model.K_C), (0.0, NYQUIST), ((0.0, 0.0),)) == 0.0
+
+
+def test_members_must_be_well_posed() -> None:
+    """Beyond ``deviation feedthrough = 1`` a pole has come from infinity: no frequency shows it."""
+    model = damped(1.0, feedthrough=1.0)
+    assert windows_above(model, ((-0.1, 0.5),)) and not windows_above(model, ((-0.1, 2.0),))
+
+
+def test_the_channels_above_are_enclosed() -> None:
+    model = damped(500.0)
+    far = beyond(model, 2000.0, commands_bound(model))
+    for omega in np.geomspace(2000.0, 1e6, 50):
+        exact = model.at(float(omega))[0][:, :1]
+        assert np.all(np.abs(exact - far.c[0]) <= far.rad)
+        window = channels(model, float(omega), float(omega) + 1e-3)
+        assert np.all(np.abs(exact - window.c[0]) <= window.sizes()[1:].sum(axis=0) + window.rad + 1e-13 * abs(exact))
+
+
+def test_a_proof_is_checked_as_it_is_returned() -> None:
+    d = RealParameter("d", 1.0, 0.8, 1.2)
+    system = UncertainSystem(
+        [[-1.0]], [[-1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), (Port("f", 1),), (Port("x", 1),), ("d",), (d,)
+    )
+    found = worst_case_gain(system).proof
+    assert found is not None and check_proof(found) == check_proof(found.content)
