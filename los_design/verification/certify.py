@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from robust_design.certified_loop.above import windows_above
 
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, Strip, prove_level
 from lftkit.proofs.sampled_loop.build import modal
@@ -74,7 +75,8 @@ class FigureBounds:
     uncovered : list of (low, high)
         Frequencies [rad/s] of the parts that are not covered.
     stable : bool
-        Whether the proof shows that every member is stable; its band must be the whole one.
+        Whether every member was proven stable, its poles above half of the sampling rate included; the band of the
+        proof must be the whole one. As a loop without sidebands: docs/certificates.md.
     proof : str or None
         Name of its file.
     strips, windows : int
@@ -357,7 +359,7 @@ def certify_figure(
     file = f"{loop.stage}-{name}.npz"
     with atomic_file(folder / file) as temporary:
         proof.to_file(temporary)
-    return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT))
+    return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT) and stable_above(loop))
 
 
 def _parts(
@@ -385,6 +387,13 @@ def nominal_stable(loop: ImplementedLoop) -> bool:
     """Whether the nominal loop was proven stable."""
     metric = next(iter(figures_of(loop.parameters, loop.stage).values()))
     return nominal_windows(telescope_model(loop, metric)) > 0
+
+
+@lru_cache(maxsize=4)
+def stable_above(loop: ImplementedLoop) -> bool:
+    """Whether it was proven that no pole of a member crosses the axis above half of the sampling rate."""
+    metric = next(iter(figures_of(loop.parameters, loop.stage).values()))
+    return windows_above(telescope_model(loop, metric), box_of(loop)) > 0
 
 
 def _digest(model: LoopModel, box: Box) -> str:

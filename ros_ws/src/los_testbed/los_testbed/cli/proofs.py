@@ -54,7 +54,8 @@ figure is violated or not proven to its end.
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
 The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
-`lftkit/proofs/sampled_loop/checker.py`): it optimises nothing. Exit code 1 if the proof is refused.
+`lftkit/proofs/sampled_loop/checker.py` and what it imports): it optimises nothing. Exit code 1 if the
+proof is refused.
 
 **Example**
 
