@@ -7,6 +7,7 @@
 `confidence`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
 `requirements`     the verdict on requirements, `requirement_text` their form; `budget`: error budgets
 `tone_budget`      noise, slow and fast tones of the relative error beside their allowances
+`requirement_rows` what every table says of a verdict
 `summary`          the metrics of a run; `report`: the HTML page, `report_cards`,
                    `figures`, `cumulative_figure`, `inline_svg` and `prediction`: its parts
 `replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks

@@ -11,62 +11,11 @@ from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
+from pointing_analysis.requirements.rows import css_class, digits, overall
 from pointing_analysis.requirements.summary import Summary
-from pointing_analysis.requirements.verdict import Verdict
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
-KEEPS = "keeps its limits"
-"""Shown for a run that keeps a limit and is too short to prove it."""
-
-
-def digits(value: float, places: int = 3) -> str:
-    """Number for a table: a few significant digits, a dash where there is none."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "no bound yet"
-    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1000 else f"{value:.{places}g}"
-
-
-def css_class(status: str) -> str:
-    """Class of a status: its colour on the page."""
-    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
-
-
-def shown_status(v: Verdict) -> str:
-    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
-    return KEEPS if v.status == "not enough data" and v.keeps else v.status
-
-
-def overall(verdicts: Sequence[Verdict]) -> str:
-    """One word for several verdicts: the worst of them."""
-    found = {shown_status(v) for v in verdicts}
-    for status in ("not compliant", "not enough data", "not judged", KEEPS):
-        if status in found:
-            return status
-    return "compliant" if found else "not judged"
-
-
-def limit_row(v: Verdict) -> dict[str, str]:
-    """Quantile of one requirement beside its limit, and the margin: limit minus quantile, also in % of the limit."""
-    scale, unit, limit = v.requirement.scale, v.requirement.unit, v.requirement.limit
-    value = v.quantile.value
-    if math.isnan(value) or v.status == "not judged":
-        return {
-            "name": v.requirement.name,
-            "value": f"– of {digits(limit / scale)} {unit}",
-            "margin": "",
-            "css": "open",
-        }
-    margin, share = (limit - value) / scale, 100 * (limit - value) / limit
-    text = f"margin {'+' if margin >= 0 else '−'}{digits(abs(margin))} {unit} ({abs(share):.0f} %)"
-    return {
-        "name": v.requirement.name,
-        "value": f"{digits(value / scale)} of {digits(limit / scale)} {unit}",
-        "margin": text,
-        "css": "ok" if margin >= 0 else "bad",
-    }
 
 
 def _digest(run: Recording) -> str:
@@ -127,19 +76,13 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "css": css_class(status),
         "scenario": s.scenario,
         "mode": s.mode,
-        "figures": [
-            ("APE max", f"{digits(s.ape_max)} arcsec"),
-            ("APE 99.7 %", f"{digits(s.ape_p997)} arcsec"),
-            ("RPE rms", f"{digits(s.rpe_rms)} mas"),
-            ("RPE 99.7 % of windows", f"{digits(s.rpe_windows_p997)} mas"),
-            ("RPE 99.7 % of instants", f"{digits(s.rpe_p997)} mas"),
-        ],
+        "figures": [(figure.name, f"{digits(figure.value)} {figure.unit}") for figure in s.figures],
         "knowledge": s.knowledge
         and [
             ("AKE 99.7 %", f"{digits(s.knowledge.ake_p997_arcsec)} arcsec"),
             ("RKE rms", f"{digits(s.knowledge.rke_rms_mas)} mas"),
         ],
-        "limits": [limit_row(verdict) for verdict in s.verdicts],
+        "limits": s.rows,
         "data": (
             f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "
             f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,13 @@ from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report import figures
-from pointing_analysis.report.cards import css_class, digits, run_card, shown_status
+from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.inline_svg import inline
-from pointing_analysis.requirements.summary import WINDOW, scenario_of, summarise_all
-from pointing_analysis.requirements.verdict import Requirement, Verdict, judge, load
+from pointing_analysis.requirements.rows import ALL_RUNS, RequirementRow, digits
+from pointing_analysis.requirements.summary import WINDOW, Summary, scenario_of, summarise_all
+from pointing_analysis.requirements.verdict import Requirement, load
 from pointing_analysis.spectra import spectra
 from pointing_analysis.spectra.moving_tones import moving_pictures
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
@@ -39,47 +39,6 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the requirement table, ready to print."""
-
-    run: str
-    name: str
-    text: str
-    status: str
-    css: str
-    value: str
-    bound: str
-    exceeding: str
-    effective: str
-    needed: str
-    note: str
-
-
-def _row(label: str, v: Verdict) -> Row:
-    scale, unit = v.requirement.scale, v.requirement.unit
-    needed = ""
-    if v.status == "not enough data":
-        needed = (
-            "no length of run decides it"
-            if math.isinf(v.seconds_needed)
-            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
-        )
-    return Row(
-        run=label,
-        name=v.requirement.name,
-        text=str(v.requirement),
-        status=shown_status(v),
-        css=css_class(shown_status(v)),
-        value=f"{digits(v.quantile.value / scale)} {unit}",
-        bound="none yet" if math.isinf(v.quantile.upper) else f"{digits(v.quantile.upper / scale)} {unit}",
-        exceeding="–" if math.isnan(v.exceeding) else f"{100 * v.exceeding:.3g} %",
-        effective=f"{digits(v.effective)} of {digits(v.samples, 6)}",
-        needed=needed,
-        note=v.note if v.status == "not judged" else f". {v.note}" if v.note and needed else v.note,
-    )
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -147,7 +106,7 @@ def pictures(
     views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
 ) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    limits = {k: sorted({r.limit for r in requirements if r.index == k and not r.axis}) for k in ("APE", "RPE")}
+    limits = {k: _limits(requirements, k) for k in ("APE", "RPE")}
     ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
     runs = [v.run for v in views]
     made: list[Picture | None] = [
@@ -166,6 +125,22 @@ def pictures(
         ),
     ]
     return [p for p in made if p is not None]
+
+
+def _rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:
+    """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
+    several = len(names) > 1
+    judged = [(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
+    joint = {str(v.requirement): v for _, v in judged if several and v.requirement.across_runs}
+    own = [RequirementRow.of(v, name) for name, v in judged if str(v.requirement) not in joint]
+    return own + [RequirementRow.of(v, ALL_RUNS) for v in joint.values()]
+
+
+def _limits(requirements: Sequence[Requirement], index: str) -> list[float]:
+    """Limits of the index that a picture shows [rad]: of both axes together, in windows of `WINDOW` or none."""
+    return sorted(
+        {r.limit for r in requirements if r.index == index and not r.axis and all(t == WINDOW for t in r.times)}
+    )
 
 
 def _has_windows(v: RunView) -> bool:
@@ -232,10 +207,7 @@ def render(
     summaries = summarise_all(runs, transient=transient, requirements=chosen)
     views = [view(run, name, transient) for run, name in zip(runs, names)]
     drawn = pictures(views, chosen, model)
-    rows = [_row(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
-    if len(runs) > 1:  # requirements over several runs are judged once, on all of them
-        rows = [row for row in rows if row.text not in {str(r) for r in chosen if r.across_runs}]
-        rows += [_row("all runs", judge(r, runs, transient)) for r in chosen if r.across_runs]
+    rows = _rows(names, summaries)
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -25,6 +25,7 @@ from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.rows import RequirementRow, number
 from pointing_analysis.requirements.verdict import Requirement, Verdict, judge, load
 
 WINDOW = 0.02  # [s], exposure of the reference telescope
@@ -92,6 +93,16 @@ class Performance:
 
 
 @dataclass(frozen=True)
+class Figure:
+    """A metric that no requirement asks for: name, value, unit, and the `RequirementRow.quantity` that is the same."""
+
+    name: str
+    value: float
+    unit: str
+    quantity: str = ""
+
+
+@dataclass(frozen=True)
 class Summary:
     """Metrics of one run.
 
@@ -142,12 +153,26 @@ class Summary:
     budget: ToneBudget | None = None
     rpe_windows_p997: float = math.nan
 
+    @property
+    def rows(self) -> tuple[RequirementRow, ...]:
+        """Row of the table of requirements for each verdict."""
+        return tuple(RequirementRow.of(verdict) for verdict in self.verdicts)
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Metrics that need no requirement; those that need a window only where there is one."""
+        window = f"{1e3 * WINDOW:g} ms"
+        found = (
+            Figure("APE max", self.ape_max, "arcsec"),
+            Figure("APE 99.7 %", self.ape_p997, "arcsec", "|APE|, 99.7 %"),
+            Figure(f"RPE rms, {window} windows", self.rpe_rms, "mas"),
+            Figure("RPE of a window, 99.7 %", self.rpe_windows_p997, "mas", f"rms RPE({window}), 99.7 %"),
+            Figure("RPE at every instant, 99.7 %", self.rpe_p997, "mas", f"|RPE({window})|, 99.7 %"),
+        )
+        return tuple(figure for figure in found if not math.isnan(figure.value))
+
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
-
-        def number(x: float) -> float | None:
-            return float(f"{x:.6g}") if math.isfinite(x) else None
-
         return {
             "bag": str(self.path),
             "mode": self.mode,
@@ -171,23 +196,7 @@ class Summary:
                 "ake_p997_arcsec": number(self.knowledge.ake_p997_arcsec),
                 "rke_rms_mas": number(self.knowledge.rke_rms_mas),
             },
-            "requirements": [
-                {
-                    "name": v.requirement.name,
-                    "text": str(v.requirement),
-                    "status": v.status,
-                    "statement": v.statement,
-                    "quantile": number(v.quantile.value / v.requirement.scale),
-                    "upper_bound": number(v.quantile.upper / v.requirement.scale),
-                    "unit": v.requirement.unit,
-                    "exceeding": number(v.exceeding),
-                    "effective_samples": number(v.effective),
-                    "seconds_needed": number(v.seconds_needed),
-                    "missing": number(v.missing),
-                    "note": v.note,
-                }
-                for v in self.verdicts
-            ],
+            "requirements": [row.as_dict() for row in self.rows],
             "lost_messages": {
                 loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
                 for loss in self.losses
@@ -199,8 +208,13 @@ class Summary:
 
 def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
+    return tuple(r for r in requirements if applies(r, run))
+
+
+def applies(requirement: Requirement, run: Recording) -> bool:
+    """Whether a requirement is one on the loop stage of a run, or the stage is not known."""
     loop = run.parameters.get("loop")
-    return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
+    return not requirement.loops or loop is None or loop in requirement.loops
 
 
 def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
@@ -349,5 +363,5 @@ def summarise_all(
     if len(runs) < 2:
         return found
     chosen = load() if requirements is None else requirements
-    joint = {str(r): judge(r, runs, transient) for r in chosen if r.across_runs}
+    joint = {str(r): judge(r, [run for run in runs if applies(r, run)], transient) for r in chosen if r.across_runs}
     return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in found]

@@ -67,9 +67,9 @@ def test_the_table_names_figures_limits_and_paths(run):
     assert code == 0
     for word in (
         "APE max",
-        "APE 99.7 %",
-        "RPE rms",
-        "every instant",
+        "|APE|, 99.7 %",
+        "rms RPE(20 ms),",
+        "RPE at every",
         "10 arcsec",
         "budget of the RPE",
         "b/report.html",

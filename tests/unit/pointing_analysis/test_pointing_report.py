@@ -13,11 +13,11 @@ from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.cards import KEEPS, limit_row, overall
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
+from pointing_analysis.requirements import verdict as requirements
+from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.verdict import verdict as requirements
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 
 MAS = np.pi / 648_000_000
@@ -140,13 +140,13 @@ def test_the_card_shows_limit_and_margin(stages) -> None:
     """Margin: limit minus quantile of the requirement, with its sign."""
     run = Run.open(stages[0])
     page = render([run])
-    for verdict in summarise(run).verdicts:
+    found = summarise(run)
+    for verdict, row in zip(found.verdicts, found.rows):
         r = verdict.requirement
         margin = r.limit - verdict.quantile.value
-        row = limit_row(verdict)
-        assert row["css"] == ("ok" if margin >= 0 else "bad")
-        assert f"of {r.limit / r.scale:.3g} {r.unit}" in row["value"]
-        assert f"({abs(100 * margin / r.limit):.0f} %)" in row["margin"] and row["margin"] in page
+        assert row.margin_css == ("ok" if margin >= 0 else "bad")
+        assert f"{row.value_text} of {r.limit / r.scale:.3g} {r.unit}" in page
+        assert f"({abs(100 * margin / r.limit):.0f} %)" in row.margin_text and row.margin_text in page
 
 
 def test_the_cumulative_rms_steps_up_by_the_tone(stages) -> None:

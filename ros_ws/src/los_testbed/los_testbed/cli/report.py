@@ -78,7 +78,7 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
-    from pointing_analysis.report.cards import digits, overall
+    from pointing_analysis.requirements.rows import digits, overall
 
     table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     table.add_column("run", overflow="fold")

@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.run.screen import met, say
+from los_testbed.run.screen import met, printable, say
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.cards import digits
 from pointing_analysis.report.report import write_report
-from pointing_analysis.requirements.summary import Summary, summarise
-from pointing_analysis.requirements.verdict import Requirement, Verdict
+from pointing_analysis.requirements.rows import HEADS, cells, digits
+from pointing_analysis.requirements.summary import Summary, summarise_all
+from pointing_analysis.requirements.verdict import Requirement
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def summarise_runs(
     if report is not None:
         check_output(report, "the report")
     opened = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
-    summaries = tuple(summarise(run, transient=transient, requirements=requirements) for run in opened)
+    summaries = tuple(summarise_all(opened, transient=transient, requirements=requirements))
     remarks = tuple(remarks_of(run, found) if isinstance(run, Run) else () for run, found in zip(opened, summaries))
     if report is not None:
         from los_testbed.run.predictions import predictions
@@ -158,39 +158,24 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
     table = Table(title=Text(title, style="table.title"))
-    table.add_column("metric")
-    table.add_column("value", justify="right")
-    table.add_column("limit", justify="right")
-    table.add_column("verdict")
-    strictest = {v.requirement.index: v for v in sorted(summary.verdicts, key=lambda v: -v.requirement.limit)}
-    ape, rpe = strictest.get("APE"), strictest.get("RPE")
-    _row(table, "APE max", summary.ape_max, "arcsec", ape, judged=False)
-    _row(table, "APE 99.7 %", summary.ape_p997, "arcsec", ape)
-    _row(table, "RPE rms, 20 ms windows", summary.rpe_rms, "mas", rpe, judged=False)
-    _row(table, "RPE rms of a window, 99.7 %", summary.rpe_windows_p997, "mas", rpe)
-    _row(table, "RPE at every instant, 99.7 %", summary.rpe_p997, "mas", None)
+    for head in HEADS:
+        table.add_column(head, justify="right" if head in ("value", "limit", "upper bound") else "left")
+    for row in summary.rows:
+        style = {"ok": "green", "bad": "red"}.get(row.css, "")
+        table.add_row(*cells(row)[:-1], Text(printable(row.verdict_text), style=style))
+    table.add_section()
+    judged = {row.quantity for row in summary.rows}
+    for figure in summary.figures:
+        if figure.quantity not in judged:
+            table.add_row(figure.name, f"{digits(figure.value)} {figure.unit}")
     lost = metrics["samples_lost"]
-    table.add_row("samples lost", str(lost), "0", met(not lost))
+    table.add_row("samples lost", str(lost), "0", "", met(not lost))
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:
         share = 100.0 * missed / max(periods, 1)  # a missed tick is a held command or a lost period: at most all
         ok = met(share <= 0.5)
-        table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", "0.5 %", ok)
+        table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", "0.5 %", "", ok)
         latency = metrics["latency_us"]
         texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
-        table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs", "", "")
+        table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs")
     return table
-
-
-def _row(table: Table, name: str, value: float, unit: str, verdict: Verdict | None, judged: bool = True) -> None:
-    """One metric against its limit; only the quantile the requirement names carries its verdict."""
-    limit, status, style = "", "", ""
-    if verdict is not None:
-        bound = verdict.requirement.limit / verdict.requirement.scale
-        limit = f"{bound:g} {unit}"
-        status = verdict.statement if judged else "below" if value < bound else "above"
-        if verdict.status == "not compliant" if judged else status == "above":
-            style = "red"
-        elif judged and (verdict.status == "compliant" or (verdict.status != "not judged" and verdict.keeps)):
-            style = "green"
-    table.add_row(name, f"{digits(value)} {unit}", limit, Text(status, style=style))

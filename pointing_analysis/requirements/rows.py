@@ -1,0 +1,219 @@
+"""Rows of the table of requirements: what the screen, the page, Markdown and JSON say of a verdict.
+
+Each output is made of the same rows, so that none of them can say what another does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pointing_analysis.requirements.verdict import Status, Verdict
+
+KEEPS = "keeps its limits"
+"""Shown for a run that keeps a limit and is too short to prove it."""
+ABSENT = "–"
+ALL_RUNS = "all runs"
+
+
+def digits(value: float, places: int = 3) -> str:
+    """Number for a table: a few significant digits, a dash where there is none."""
+    if math.isnan(value):
+        return ABSENT
+    if math.isinf(value):
+        return "no bound yet"
+    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1000 else f"{value:.{places}g}"
+
+
+def number(value: float) -> float | None:
+    """Six digits for JSON; infinities and NaN become None."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def css_class(status: str) -> str:
+    """Class of a status: its colour on the page."""
+    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
+
+
+def shown_status(v: Verdict) -> str:
+    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
+    return KEEPS if v.status == "not enough data" and v.keeps else v.status
+
+
+def overall(verdicts: Sequence[Verdict]) -> str:
+    """One word for several verdicts: the worst of them."""
+    found = {shown_status(v) for v in verdicts}
+    for status in ("not compliant", "not enough data", "not judged", KEEPS):
+        if status in found:
+            return status
+    return "compliant" if found else "not judged"
+
+
+@dataclass(frozen=True)
+class RequirementRow:
+    """One requirement, what was measured of it, and the verdict.
+
+    Attributes
+    ----------
+    run : label of the run, `ALL_RUNS` where several are judged together
+    name, text : of the requirement
+    quantity : judged quantity with its window and the probability, e.g. ``rms RPE(20 ms), 99.7 %``
+    unit : of `value`, `limit` and `bound`
+    value : required quantile; NaN where it was not judged
+    limit : of the requirement
+    bound : upper bound of the quantile at `confidence`; infinite where there is none yet
+    confidence : between 0 and 1
+    status : of the verdict
+    shown : status, or that the run keeps the limit where it is too short to prove it
+    statement : verdict in words
+    remark : what length of run would decide, what is missing, or why it was not judged
+    exceeding : share of the samples above the limit
+    samples, effective : samples, and independent ones that they weigh as much as
+    seconds_needed : length of data that would decide [s]
+    missing : samples that are missing
+    note : of the verdict
+    """
+
+    run: str
+    name: str
+    text: str
+    quantity: str
+    unit: str
+    value: float
+    limit: float
+    bound: float
+    confidence: float
+    status: Status
+    shown: str
+    statement: str
+    remark: str
+    exceeding: float
+    samples: int
+    effective: float
+    seconds_needed: float
+    missing: float
+    note: str
+
+    @classmethod
+    def of(cls, verdict: Verdict, run: str = "") -> RequirementRow:
+        """Row of a verdict."""
+        r, scale = verdict.requirement, verdict.requirement.scale
+        judged = verdict.status != "not judged"
+        tail = "" if r.interpretation == "temporal" else f", {r.interpretation}"
+        return cls(
+            run=run,
+            name=r.name,
+            text=str(r),
+            quantity=f"{r.quantity}, {100 * r.probability:g} %{tail}",
+            unit=r.unit,
+            value=verdict.quantile.value / scale if judged else math.nan,
+            limit=r.limit / scale,
+            bound=verdict.quantile.upper / scale if judged else math.nan,
+            confidence=r.confidence,
+            status=verdict.status,
+            shown=shown_status(verdict),
+            statement=verdict.statement,
+            remark=_remark(verdict),
+            exceeding=verdict.exceeding,
+            samples=verdict.samples,
+            effective=verdict.effective,
+            seconds_needed=verdict.seconds_needed,
+            missing=verdict.missing,
+            note=verdict.note,
+        )
+
+    @property
+    def css(self) -> str:
+        """Class of the verdict: its colour on the page."""
+        return css_class(self.shown)
+
+    @property
+    def value_text(self) -> str:
+        """Value with its unit, or a dash."""
+        return ABSENT if math.isnan(self.value) else f"{digits(self.value)} {self.unit}"
+
+    @property
+    def limit_text(self) -> str:
+        """Limit with its unit."""
+        return f"{self.limit:g} {self.unit}"
+
+    @property
+    def bound_text(self) -> str:
+        """Upper bound with its unit and its confidence, or that there is none yet."""
+        if math.isnan(self.bound):
+            return ABSENT
+        if math.isinf(self.bound):
+            return "none yet"
+        return f"{digits(self.bound)} {self.unit} at {100 * self.confidence:g} %"
+
+    @property
+    def exceeding_text(self) -> str:
+        """Share of the samples above the limit."""
+        return ABSENT if math.isnan(self.exceeding) else f"{100 * self.exceeding:.3g} %"
+
+    @property
+    def effective_text(self) -> str:
+        """Independent samples of all."""
+        return f"{digits(self.effective)} of {digits(self.samples, 6)}"
+
+    @property
+    def verdict_text(self) -> str:
+        """Verdict in words, with the reason where there is none."""
+        return f"{self.statement}: {self.note}" if self.status == "not judged" and self.note else self.statement
+
+    @property
+    def margin_text(self) -> str:
+        """Limit minus value, also in % of the limit; empty where it was not judged."""
+        if math.isnan(self.value):
+            return ""
+        margin = self.limit - self.value
+        sign = "+" if margin >= 0 else "−"
+        return f"margin {sign}{digits(abs(margin))} {self.unit} ({abs(100 * margin / self.limit):.0f} %)"
+
+    @property
+    def margin_css(self) -> str:
+        """Class of the margin: its colour on the page."""
+        return "open" if math.isnan(self.value) else "ok" if self.value <= self.limit else "bad"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values for JSON; infinities and NaN become None."""
+        return {
+            "name": self.name,
+            "text": self.text,
+            "quantity": self.quantity,
+            "status": self.status,
+            "statement": self.statement,
+            "quantile": number(self.value),
+            "limit": number(self.limit),
+            "upper_bound": number(self.bound),
+            "confidence": number(self.confidence),
+            "unit": self.unit,
+            "exceeding": number(self.exceeding),
+            "effective_samples": number(self.effective),
+            "seconds_needed": number(self.seconds_needed),
+            "missing": number(self.missing),
+            "note": self.note,
+        }
+
+
+def _remark(v: Verdict) -> str:
+    """What length of run would decide, and the note of the verdict."""
+    needed = ""
+    if v.status == "not enough data":
+        needed = (
+            "no length of run decides it"
+            if math.isinf(v.seconds_needed)
+            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
+        )
+    return ". ".join(part for part in (needed, v.note) if part)
+
+
+HEADS = ("requirement", "value", "limit", "upper bound", "verdict")
+"""Headings of `cells`."""
+
+
+def cells(row: RequirementRow) -> tuple[str, str, str, str, str]:
+    """A row as texts for a table of the screen or of Markdown, under `HEADS`."""
+    return row.quantity, row.value_text, row.limit_text, row.bound_text, row.verdict_text
