@@ -12,6 +12,7 @@ from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
 
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.rows import cells
 from titop_plant.interface import STAGES
 
 
@@ -72,6 +73,12 @@ def test_the_tables_hold_all_stages(compared) -> None:
     for loop in STAGES:
         assert f"| {loop} |" in text
     assert "Transmissibility" in text and "imbalance" in text
+    for loop in STAGES:
+        summary = select(results, "imbalance", loop, "all")["nominal"].summary
+        assert summary.rows
+        for row in summary.rows:
+            line = " | ".join((loop, *cells(row))).replace("|APE|", "\\|APE\\|").replace("|RPE", "\\|RPE")
+            assert f"| {line} |" in text
 
 
 def test_the_tables_for_the_screen_have_their_units(compared, monkeypatch, capsys) -> None:

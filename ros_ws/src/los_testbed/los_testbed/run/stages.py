@@ -196,6 +196,7 @@ class StageResult:
             "bag": None if self.bag is None else self.bag.name,
             **({"note": self.note} if self.note else {}),
             **({"worst_tone": self.worst.as_dict()} if self.worst else {}),
+            **({"requirements": [row.as_dict() for row in self.summary.rows]} if self.summary else {}),
         }
 
 
@@ -248,7 +249,7 @@ def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str
 def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     """Metrics of a recorded run."""
     opened = Run.open(bag)
-    summary: Summary = summarise(opened, requirements=())
+    summary: Summary = summarise(opened, requirements=None if run.part == "all" else ())
     values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_windows_p997)
     alone = run.part == "disturbance" and run.scenario != MOVING and not run.config.ramp_duration
     tones = tone_responses(opened, tone_model(run.config)) if alone else ()

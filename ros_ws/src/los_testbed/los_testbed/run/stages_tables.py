@@ -11,6 +11,8 @@ from rich.table import Table
 from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
 from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.requirements.rows import HEADS as HEADINGS
+from pointing_analysis.requirements.rows import cells
 from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12
@@ -22,6 +24,7 @@ HEADS = {
     "rpe_rms_mas": "RPE rms [mas]",
     "rpe_windows_p997_mas": "RPE 99.7 % of windows [mas]",
 }
+REQUIREMENT_HEADS = ("stage", *HEADINGS)
 PART_METRICS = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
 """What is shown of each part of the error."""
 
@@ -94,6 +97,12 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
     return table, len(omegas)
 
 
+def requirement_rows(results: Sequence[StageResult], scenario: str) -> list[list[str]]:
+    """Rows of the table of requirements of the nominal telescope: stage, requirement and verdict."""
+    found = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in STAGES]
+    return [[loop, *cells(row)] for loop, r in found if r is not None and r.summary for row in r.summary.rows]
+
+
 def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
     """Tables for the terminal."""
     for scenario in plan.scenarios:
@@ -112,6 +121,9 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
                 table.add_row(*row)
             if chosen:
                 yield table
+        judged = requirement_rows(results, scenario)
+        if judged:
+            yield _plain_table(REQUIREMENT_HEADS, judged, f"{scenario}: requirements, nominal telescope")
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             yield _plain_table(
@@ -155,6 +167,11 @@ def _markdown_table(heads: Sequence[str], body: Sequence[Sequence[str]]) -> list
     return lines + ["| " + " | ".join(row) + " |" for row in body]
 
 
+def _escaped(text: str) -> str:
+    """Text of a cell: a bar would end it."""
+    return text.replace("|", "\\|")
+
+
 def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     """All tables as Markdown."""
     lines, shown = [], columns(results)
@@ -165,6 +182,10 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
             continue
         lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
         lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
+        judged = requirement_rows(results, scenario)
+        if judged:
+            table = [[_escaped(text) for text in row] for row in judged]
+            lines += ["Requirements, nominal telescope:", "", *_markdown_table(REQUIREMENT_HEADS, table), ""]
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             lines += [
