@@ -128,7 +128,8 @@ def test_client_without_the_certificate_is_refused(uid: int, open_folder: Path) 
 
 def test_key_can_be_read_by_its_owner_only(open_folder: Path) -> None:
     """In files, environments and command lines of the processes; and nothing of it stays."""
-    psutil = pytest.importorskip("psutil")
+    import psutil
+
     with cluster("", 1) as client:
         key = Path(client.security.tls_client_key)
         secret = key.read_text("utf-8").splitlines()[1]
@@ -158,7 +159,8 @@ def answers_http(port: int) -> bool:
 
 def test_every_socket_of_a_campaign_is_on_loopback_and_no_web_server_listens(open_folder: Path, tmp_path: Path) -> None:
     """Of the command with its workers, while it computes: scheduler, and worker and nanny of each of two."""
-    psutil = pytest.importorskip("psutil")
+    import psutil
+
     program = "import sys; from los_testbed.cli.app import main; sys.exit(main())"
     options = ["--samples=200", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=2"]
     output = tmp_path / "c"

@@ -146,12 +146,19 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
     except MemoryError:  # for a length that is none
         reason = "what answers is not Dask"
     except Exception as error:  # whatever Dask makes of the bytes of another program
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = _first_cause(error)
     else:
         if kind == "Scheduler":
             return
         reason = f"a {kind} answers"
     raise ValueError(f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {reason}")
+
+
+def _first_cause(error: BaseException) -> str:
+    """What Dask's exception came from, such as a certificate that was refused, in one line."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def check_workers(campaign: Campaign, client: Any) -> None:
