@@ -83,8 +83,8 @@ def got(
 
 
 @pytest.fixture
-def open_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A temporary folder that every user can enter, like /tmp; those of tests have an owner."""
+def open_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A temporary folder that every user can enter, like /tmp; those of tests, made before, have an owner."""
     pytest.importorskip("distributed")
     folder = Path(tempfile.mkdtemp(dir="/tmp"))
     folder.chmod(0o755)
