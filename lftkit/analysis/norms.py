@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from lti.circle_h2 import discrete_h2
 from numpy.typing import ArrayLike, NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.circle_h2 import discrete_h2
 from lftkit.analysis.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from robust_design.certified_loop.above import windows_above
 
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, Strip, prove_level
+from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis

@@ -11,7 +11,7 @@ from los_testbed.cli.app import main
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.simulation.build import nonlinear_plant
+from titop_plant.simulation import nonlinear_plant
 
 PAGE = Path(__file__).parents[2] / "docs" / "telescope.md"
 NO_QUANTISATION = {"acceleration_step": 0.0, "camera_step": 0.0, "gauge_step": 0.0}

@@ -72,7 +72,7 @@ def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFi
 
 def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The drawing itself is that of `plant figures` and `design figures`; here, that each asks for one that exists."""
-    from los_design.figures.figures import figures, plant_figures
+    from los_design.figures import figures, plant_figures
 
     of_plant = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
     of_design = create_autospec(figures.draw, return_value=[tmp_path / "figure.png"])

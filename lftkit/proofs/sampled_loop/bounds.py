@@ -16,12 +16,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from robust_design.certified_loop.premises import require_box
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.model import LoopModel
+from lftkit.proofs.sampled_loop.premises import require_box
 from lftkit.proofs.sampled_loop.proof import Interval, Strip
 from lftkit.proofs.sampled_loop.scalings import CellTest, NodeScalings
 from lftkit.support.threads import one_thread

@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from robust_design.certified_loop.above import windows_above
-from robust_design.certified_loop.premises import require_premises
 from scipy import linalg
 
+from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
+from lftkit.proofs.sampled_loop.premises import require_premises
 from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
 from lftkit.proofs.state_space.checker import ProofError, uncovered
 

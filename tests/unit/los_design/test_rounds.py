@@ -12,9 +12,9 @@ import pytest
 from lftkit.tuning.frequency_domain import Descent, DescentState
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint
+from los_design.synthesis import rounds
 from los_design.synthesis.pair_problem import BOTH
 from los_design.synthesis.rounds import MAX_NEW, Effort, Task, design_in_rounds
-from los_design.synthesis.synthesis import rounds
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
 SHARES = {"soft tones": 0.5, "hard tones": 1.0}

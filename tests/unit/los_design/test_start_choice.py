@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from lftkit.tuning.frequency_domain import gain_matrices
+from los_design.synthesis import start_choice, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import BOTH, blocks
 from los_design.synthesis.start_choice import gain_matrix
 from los_design.synthesis.starts import stored_start
 from los_design.synthesis.store import continuous, load_designs
-from los_design.synthesis.synthesis import start_choice, synthesis
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.simulation.build import telescope
 from titop_plant.telescope.assembly import build_telescope

@@ -9,12 +9,12 @@ import pytest
 from small_loop import SmallFamily, small_controllers, small_plant
 
 from los_design.search.worst_case_search import SearchOptions
+from los_design.synthesis import starts, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.rounds import Effort
 from los_design.synthesis.starts import screened, zero_controller
 from los_design.synthesis.store import continuous, load_designs
-from los_design.synthesis.synthesis import starts, synthesis
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop

@@ -14,7 +14,7 @@ from small_loop import small_controllers, small_family, small_plant
 
 from lftkit import SampledSystem, StateSpace
 from los_design.synthesis.store import load_designs
-from los_design.verification.verification import (
+from los_design.verification import (
     ImplementedCheck,
     broken_requirements,
     check_implemented,

@@ -192,7 +192,7 @@ def test_the_commands_refuse_in_one_line(
 
 
 def test_design_verify_compares_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from los_design.synthesis.synthesis import store
+    from los_design.synthesis import store
 
     def others(variant: str) -> tuple[SampledSystem, ...]:
         return tuple(replace(k, design_basis={"los_sensitivity": 0.2}) for k in load_designs(variant))

@@ -14,7 +14,7 @@ from los_testbed.cli.run import configure
 from los_testbed.config import PHYSICAL, RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
-from los_design.figures.figures import plant_figures
+from los_design.figures import plant_figures
 from titop_plant.simulation.build import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses

@@ -7,7 +7,7 @@ import pytest
 from command_line import call_command
 
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read.run import run as read
+from pointing_analysis.read import run as read
 
 MAS = np.pi / 648_000_000
 RNG = np.random.default_rng(0)

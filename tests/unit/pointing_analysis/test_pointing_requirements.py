@@ -10,9 +10,9 @@ import pytest
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.verdict import RequirementError, index_samples, judge, parse
-from pointing_analysis.requirements.verdict import verdict as requirements
 
 MAS = np.pi / 648_000_000
 
