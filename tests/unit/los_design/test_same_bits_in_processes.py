@@ -10,8 +10,9 @@ from lftkit.tuning.frequency_domain import parameters_of
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, pair_problem
 from los_design.synthesis.store import continuous, load_designs
-from los_design.verification import stage_check, verification_points
+from los_design.verification import stage_check
 from los_design.verification.stage_check import check_stage
+from los_design.verification.verification import verification_points
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant, telescope

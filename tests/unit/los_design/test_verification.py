@@ -14,14 +14,13 @@ from small_loop import small_controllers, small_family, small_plant
 
 from lftkit import SampledSystem, StateSpace
 from los_design.synthesis.store import load_designs
-from los_design.verification import (
+from los_design.verification import stage_check, verification
+from los_design.verification.verification import (
     ImplementedCheck,
     broken_requirements,
     check_implemented,
     check_paper,
     failures,
-    stage_check,
-    verification,
     verification_points,
 )
 from los_loop.implemented_loop import ImplementedLoop

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pointing_analysis.indices import confidence
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read import Run, mapped_arrays
+from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.mapped_arrays import (
     GrowingArray,
     SortedValues,
@@ -21,6 +21,7 @@ from pointing_analysis.read.mapped_arrays import (
     parts,
     present,
 )
+from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import render
 from pointing_analysis.requirements.summary import summarise
 
