@@ -189,7 +189,7 @@ def deviations(model: LoopModel, part: Box) -> tuple[Polynomial, Polynomial, Pol
 
 
 def widest(model: LoopModel, M: Polynomial, part: Box) -> int:
-    """Parameter whose interval alone leaves the least room."""
+    """Parameter whose interval alone has the largest share."""
     shares = []
     for k, (low, high) in enumerate(part):
         middle = [(0.5 * (a + b),) * 2 for a, b in part]
