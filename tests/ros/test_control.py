@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 pytest.importorskip("rclpy")
-from los_testbed.config import FIELDS
+from los_testbed.config import RunConfig
 from los_testbed.nodes.remote_control import NoAnswerError
 from los_testbed.run.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
@@ -75,7 +75,7 @@ def plain(dump):
 
 def test_every_parameter_is_dumped_with_a_value_and_makes_the_same_node_again(controlled, tmp_path):
     for name, dump in controlled[0]["dumps"].items():
-        assert set(FIELDS) <= set(dump), name
+        assert set(RunConfig.SETTINGS) <= set(dump), name
         assert None not in dump.values(), name
     edited = {**plain(controlled[0]["dumps"]["controller"]), "fade_ticks": 33, "wheel_speed": [1.0, 2.0, 3.0, 4.0]}
     file = tmp_path / "controller.yaml"

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
-from los_testbed.config import FIELDS
+from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES as CHANGING
 from los_testbed.run.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
@@ -91,7 +91,7 @@ def seen(tmp_path_factory):
             return
         user = Observer(config.domain)
         try:
-            names = list(FIELDS)
+            names = list(RunConfig.SETTINGS)
             found["described"] = user.call(
                 DescribeParameters, "/telescope/plant/describe_parameters", DescribeParameters.Request(names=names)
             ).descriptors
@@ -117,14 +117,16 @@ def seen(tmp_path_factory):
 
 def test_every_parameter_is_described_with_unit_and_range(seen):
     descriptors = {d.name: d for d in seen[0]["described"]}
-    assert set(descriptors) == set(FIELDS)
-    for name, entry in FIELDS.items():
-        assert entry.metadata["description"] in descriptors[name].description
-        if entry.metadata["unit"]:
-            assert f"[{entry.metadata['unit']}]" in descriptors[name].description
+    assert set(descriptors) == set(RunConfig.SETTINGS)
+    for name, own in RunConfig.SETTINGS.items():
+        assert own.description in descriptors[name].description
+        if own.unit:
+            assert f"[{own.unit}]" in descriptors[name].description
         assert descriptors[name].read_only == (name not in CHANGING["plant"])
     assert descriptors["duration"].floating_point_range[0].from_value == 1e-3
     assert descriptors["seed"].integer_range[0].from_value == 0
+    assert descriptors["domain"].integer_range[0].from_value == -1
+    assert descriptors["domain"].description == "ROS domain; -1 for ROS_DOMAIN_ID or 0"
     assert "fsm+pma" in descriptors["loop"].additional_constraints
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -24,7 +24,7 @@ from titop_plant.simulation.disturbances import (
     no_tones,
     sadm_tones,
 )
-from titop_plant.simulation.plant_config import PlantConfig, motion, parameter_values, values_along
+from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
 from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
@@ -313,7 +313,9 @@ def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
 
 
 def _hash(config: PlantConfig, parameters: Parameters) -> str:
-    settings = asdict(config)
+    settings = config.to_mapping()
+    del settings["tau"]
+    settings["theta"], settings["wheel_acceleration"] = config.array_angle, config.wheel_acceleration or STEADY
     if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
         del settings["profile"]
     content: list[Any] = [parameters_hash(parameters), settings]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import setuptools
 import yaml
-from los_testbed.config import FIELDS, RunConfig
+from los_testbed.config import RunConfig
 
 PACKAGE = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed"
 
@@ -52,6 +52,6 @@ def test_marker_launch_and_configuration_are_installed(described):
 
 def test_the_configuration_that_ships_is_valid_and_default():
     values = yaml.safe_load((PACKAGE / "config" / "run.yaml").read_text())["/**"]["ros__parameters"]
-    assert set(values) <= set(FIELDS)
+    assert set(values) <= set(RunConfig.SETTINGS)
     config = RunConfig.from_mapping(values)
     assert config == RunConfig(wait_for_recorder=True)

@@ -48,7 +48,7 @@ def test_a_change_for_a_tick_that_was_missed_applies_at_the_next_one():
         ("seed", 2, None, "name must be a setting that this node can change"),
         ("noise", 1, None, "noise must be true or false, got 1"),
         ("camera_dropout", float("nan"), None, "camera_dropout must be between 0 and 1"),
-        ("camera_dropout", 10**400, None, "camera_dropout must be between 0 and 1 1, got inf"),
+        ("camera_dropout", 10**400, None, "camera_dropout must be between 0 and 1, got inf"),
         ("stop", False, None, "stop must be true, got False"),
         ("reset", 1.0, 0.02, "reset must be true, got 1.0"),
         ("noise", False, 0.005, "at must be later than 0.010 s, got 0.005 s"),

@@ -125,7 +125,7 @@ def _bad_controllers(folder):
         (["--scenario=storm"], ["scenario", "imbalance", "storm"]),
         (["--set=durtion=1"], ["unknown parameter 'durtion'", "duration"]),
         (["--set=seed"], ["NAME=VALUE", "'seed'"]),
-        (["--set=wheel_speed=[1, 2]"], ["wheel_speed", "four", "2"]),
+        (["--set=wheel_speed=[1, 2]"], ["wheel_speed", "hold 4 numbers", "2"]),
         (["--only=everything"], ["--only", "plant", "'everything'"]),
         (["--config=none.yaml"], ["none.yaml", "No such file"]),
         (["--no-such-option"], ["--no-such-option"]),

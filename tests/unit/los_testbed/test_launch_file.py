@@ -7,7 +7,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
-from los_testbed.config import FIELDS, RunConfig
+from los_testbed.config import RunConfig
 
 PACKAGE = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed"
 
@@ -84,7 +84,7 @@ def test_simulated_time_and_restarts_follow_from_the_mode(launched, mode, simula
         assert values["use_sim_time"] is simulated
         assert node.respawn is not simulated
         assert node.respawn_max_retries == 3
-        assert set(values) - {"use_sim_time"} <= set(FIELDS)
+        assert set(values) - {"use_sim_time"} <= set(RunConfig.SETTINGS)
         RunConfig.from_mapping({name: value for name, value in values.items() if name != "use_sim_time"})
 
 

@@ -155,7 +155,7 @@ def test_no_command_has_a_console_of_its_own() -> None:
         (["control", "fault", "noise", "{a: [1]}"], ["VALUE", "{a: [1]}"]),
         (["control", "fault", "noise", "9" * 400], ["VALUE", "digits"]),
         (["design", "check-proof", "--workers=-1", "{bag}/metadata.yaml"], ["--workers", "-1"]),
-        (["replay", "{bag}", "--domain=999"], ["--domain", "232", "999"]),
+        (["replay", "{bag}", "--domain=999"], ["domain", "232", "999"]),
         (["replay", "{bag}", "--to-ros", "--timeout=nan"], ["--timeout", "nan"]),
         (["replay", "{bag}", "--to-ros", "--timeout=inf"], ["--timeout", "inf"]),
         (["run", "--domain=999"], ["domain", "232", "999"]),

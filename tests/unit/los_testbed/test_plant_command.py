@@ -11,10 +11,11 @@ import pytest
 from command_line import call_command
 from los_testbed import factories
 from los_testbed.cli.run import configure
-from los_testbed.config import PHYSICAL, RunConfig, physical_hash
+from los_testbed.config import RunConfig, physical_hash
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
 from los_design.figures import plant_figures
+from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.simulation.build import PlantConfig, parameter_values, telescope
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
@@ -175,9 +176,7 @@ def test_tau_is_another_name_of_theta() -> None:
 def test_a_random_member_is_the_one_that_the_uncertain_system_draws() -> None:
     drawn, expected = random_member(7), telescope().system.sample_values(np.random.default_rng(7))[0]
     chosen = RunConfig.from_mapping(drawn)
-    plant = PlantConfig(
-        theta=chosen.array_angle, wheel_speed=chosen.wheel_speed, omega_1=chosen.omega_1, omega_2=chosen.omega_2
-    )
+    plant = PlantConfig.of(chosen, disturbance=False)
     found = parameter_values(plant, load_parameters())
     assert found == pytest.approx(expected, rel=1e-12)
 
@@ -186,10 +185,10 @@ def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the
     file = run.files / "run.yaml"
     file.write_text("theta: 0.5\nseed: 9\nomega_1: 0.75\n")
     chosen = configure(file, ["omega_2=2.6"], {"tau": "0.25"}, case="soft_arrays")
-    assert (chosen.theta, chosen.tau, chosen.seed) == (0.0, 0.25, 9)
+    assert (chosen.theta, chosen.tau, chosen.seed) == (None, 0.25, 9)
     assert (chosen.omega_1, chosen.omega_2) == (0.70585, 2.6)
     drawn = configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
-    assert (drawn.theta, drawn.tau) == (0.1, 0.0)
+    assert (drawn.theta, drawn.tau) == (0.1, None)
     assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
 
 
@@ -200,7 +199,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
         assert settings["description"], name
         config = configure(None, [], {"output": "x"}, case=name)
         assert (
-            any(getattr(config, key) != getattr(RunConfig(), key) for key in PHYSICAL)
+            any(getattr(config, key) != getattr(RunConfig(), key) for key in PhysicalSettings.SETTINGS)
             or name == "nominal"
             or config.tau
         )
@@ -214,8 +213,7 @@ def test_the_worst_case_is_worse_than_the_other_ones() -> None:
     both, parameters = disturbance_responses(), load_parameters()
 
     def peak(config: RunConfig) -> float:
-        chosen = {"omega_1": config.omega_1 or None, "omega_2": config.omega_2 or None}
-        plant = PlantConfig(theta=config.array_angle, wheel_speed=config.wheel_speed or None, **chosen)
+        plant = PlantConfig.of(config, disturbance=False)
         curve = both.weighted(both.isolated, parameter_values(plant, parameters), ALL, 1.0, 1e3)
         return float(np.max(curve.size * rpe_weight(curve.omega, parameters["weights"]["rpe_window"])))
 

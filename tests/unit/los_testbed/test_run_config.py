@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from los_testbed.config import FIELDS, RunConfig, parse_value, physical_hash, read_yaml
+from los_testbed.config import RunConfig, parse_value, physical_hash, read_yaml
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ from los_testbed.config import FIELDS, RunConfig, parse_value, physical_hash, re
         ({"mode": "fast"}, ["mode", "realtime", "'fast'"]),
         ({"scenario": 3}, ["scenario", "design"]),
         ({"noise": 1}, ["noise", "true or false", "1"]),
-        ({"wheel_speed": [1.0, 2.0]}, ["wheel_speed", "four", "2"]),
+        ({"wheel_speed": [1.0, 2.0]}, ["wheel_speed", "hold 4 numbers", "2"]),
         ({"wheel_speed": 100.0}, ["wheel_speed", "list"]),
         ({"wheel_speed": [1.0, 2.0, 3.0, math.nan]}, ["wheel_speed", "between"]),
         ({"camera_dropout": 1.1}, ["camera_dropout", "between 0 and 1"]),
@@ -75,8 +75,9 @@ def test_values_from_the_command_line():
 
 
 def test_every_parameter_says_what_it_is():
-    for name, entry in FIELDS.items():
-        assert len(entry.metadata["description"]) > 5, name
+    for name, own in RunConfig.SETTINGS.items():
+        assert len(own.description) > 5, name
+        assert bool(own.absent) == own.optional == (own.default is None), name
 
 
 def test_the_plant_hash_depends_on_physics_only():

@@ -14,17 +14,17 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from los_testbed.config import NAMESPACE, RunConfig
 
 NODES = ("plant", "estimator", "controller", "recorder")
 SETTINGS = ("mode", "duration", "loop", "scenario", "output")
 ARGUMENTS = {
     "params": ("", "parameter file; empty for the one that is installed with the package"),
-    "namespace": ("/telescope", "namespace of nodes and topics"),
-    "mode": ("", "realtime or lockstep"),
-    "duration": ("", "length of the run [s]"),
-    "loop": ("", "stage: none, isolator, fsm or fsm+pma"),
-    "scenario": ("", "disturbance scenario"),
-    "output": ("", "folder of the bag; it must be new"),
+    "namespace": (NAMESPACE, RunConfig.SETTINGS["namespace"].text),
+    **{
+        name: ("", f"{own.text}; {own.range}" if (own := RunConfig.SETTINGS[name]).range else own.text)
+        for name in SETTINGS
+    },
     "record": ("true", "whether a recorder takes part"),
     "live": ("false", "whether to serve viewers on 127.0.0.1: Foxglove's protocol on port 8765, a page on 8766"),
     "respawn": ("true", "in real time: whether a node that dies is started again, at most three times"),

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import PHYSICAL, RunConfig, is_code
+from los_testbed.config import RunConfig, is_code
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import RunStart, find_run_start, with_tones
 from los_testbed.user_blocks import UserBlock, make_disturbance, make_law
@@ -100,7 +100,9 @@ def telescope_basis(config: RunConfig) -> DesignBasis:
     from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
     own = design_basis(load_parameters(config.parameters or REFERENCE))
-    limits = {name: value for name in ("fsm_authority", "pma_authority") if (value := getattr(config, name))}
+    limits = {
+        name: value for name in ("fsm_authority", "pma_authority") if (value := getattr(config, name)) is not None
+    }
     return replace(own, **limits)
 
 
@@ -254,9 +256,8 @@ def build_plant(config: RunConfig) -> Plant:
     with one_thread():
         state = np.zeros(simulation.plant_order(physical)) if start.states is None else start.states.plant
         telescope = simulation.build_plant(physical, state)
-    plant = (
-        telescope if not (config.disturbance_source and config.disturbance) else _driven(telescope, config, physical)
-    )
+    own = config.disturbance_source if config.disturbance else None
+    plant = telescope if own is None else _driven(telescope, config, physical, own)
     if not config.nonlinear:
         return plant
     from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
@@ -274,14 +275,14 @@ def _user_plant(config: RunConfig) -> Plant:
     return own
 
 
-def _driven(plant: SampledPlant, config: RunConfig, physical: PlantConfig) -> DrivenPlant:
+def _driven(plant: SampledPlant, config: RunConfig, physical: PlantConfig, source: str) -> DrivenPlant:
     """The telescope under the disturbance of the user."""
     from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
 
     disturbance = make_disturbance(config)
     disturbance.reset()
     with one_thread():
-        return DrivenPlant(plant, held_disturbance(physical, plant.dt), disturbance, config.disturbance_source)
+        return DrivenPlant(plant, held_disturbance(physical, plant.dt), disturbance, source)
 
 
 def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> RunStart:
@@ -301,7 +302,7 @@ def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None
     if config.plant:
         return RunStart()
     if code_of(config):  # no model of the code is known: the tone that is worst without fine control
-        config = replace(config, k_fsm="", k_pma="", loop="isolator" if config.loop != "none" else "none")
+        config = replace(config, k_fsm=None, k_pma=None, loop="isolator" if config.loop != "none" else "none")
     chosen = load_controllers(config) if controllers is None else controllers
     return find_run_start(config, _physical(config), chosen, telescope_basis(config).authority)
 
@@ -331,14 +332,8 @@ def _physical(config: RunConfig) -> PlantConfig:
     from titop_plant.simulation.build import PlantConfig
 
     check_ranges(config)
-    values: dict[str, Any] = {name: getattr(config, name) for name in PHYSICAL if name != "worst_of"}
-    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
-    own = bool(config.disturbance_source)
-    values["disturbance"] = config.disturbance and config.scenario != "worst_case" and not own
-    for name in ("wheel_speed", "wheel_acceleration", "omega_1", "omega_2", "parameters"):  # empty: its default
-        if not values[name]:
-            del values[name]
-    return PlantConfig(**values)
+    told = config.disturbance and config.scenario != "worst_case" and config.disturbance_source is None
+    return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
 
 
 def tone_model(

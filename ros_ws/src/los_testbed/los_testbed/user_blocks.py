@@ -228,6 +228,6 @@ def make_disturbance(config: RunConfig) -> UserBlock:
     from titop_plant.simulation.driven_plant import DISTURBANCE_PORTS
 
     setting = "disturbance_source"
-    made = UserBlock(setting, config.disturbance_source, make(config, setting), (), DISTURBANCE_PORTS)
+    made = UserBlock(setting, str(config.disturbance_source), make(config, setting), (), DISTURBANCE_PORTS)
     made.check()
     return made

@@ -38,7 +38,7 @@ TELESCOPE_FILE = "telescope.toml"
 """Parameter file of the telescope that a folder of designs was made for."""
 
 
-def family(parameters: str = "") -> dict[str, RealParameter]:
+def family(parameters: str | None = None) -> dict[str, RealParameter]:
     """Uncertain parameters of a parameter file, or of the reference telescope, in the order of Delta.
 
     Raises
@@ -69,18 +69,18 @@ def check_ranges(config: RunConfig) -> None:
     table = family(config.parameters)
     for i in (1, 2):
         omega = getattr(config, f"omega_{i}")
-        if omega:
+        if omega is not None:
             _within(f"omega_{i}", table[f"solar_array.omega_{i}"], omega)
     if config.profile not in PROFILES:
         _check_profile(config, table)
         return
     tau, turn = table["solar_array.tau"], config.theta_rate * config.ramp_duration
-    if config.tau:
+    if config.tau is not None:
         _within("tau", tau, config.tau)
     low, high = 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper)
     for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
         _between("theta", low, high, "rad", angle, when)
-    for i, speed in enumerate(config.wheel_speed, start=1):
+    for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
         for i, (speed, gain) in enumerate(zip(_start_speeds(config), config.wheel_acceleration), start=1):
@@ -114,7 +114,7 @@ def _between(name: str, low: float, high: float, unit: str, value: float, when: 
         raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}{unit}{when}")
 
 
-def random_member(seed: int, parameters: str = "") -> dict[str, Any]:
+def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
     """Settings of a random member of the family: uniform in the ranges, the same for the same seed.
 
     It is the member that ``system.sample_values(numpy.random.default_rng(seed))`` of the telescope's
@@ -124,8 +124,8 @@ def random_member(seed: int, parameters: str = "") -> dict[str, Any]:
     ----------
     seed : int
         Not negative.
-    parameters : str
-        Parameter file; empty for the reference telescope.
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def _settings(values: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = "") -> dict[str, Any]:
+def worst_member(loop: str, worst_of: str, parameters: str | None = None, designs: str = "") -> dict[str, Any]:
     """Settings of the member of the family that is worst for a stage.
 
     Parameters
@@ -169,8 +169,8 @@ def worst_member(loop: str, worst_of: str, parameters: str = "", designs: str = 
     loop : str
         Stage.
     worst_of : {"RPE", "APE", "slow", "fast"}
-    parameters : str
-        Parameter file; empty for the reference telescope.
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
     designs : str
         Folder of designs with :data:`WORST_POINTS`; empty for the stored designs.
 
@@ -244,7 +244,7 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
         from titop_plant.simulation.build import resonant_speeds
 
-        return {"wheel_speed": list(resonant_speeds(config.parameters or None))}
+        return {"wheel_speed": list(resonant_speeds(config.parameters))}
     return {}
 
 
@@ -322,5 +322,4 @@ def chosen_member(
         seed = int(sample)
     except ValueError:
         raise ValueError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
-    path = layered(before, named, after).get("parameters", "")
-    return named, random_member(seed, str(path))
+    return named, random_member(seed, layered(before, named, after).get("parameters"))

@@ -83,7 +83,7 @@ def final_metadata(
 def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Files of the controllers, the configuration as YAML, tone and states of the start."""
     content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in recorded_files(config).items()}
-    text = yaml.safe_dump(config.to_mapping(), sort_keys=False)
+    text = yaml.safe_dump(config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
     return content

@@ -124,7 +124,7 @@ class Campaign:
             "seed": self.seed,
             "points_hash": self.points_hash,
             "identity": dict(self.identity),
-            "run": {name: v for name, v in self.base.to_mapping().items() if name not in ("output", "domain")},
+            "run": {name: v for name, v in self.base.to_plain().items() if name not in ("output", "domain")},
         }
 
 

@@ -28,13 +28,13 @@ DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_a
 _SEEDS = 2**31 - 1
 
 
-def box(parameters: str = "") -> dict[str, tuple[float, float]]:
+def box(parameters: str | None = None) -> dict[str, tuple[float, float]]:
     """Range of each of `COLUMNS` for a parameter file, or for the reference telescope."""
     table = family(parameters)
     return {column: (table[name].lower, table[name].upper) for column, name in zip(COLUMNS, DELTA)}
 
 
-def members(sampling: str, samples: int, seed: int, parameters: str = "") -> FloatArray:
+def members(sampling: str, samples: int, seed: int, parameters: str | None = None) -> FloatArray:
     """Parameters of the members of a campaign.
 
     Parameters
@@ -46,8 +46,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str = "") -> Flo
     samples : int
         Number of members; 0 for all corners or all lines of a file.
     seed : int
-    parameters : str
-        Parameter file; empty for the reference telescope.
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
 
     Returns
     -------

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, with_files
+from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, option, with_files
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen
 
@@ -52,8 +52,8 @@ def campaign(
     ] = "uniform",
     depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
     scenario: Annotated[str, typer.Option(help="design, imbalance or worst_case.")] = "design",
-    loop: Annotated[str, typer.Option(help="none, isolator, fsm or fsm+pma.")] = "fsm+pma",
-    duration: Annotated[float, typer.Option(help="Length of each run [s].")] = 10.0,
+    loop: Annotated[str | None, option("loop")] = None,
+    duration: Annotated[float | None, option("duration")] = None,
     k_fsm: ObserverFile = None,
     k_pma: ForceLawFile = None,
     designs: Designs = None,
@@ -89,7 +89,8 @@ def campaign(
     folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
     folder.check(resume)
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    base = RunConfig(mode="inprocess", scenario=scenario, loop=loop, duration=duration, **settings)
+    given = {"mode": "inprocess", "scenario": scenario, "loop": loop, "duration": duration, **settings}
+    base = RunConfig.from_mapping({name: value for name, value in given.items() if value is not None})
     warn(check_controllers(base))
     check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
     asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))

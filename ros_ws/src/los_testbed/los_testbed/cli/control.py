@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from los_testbed.cli.options import option
 from los_testbed.cli.output import number, seconds
 from los_testbed.config import NAMESPACE, RunConfig
 from los_testbed.loop.changes import owner_of
@@ -21,15 +22,15 @@ control_app = typer.Typer(
     no_args_is_help=True,
 )
 
-Domain = Annotated[int, typer.Option(help="ROS domain of the run; -1 for ROS_DOMAIN_ID or 0.")]
-Namespace = Annotated[str, typer.Option(help="Namespace of the run.")]
+Domain = Annotated[int | None, option("domain")]
+Namespace = Annotated[str, option("namespace")]
 At = Annotated[float | None, typer.Option(metavar="SECONDS", help="Time from the start of the run; default: now.")]
 Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="Wait for an answer at most this long.")]
 
 
 @contextmanager
-def _remote(domain: int, namespace: str, timeout: float, at: float | None = None) -> Iterator[RemoteControl]:
-    RunConfig(namespace=namespace, domain=domain)
+def _remote(domain: int | None, namespace: str, timeout: float, at: float | None = None) -> Iterator[RemoteControl]:
+    domain = RunConfig(namespace=namespace, domain=domain).domain
     number("--timeout", timeout, 0.0, 86400.0, "s")
     seconds("--at", at, 1e6)
     from los_testbed.run.node_launch import check_ros
@@ -45,7 +46,7 @@ def _remote(domain: int, namespace: str, timeout: float, at: float | None = None
 def stage(
     loop: Annotated[str, typer.Argument(help="isolator, fsm or fsm+pma.")],
     at: At = None,
-    domain: Domain = -1,
+    domain: Domain = None,
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:
@@ -60,7 +61,7 @@ def fault(
     name: Annotated[str, typer.Argument(help="noise, disturbance, camera_dropout, fsm_authority or pma_authority.")],
     value: Annotated[str, typer.Argument(help="New value, such as true, false or 0.2.")],
     at: At = None,
-    domain: Domain = -1,
+    domain: Domain = None,
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:
@@ -74,13 +75,13 @@ def fault(
 
 
 @control_app.command()
-def start(domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+def start(domain: Domain = None, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
     """Begin a run that waits for its start (run --set wait_for_start=true)."""
     with _remote(domain, namespace, timeout) as remote:
         remote.trigger("start")
 
 
-def _end(name: str, at: float | None, domain: int, namespace: str, timeout: float) -> None:
+def _end(name: str, at: float | None, domain: int | None, namespace: str, timeout: float) -> None:
     with _remote(domain, namespace, timeout, at) as remote:
         if at is None:
             remote.trigger(name)
@@ -89,18 +90,18 @@ def _end(name: str, at: float | None, domain: int, namespace: str, timeout: floa
 
 
 @control_app.command()
-def stop(at: At = None, domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+def stop(at: At = None, domain: Domain = None, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
     """End the run at one tick; its bag is complete."""
     _end("stop", at, domain, namespace, timeout)
 
 
 @control_app.command()
-def reset(at: At = None, domain: Domain = -1, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
+def reset(at: At = None, domain: Domain = None, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
     """End the run at one tick and begin it again, with the settings of the start and another bag (NAME-2)."""
     _end("reset", at, domain, namespace, timeout)
 
 
-def _turn(node: str, transition: str, domain: int, namespace: str, timeout: float) -> None:
+def _turn(node: str, transition: str, domain: int | None, namespace: str, timeout: float) -> None:
     if node not in ("estimator", "controller"):
         raise ValueError(f"node must be estimator or controller, got {node!r}")
     with _remote(domain, namespace, timeout) as remote:
@@ -110,7 +111,7 @@ def _turn(node: str, transition: str, domain: int, namespace: str, timeout: floa
 @control_app.command()
 def deactivate(
     node: Annotated[str, typer.Argument(help="estimator or controller.")],
-    domain: Domain = -1,
+    domain: Domain = None,
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:
@@ -121,7 +122,7 @@ def deactivate(
 @control_app.command()
 def activate(
     node: Annotated[str, typer.Argument(help="estimator or controller.")],
-    domain: Domain = -1,
+    domain: Domain = None,
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:

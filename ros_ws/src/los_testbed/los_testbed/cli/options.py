@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
+from types import GenericAlias
 from typing import Annotated, Any
 
 import typer
 
+from los_testbed.config import RunConfig
 from los_testbed.variants import of_designs
+from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.settings import Setting
 
 MAX_CHUNK_MB = 64.0
 
@@ -28,6 +35,89 @@ Case = Annotated[str | None, typer.Option(metavar="NAME", help="A named case: lo
 Cases = Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")]
 NewFolder = Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")]
 DesignSeed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
+
+METAVARS = {"s": "SECONDS", "Hz": "HERTZ", "rad": "RADIANS", "rad/s": "RAD/S", "N": "NEWTONS", "ms": "TICKS"}
+"""What stands for a number in the help, by its unit."""
+
+WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT"}
+
+PLANT_PANEL = "Telescope, disturbance, sensors"
+"""Heading of the physical settings in the help."""
+
+
+def option(name: str, **more: Any) -> Any:
+    """Option of a command for a setting of a run; its help is made from the setting.
+
+    Parameters
+    ----------
+    name : str
+    **more
+        As :func:`typer.Option` takes them.
+    """
+    own = RunConfig.SETTINGS[name]
+    metavar = None if own.kind in (bool, tuple) else METAVARS.get(own.unit, WORDS[own.kind])
+    return typer.Option(**{"metavar": metavar, "help": help_text(own), "show_default": False, **more})
+
+
+def help_text(own: Setting) -> str:
+    """Description with unit, range and default.
+
+    Examples
+    --------
+    >>> help_text(RunConfig.SETTINGS["duration"]), help_text(RunConfig.SETTINGS["domain"])
+    ('Length of the run [s], 0.001 to 86400; default: 10.', 'ROS domain, 0 to 232; default: ROS_DOMAIN_ID or 0.')
+    """
+    text = own.text[0].upper() + own.text[1:]
+    if own.choices:
+        text += f": {', '.join(own.choices[:-1])} or {own.choices[-1]}"
+    elif own.low is not None:
+        text += f", {_in_short(own.low)} to {_in_short(own.high)}"
+    return f"{text}; default: {own.absent if own.default is None else _in_short(own.default)}."
+
+
+def _in_short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def with_settings(
+    without: tuple[str, ...], metavars: Mapping[str, str]
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command an option for each setting of a run, but for those in `without`.
+
+    It gets their values as ``given``, ``None`` where an option is not given.
+
+    The values are texts, but for switches and lists of numbers: :func:`los_testbed.config.parse_value` reads them.
+    """
+    names = [name for name in RunConfig.SETTINGS if name not in without]
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command, eval_str=True)
+        others = [parameter for parameter in signature.parameters.values() if parameter.name != "given"]
+        parameters = [*(_parameter(name, metavars) for name in names), *others]
+
+        @wraps(command)
+        def called(**values: Any) -> None:
+            given = {name: values.pop(name) for name in names}
+            command(given=given, **values)
+
+        facade: Any = called
+        facade.__signature__ = signature.replace(parameters=parameters)
+        facade.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return called
+
+    return decorate
+
+
+def _parameter(name: str, metavars: Mapping[str, str]) -> inspect.Parameter:
+    """Parameter of a command for a setting; None where the option is not given."""
+    own = RunConfig.SETTINGS[name]
+    kind: Any = bool if own.kind is bool else str
+    if own.length is not None:
+        kind = GenericAlias(tuple, (float,) * own.length)
+    panel = PLANT_PANEL if name in PhysicalSettings.SETTINGS else None
+    more = {"metavar": metavars[name]} if name in metavars else {}
+    made = Annotated[kind | None, option(name, rich_help_panel=panel, **more)]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=made)
 
 
 def with_files(designs: str | None, **files: Path | None) -> dict[str, Any]:

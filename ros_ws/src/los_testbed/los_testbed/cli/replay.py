@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, number, print_json, seconds, warn
+from los_testbed.config import RunConfig
 from los_testbed.run.screen import Screen, say
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def replay(
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
     transient: Transient = None,
     to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
-    domain: Annotated[int, typer.Option(help="ROS domain for --to-ros; -1 for ROS_DOMAIN_ID or 0.")] = -1,
+    domain: Annotated[int | None, option("domain")] = None,
     timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
@@ -71,7 +72,7 @@ def replay(
         )
     seconds("--transient", transient)
     number("--timeout", timeout, 0.0, 86400.0, "s")
-    number("--domain", domain, -1, 232)
+    domain = RunConfig(domain=domain).domain
     if output is not None:
         check_new_bag(output)
     run, console = Run.open(bag, max_chunk=chunk_limit(max_chunk)), Screen(stderr=json_)
@@ -109,7 +110,7 @@ def _through(
     return {**content, "output": None if output is None else str(output)}
 
 
-def _to_ros(console: Console, run: Run, output: Path | None, domain: int, timeout: float) -> dict[str, Any]:
+def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None, timeout: float) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
     from los_testbed.run.node_launch import check_ros
     from pointing_analysis.replay.replay import compare

@@ -14,7 +14,7 @@ import typer
 
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.cli.options import Case, Cases, Designs, Json, Telescope
+from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.factories import check_controllers
@@ -26,6 +26,9 @@ from los_testbed.variants import check_ranges, chosen_member, layered, of_design
 
 RESTARTED = 3
 """Exit code of a run that was finished although a node died and had to be started again."""
+
+FREE = "free"
+"""Value of ``--domain`` for a domain that nobody uses on this machine."""
 
 LIVE_PORT = 8765
 MAX_PORT = 65534
@@ -57,60 +60,28 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 """
 
 
+@with_settings(without=("disturbance", "disturbance_source"), metavars={"domain": "INTEGER|free"})
 def run(
-    duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="Length of the run [s].")] = None,
-    mode: Annotated[str | None, typer.Option(help="realtime, lockstep or inprocess.")] = None,
-    loop: Annotated[str | None, typer.Option(help="none, isolator, fsm or fsm+pma.")] = None,
-    scenario: Annotated[str | None, typer.Option(help="worst_case, design, imbalance or ramp.")] = None,
-    worst_of: Annotated[
-        str | None, typer.Option(metavar="INDEX", help="Of the scenario worst_case: RPE, APE, slow or fast.")
-    ] = None,
-    start: Annotated[str | None, typer.Option(help="steady (of the loop that runs) or rest.")] = None,
-    seed: Annotated[str | None, typer.Option(metavar="INTEGER", help="Seed of noise and disturbance phases.")] = None,
-    noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Sensor noise.")] = None,
+    *,
+    given: dict[str, Any],
     disturbance: Annotated[
         str | None,
-        typer.Option(metavar="[MODULE:NAME]", help="Wheels and array drives; or a disturbance of your own, by name."),
+        typer.Option(
+            metavar="[MODULE:NAME]",
+            help="Wheel and drive disturbances; or a disturbance of your own, by name.",
+            rich_help_panel=PLANT_PANEL,
+        ),
     ] = None,
-    no_disturbance: Annotated[bool, typer.Option("--no-disturbance", help="None at all.")] = False,
-    camera_rate: Annotated[
-        str | None, typer.Option(metavar="HERTZ", help="Frames per second; divides 1000 [Hz].")
-    ] = None,
-    plant: Annotated[
-        str | None, typer.Option(metavar="MODULE:NAME", help="Plant of your own, or the name of an entry point.")
-    ] = None,
-    k_fsm: Annotated[
-        str | None, typer.Option(help="Observer instead of the stored design: file, MODULE:NAME or entry point.")
-    ] = None,
-    k_pma: Annotated[
-        str | None, typer.Option(help="Proof-mass controller instead of the stored design, in the same way.")
-    ] = None,
+    no_disturbance: Annotated[
+        bool, typer.Option("--no-disturbance", help="None at all.", rich_help_panel=PLANT_PANEL)
+    ] = False,
     designs: Designs = None,
-    output: Annotated[str | None, typer.Option(help="Folder of the bag; must be new.")] = None,
-    domain: Annotated[
-        str | None, typer.Option(metavar="INTEGER", help="ROS domain; free: one that nobody uses on this machine.")
-    ] = None,
-    namespace: Annotated[str | None, typer.Option(help="Namespace of nodes and topics.")] = None,
-    theta: Annotated[str | None, typer.Option(metavar="RADIANS", help="Angle of both solar arrays [rad].")] = None,
-    tau: Annotated[str | None, typer.Option(metavar="NUMBER", help="tan(theta/4), instead of theta.")] = None,
-    wheel_speed: Annotated[
-        tuple[float, float, float, float] | None, typer.Option(help="Speeds of the four wheels [rad/s].")
-    ] = None,
-    omega_1: Annotated[str | None, typer.Option(metavar="RAD/S", help="First frequency of the arrays.")] = None,
-    omega_2: Annotated[str | None, typer.Option(metavar="RAD/S", help="Second frequency of the arrays.")] = None,
-    theta_rate: Annotated[str | None, typer.Option(metavar="RAD/S", help="Rate of the arrays during the ramp.")] = None,
-    wheel_acceleration: Annotated[
-        tuple[float, float, float, float] | None, typer.Option(help="Of the four wheels during the ramp [rad/s2].")
-    ] = None,
-    ramp_duration: Annotated[str | None, typer.Option(metavar="SECONDS", help="How long the ramp lasts [s].")] = None,
     sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
-    profile: Annotated[str | None, typer.Option(metavar="KIND", help="linear, trapezoidal, or a CSV file.")] = None,
     case: Case = None,
     cases: Cases = None,
-    parameters: Telescope = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other parameter; repeatable.")
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any of the parameters; repeatable.")
     ] = None,
     only: Annotated[
         str | None,
@@ -130,37 +101,10 @@ def run(
     json_: Json = False,
 ) -> None:
     """See RUN_EXAMPLES."""
-    if domain == "free":
-        domain = str(free_domain(namespace or NAMESPACE))
-        sys.stderr.write(f"ROS domain {domain}\n")
-    given = {
-        "duration": duration,
-        "mode": mode,
-        "loop": loop,
-        "scenario": scenario,
-        "worst_of": worst_of,
-        "start": start,
-        "seed": seed,
-        "noise": noise,
-        **_disturbance(disturbance, no_disturbance),
-        "camera_rate": camera_rate,
-        "plant": plant,
-        "k_fsm": k_fsm,
-        "k_pma": k_pma,
-        "output": output,
-        "domain": domain,
-        "theta": theta,
-        "tau": tau,
-        "wheel_speed": wheel_speed,
-        "omega_1": omega_1,
-        "omega_2": omega_2,
-        "theta_rate": theta_rate,
-        "wheel_acceleration": wheel_acceleration,
-        "ramp_duration": ramp_duration,
-        "profile": profile,
-        "namespace": namespace,
-        "parameters": None if parameters is None else str(parameters),
-    }
+    if given["domain"] == FREE:
+        given["domain"] = free_domain(given["namespace"] or NAMESPACE)
+        sys.stderr.write(f"ROS domain {given['domain']}\n")
+    given |= _disturbance(disturbance, no_disturbance)
     chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
         from los_testbed.run.node_launch import run_alone
@@ -189,7 +133,6 @@ def configure(
     file: Path | None,
     settings: list[str],
     given: dict[str, Any],
-    *,
     case: str | None = None,
     cases: Path | None = None,
     sample: str | None = None,
@@ -214,14 +157,14 @@ def configure(
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
     settings_given = layered(first, named, drawn, stated, options)
-    code = any(is_code(str(settings_given.get(name, ""))) for name in ("k_fsm", "k_pma"))
+    code = any(is_code(str(settings_given.get(name) or "")) for name in ("k_fsm", "k_pma"))
     if settings_given.get("plant") or code:  # what is steady is known of the telescope and of linear laws only
         settings_given = {"start": "rest", **settings_given}
     if settings_given.get("plant"):
         chosen = RunConfig.from_mapping(settings_given)
     else:
         chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
-    if not chosen.output:
+    if chosen.output is None:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
 
@@ -243,7 +186,7 @@ def check(config: RunConfig) -> tuple[str, ...]:
         A bag that exists, a telescope outside the family, a file that is no controller, a plant that breaks the
         contract, ROS missing.
     """
-    check_new_bag(Path(config.output))
+    check_new_bag(config.bag)
     check_ranges(config)
     if config.plant:
         from los_testbed.factories import build_plant
@@ -282,8 +225,10 @@ def _disturbance(given: str | None, none: bool) -> dict[str, Any]:
     """Settings that ``--disturbance`` and ``--no-disturbance`` stand for."""
     if given is not None and none:
         raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({given})")
-    if given in (None, DISTURBANCE_ON):
-        return {"disturbance": False if none else (True if given else None)}
+    if given is None:
+        return {"disturbance": False} if none else {}
+    if given == DISTURBANCE_ON:
+        return {"disturbance": True}
     return {"disturbance": True, "disturbance_source": given}
 
 
@@ -347,7 +292,7 @@ def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.
             from los_testbed.loop.simulate import LoopDivergedError, run_in_process
             from los_testbed.run.bag_names import recorded
 
-            path = Path(config.output)
+            path = config.bag
             try:
                 run_in_process(config, path, progress=progress)
             except (LoopDivergedError, RunFailedError) as error:

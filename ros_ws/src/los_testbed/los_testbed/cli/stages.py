@@ -21,12 +21,12 @@ from los_testbed.cli.options import (
     NewFolder,
     ObserverFile,
     Telescope,
+    option,
     with_files,
 )
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, say
 from pointing_analysis.files.atomic_output import write_text
-from titop_plant.interface import CAMERA_RATE
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -61,13 +61,13 @@ def stages(
         int | None,
         typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1."),
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="Length of each run [s]; 10, or the case's.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of noise and disturbance phases.")] = 1,
-    mode: Annotated[str, typer.Option(help="inprocess, lockstep or realtime.")] = "inprocess",
+    duration: Annotated[float | None, option("duration")] = None,
+    seed: Annotated[int | None, option("seed")] = None,
+    mode: Annotated[str | None, option("mode", help="inprocess, lockstep or realtime; default: inprocess.")] = None,
     k_fsm: ObserverFile = None,
     k_pma: ForceLawFile = None,
     designs: Designs = None,
-    camera_rate: Annotated[float, typer.Option(help="Frames per second; divides 1000 [Hz].")] = CAMERA_RATE,
+    camera_rate: Annotated[float | None, option("camera_rate")] = None,
     parameters: Telescope = None,
     case: Case = None,
     cases: Cases = None,
@@ -87,18 +87,18 @@ def stages(
 
     if samples is not None:
         number("--samples", samples, 1, 100)
-    given = {"duration": duration, "scenario": scenario}
-    stated: dict[str, Any] = {name: value for name, value in given.items() if value}
+    given = {"duration": duration, "scenario": scenario, "seed": seed, "mode": mode, "camera_rate": camera_rate}
+    stated: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     stated |= with_files(None, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     settings = layered(with_files(designs), chosen_member(case, cases, None, {}, {})[0], stated)
     scenario = settings.pop("scenario", "both")
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
-    base = RunConfig.from_mapping({"seed": seed, "mode": mode, "camera_rate": camera_rate, **settings})
+    base = RunConfig.from_mapping({"mode": "inprocess", **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
     warn(check_controllers(base))
-    if mode != "inprocess":
+    if base.mode != "inprocess":
         check_ros()
     chosen = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from los_testbed.config import RunConfig
@@ -140,15 +140,15 @@ class Changes:
                 raise ValueError(f"{name} must be true, got {value!r}")
             checked: Any = True
         else:
-            checked = getattr(RunConfig.from_mapping({**self.config.to_mapping(), name: value}), name)
+            checked = getattr(replace(self.config, **{name: value}), name)
         if name == "loop" and (checked == "none") != (self.config.loop == "none"):
             raise ValueError(
                 f"loop must be a stage with the isolator as at the start, {self.config.loop}: it is part of the plant, "
                 f"got {checked}"
             )
-        if name in self.limits and not 0.0 < checked <= self.limits[name]:
+        if name in self.limits and not 0.0 < (checked or 0.0) <= self.limits[name]:
             raise ValueError(
-                f"{name} must be positive and at most {self.limits[name]:g} as at the start, got {checked:g}"
+                f"{name} must be positive and at most {self.limits[name]:g} as at the start, got {checked or 0.0:g}"
             )
         if at is not None and at * 1e9 <= self.now:
             raise ValueError(f"at must be later than {max(self.now, 0) / 1e9:.3f} s, got {at:g} s")

@@ -116,13 +116,13 @@ class RemoteControl:
 
 
 @contextmanager
-def remote_control(domain: int, namespace: str, timeout: float) -> Iterator[RemoteControl]:
-    """Clients in a process of their own; `domain` -1 is that of the environment."""
+def remote_control(domain: int | None, namespace: str, timeout: float) -> Iterator[RemoteControl]:
+    """Clients in a process of their own; `domain` None is that of the environment."""
     os.environ.setdefault(RANGE_VARIABLE, "LOCALHOST")
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     choose_middleware(os.environ)
     context = Context()
-    rclpy.init(context=context, domain_id=None if domain < 0 else domain)
+    rclpy.init(context=context, domain_id=domain)
     node = Node(f"control_{os.getpid()}", context=context)
     try:
         yield RemoteControl(node, namespace, timeout)

@@ -68,15 +68,15 @@ class Played:
         return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]))
 
 
-def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], None]) -> Played:
+def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, int], None]) -> Played:
     """Drive the nodes of a domain with the sensors of a bag.
 
     Parameters
     ----------
     run : Run
         With the sensor topics; the truth is sent too where the bag has it.
-    domain : int
-        ROS domain; -1 for that of the environment.
+    domain : int, optional
+        ROS domain; default: that of the environment.
     timeout : float
         Wait for listeners at most this long [s].
     progress : callable
@@ -92,7 +92,7 @@ def play(run: Run, domain: int, timeout: float, progress: Callable[[int, int], N
         raise BagError(
             f"{run.path}: to drive nodes the bag must hold {', '.join(missing)}, got {', '.join(run.topics)}"
         )
-    if domain >= 0:
+    if domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     with domain_lock(int(os.environ.get("ROS_DOMAIN_ID", "0")), NAMESPACE):

@@ -45,7 +45,7 @@ def check_ros() -> None:
 
 def parameter_text(config: RunConfig) -> str:
     """ROS parameter file of a run."""
-    values = {name: value for name, value in config.to_mapping().items() if value != []}
+    values = {name: value for name, value in config.to_plain().items() if value != []}
     values["use_sim_time"] = config.mode == "lockstep"
     return str(yaml.safe_dump({"/**": {"ros__parameters": values}}))
 
@@ -69,7 +69,7 @@ def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
         variables.setdefault("ROS_LOG_DIR", str(logs))
     variables["OPENBLAS_NUM_THREADS"] = "1"
     variables[EVENTS_VARIABLE] = str(os.getpid())
-    if config.domain >= 0:
+    if config.domain is not None:
         variables["ROS_DOMAIN_ID"] = str(config.domain)
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
@@ -92,8 +92,8 @@ def run_alone(name: str, config: RunConfig) -> int:
         raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
     check_ros()
     if name == "recorder":
-        check_new_bag(Path(config.output))
-    if config.domain >= 0:
+        check_new_bag(config.bag)
+    if config.domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{name}")

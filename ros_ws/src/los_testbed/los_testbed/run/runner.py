@@ -107,7 +107,7 @@ class Runner:
     def domain(self) -> int:
         """ROS domain of the run."""
         own = self._config.domain
-        return own if own >= 0 else int(os.environ.get("ROS_DOMAIN_ID", "0"))
+        return own if own is not None else int(os.environ.get("ROS_DOMAIN_ID", "0"))
 
     def run(self) -> Results:
         """Start, watch and end the nodes.
@@ -120,7 +120,7 @@ class Runner:
             A node failed; the others were ended.
         """
         check_ros()
-        check_new_bag(Path(self._config.output))
+        check_new_bag(self._config.bag)
         self.results.warnings += check_controllers(self._config)
         text = parameter_text(self._config).encode()
         with (
@@ -132,7 +132,7 @@ class Runner:
             try:
                 self._perform()
             except RunError as error:
-                raise RunError(f"{error}{recorded(Path(self._config.output))}", error.code) from None
+                raise RunError(f"{error}{recorded(self._config.bag)}", error.code) from None
             finally:
                 self._end_all()
         return self.results
@@ -189,8 +189,8 @@ class Runner:
     def _start(self, name: str) -> None:
         assert self._parameters is not None and self._statistics is not None
         command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
-        if name == "recorder" and Path(self._config.output).exists():  # what the first one wrote is left alone
-            command += ["-p", f"output:={free_name(Path(self._config.output))}"]
+        if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
+            command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
         files = [self._parameters.descriptor, self._statistics.descriptor]
@@ -315,7 +315,7 @@ class Runner:
 
     def _left_by(self, node: NodeProcess) -> str:
         """What a recorder that ended unexpectedly has left."""
-        last = [path for path in (Path(self._config.output), *self.results.earlier) if path.is_dir()][-1:]
+        last = [path for path in (self._config.bag, *self.results.earlier) if path.is_dir()][-1:]
         if node.name != "recorder" or not last:
             return ""
         return f"; what it had recorded is in {last[0]}: los-testbed bag repair {last[0]}"

@@ -26,7 +26,7 @@ from los_testbed.factories import controller_files, plant_config, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.worst_case_rows import WORST_INDICES, WorstTone, worst_tone_of
-from los_testbed.variants import MEMBER, check_ranges, of_scenario, random_member, worst_member
+from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, random_member, worst_member
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
@@ -82,10 +82,8 @@ class Plan:
         """Telescopes by name."""
         found = {"nominal": self.base}
         for seed in range(1, self.samples):
-            values = {**self.base.to_mapping(), **random_member(seed, self.base.parameters)}
-            if values.get("tau"):
-                values["theta"] = 0.0
-            found[f"sample-{seed}"] = RunConfig.from_mapping(values)
+            member = random_member(seed, self.base.parameters)
+            found[f"sample-{seed}"] = RunConfig.from_mapping(layered(self.base.to_mapping(), member))
         return found
 
     def runs(self) -> list[StageRun]:
@@ -120,7 +118,9 @@ class Plan:
         noise, disturbance = PARTS[part]
         config = replace(config, scenario=scenario, loop=loop, noise=noise, disturbance=disturbance)
         if scenario != WORST:
-            settings = {name: value for name, value in config.to_mapping().items() if value or name != "wheel_speed"}
+            settings = {
+                name: value for name, value in config.to_mapping().items() if value is not None or name != "wheel_speed"
+            }
             config = RunConfig.from_mapping({**settings, **of_scenario(settings, self.designs)})
         return StageRun(scenario, member, loop, part, config)
 

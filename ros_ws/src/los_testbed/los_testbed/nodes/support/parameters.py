@@ -6,8 +6,8 @@ parameter ``fault`` changes one of them at a tick that is named. All other param
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import Field
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -15,15 +15,16 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from los_testbed.config import FIELDS, RunConfig, unknown
+from los_testbed.config import RunConfig
 from los_testbed.loop.changes import Changes, parse_change
+from titop_plant.settings import Setting, unknown
 
 FAULT = "fault"
 _OWN = ("use_sim_time", "start_type_description_service", FAULT)
 
 
 def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
-    """Declare every field of :class:`RunConfig` on the node and return the configuration it was given.
+    """Declare every setting of :class:`RunConfig` on the node and return the configuration it was given.
 
     Those in `changing` are not read-only.
 
@@ -33,18 +34,16 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
         Unknown parameter, wrong type, value out of range.
     """
     for name in node._parameter_overrides:
-        if name not in FIELDS and name not in _OWN and not name.startswith("qos_overrides"):
-            raise ValueError(unknown(name))
+        if name not in RunConfig.SETTINGS and name not in _OWN and not name.startswith("qos_overrides"):
+            raise ValueError(unknown(name, RunConfig.SETTINGS))
     values: dict[str, Any] = {}
-    for name, entry in FIELDS.items():
-        default: Any = entry.default
+    for name, own in RunConfig.SETTINGS.items():
+        default = node.get_namespace() if name == "namespace" else own.plain(own.default)
         try:
-            if name == "namespace":
-                default = node.get_namespace()
-            if isinstance(default, tuple):
-                values[name] = _declare_array(node, entry)
+            if own.kind is tuple:
+                values[name] = _declare_array(node, own)
             else:
-                values[name] = node.declare_parameter(name, default, _descriptor(entry, name not in changing)).value
+                values[name] = node.declare_parameter(name, default, _descriptor(own, name not in changing)).value
         except ParameterException as error:
             raise ValueError(f"{name}: {' '.join(str(error).split())}") from None
     if values["namespace"] != node.get_namespace():
@@ -55,18 +54,18 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
     return RunConfig.from_mapping(values)
 
 
-def _declare_array(node: Node, entry: Field[Any]) -> tuple[float, ...]:
+def _declare_array(node: Node, own: Setting) -> tuple[float, ...]:
     """Declare an array; one without a value would empty every answer to a request for several parameters."""
-    descriptor = _descriptor(entry)
+    descriptor = _descriptor(own)
     descriptor.read_only = False
-    node.declare_parameter(entry.name, Parameter.Type.DOUBLE_ARRAY, descriptor)
-    given: Any = node.get_parameter_or(entry.name, None)
+    node.declare_parameter(own.name, Parameter.Type.DOUBLE_ARRAY, descriptor)
+    given: Any = node.get_parameter_or(own.name, None)
     value: Any = None if given is None else given.value
     values: tuple[float, ...] = tuple(value or ())
-    node.set_parameters([Parameter(entry.name, Parameter.Type.DOUBLE_ARRAY, list(values))])
-    final = _descriptor(entry)
+    node.set_parameters([Parameter(own.name, Parameter.Type.DOUBLE_ARRAY, list(values))])
+    final = _descriptor(own)
     final.type = Parameter.Type.DOUBLE_ARRAY.value
-    node.set_descriptor(entry.name, final)
+    node.set_descriptor(own.name, final)
     return values
 
 
@@ -105,7 +104,7 @@ class ChangingParameters:
             for parameter in parameters:
                 if parameter.name == FAULT and parameter.value:
                     asked.append(parse_change(parameter.value))
-                elif parameter.name in FIELDS:
+                elif parameter.name in RunConfig.SETTINGS:
                     asked.append((parameter.name, parameter.value, None))
             for name, value, at in asked:
                 self._changes.check(name, value, at)
@@ -119,26 +118,25 @@ class ChangingParameters:
         """Give the parameters the values that a fault has set; in the slack after a tick."""
         while self._changes.told:
             name, value = self._changes.told.pop(0)
-            if name in FIELDS and self._node.get_parameter(name).value != value:
+            if name in RunConfig.SETTINGS and self._node.get_parameter(name).value != value:
                 self._own = True
                 self._node.set_parameters([Parameter(name, value=value)])
                 self._own = False
 
 
-def _descriptor(entry: Field[Any], read_only: bool = True) -> ParameterDescriptor:
-    meta = entry.metadata
-    unit, choices = meta["unit"], meta.get("choices")
-    text = meta["description"] + (f" [{unit}]" if unit else "")
-    descriptor = ParameterDescriptor(name=entry.name, description=text, read_only=read_only)
-    if choices:
-        descriptor.additional_constraints = "one of " + ", ".join(choices)
-    low, high = meta.get("low"), meta.get("high")
-    if low is None or high is None:
-        return descriptor
-    if type(entry.default) is float:
-        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
-    elif type(entry.default) is int:
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+def _descriptor(own: Setting, read_only: bool = True) -> ParameterDescriptor:
+    absent = own.plain(None) if own.optional else None
+    text = own.text + (f"; {json.dumps(absent)} for {own.absent}" if own.optional else "")
+    descriptor = ParameterDescriptor(name=own.name, description=text, read_only=read_only)
+    if own.low is None or own.high is None:
+        descriptor.additional_constraints = own.range
+    elif own.kind is tuple:
+        descriptor.additional_constraints = f"each {own.range}"
     else:
-        descriptor.additional_constraints = f"each between {low:g} and {high:g}"
+        low = own.low if absent is None else min(own.low, absent)
+        ends = {"from_value": own.kind(low), "to_value": own.kind(own.high)}
+        if own.kind is float:
+            descriptor.floating_point_range = [FloatingPointRange(**ends)]
+        else:
+            descriptor.integer_range = [IntegerRange(**ends, step=1)]
     return descriptor

@@ -1,0 +1,203 @@
+"""One configuration: each setting is an option, a YAML key, a ROS parameter and an entry of the metadata."""
+
+import ast
+import inspect
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+import typer
+import yaml
+from los_testbed.cli.app import app
+from los_testbed.cli.run import configure
+from los_testbed.config import RunConfig, physical_hash
+from los_testbed.run.node_launch import parameter_text
+
+from pointing_analysis.read.run import Run
+from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.simulation.plant_config import PlantConfig
+
+REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
+FORMER = {
+    "theta": 0.0,
+    "tau": 0.0,
+    "wheel_speed": [],
+    "omega_1": 0.0,
+    "omega_2": 0.0,
+    "wheel_acceleration": [],
+    "parameters": "",
+    "fsm_authority": 0.0,
+    "pma_authority": 0.0,
+    "plant": "",
+    "disturbance_source": "",
+    "k_fsm": "",
+    "k_pma": "",
+    "output": "",
+    "domain": -1,
+}
+"""What stood for an absent value in files and bags before it was None."""
+
+OTHER = {
+    "duration": 2.5,
+    "mode": "lockstep",
+    "loop": "fsm",
+    "scenario": "design",
+    "worst_of": "slow",
+    "start": "rest",
+    "seed": 7,
+    "noise": False,
+    "disturbance": False,
+    "camera_rate": 25.0,
+    "camera_dropout": 0.25,
+    "theta": 0.5,
+    "tau": 0.25,
+    "wheel_speed": [1.0, 2.0, 3.0, 4.5],
+    "omega_1": 0.75,
+    "omega_2": 2.5,
+    "theta_rate": 0.01,
+    "wheel_acceleration": [1.0, 0.0, 0.0, -1.0],
+    "ramp_duration": 1.5,
+    "profile": "trapezoidal",
+    "parameters": "mine.toml",
+    "fsm_authority": 0.001,
+    "pma_authority": 5.0,
+    "nonlinear": True,
+    "plant": "my:Plant",
+    "disturbance_source": "my:Wind",
+    "k_fsm": "k.json",
+    "k_pma": "p.json",
+    "hold_ticks": 5,
+    "fade_ticks": 7,
+    "output": "folder",
+    "namespace": "/foo",
+    "domain": 3,
+    "priority": False,
+    "pin": False,
+    "wait_for_recorder": True,
+    "wait_for_start": True,
+    "start_timeout": 5.0,
+}
+"""A value of each setting that is not the default."""
+
+NEEDS = {"plant": {"start": "rest"}}
+"""Settings that a value of another one asks for."""
+
+OPTIONS = {"disturbance_source": "--disturbance"}
+"""Options that do not have the name of their setting."""
+
+
+def changed(name: str) -> RunConfig:
+    return RunConfig.from_mapping({**NEEDS.get(name, {}), name: OTHER[name]})
+
+
+def option_of(name: str) -> typer.core.TyperOption:
+    command = typer.main.get_command(app).commands["run"]
+    flag = OPTIONS.get(name, "--" + name.replace("_", "-"))
+    (found,) = [p for p in command.params if flag in p.opts]
+    return found
+
+
+def test_the_values_below_are_those_of_all_settings() -> None:
+    assert set(OTHER) == set(RunConfig.SETTINGS)
+    assert set(FORMER) == {name for name, own in RunConfig.SETTINGS.items() if own.optional}
+
+
+@pytest.mark.parametrize("name", RunConfig.SETTINGS)
+def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_metadata(name, tmp_path) -> None:
+    own, expected = RunConfig.SETTINGS[name], changed(name)
+    value = getattr(expected, name)
+    assert value != own.default
+    assert option_of(name).help
+    if name not in ("disturbance", "disturbance_source"):
+        assert (own.description[1:] in option_of(name).help) and (own.absent in option_of(name).help)
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump({**NEEDS.get(name, {}), name: OTHER[name]}))
+    assert RunConfig.from_file(tmp_path / "run.yaml") == expected
+    ros = yaml.safe_load(parameter_text(expected))["/**"]["ros__parameters"]
+    assert ros[name] == OTHER[name] and type(ros[name]) is type(OTHER[name])
+    text = expected.to_strings()[name]
+    assert (text if own.kind is str else json.loads(text)) == OTHER[name]
+    assert RunConfig.from_mapping(expected.to_mapping()) == expected == RunConfig.from_mapping(expected.to_plain())
+
+
+@pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in ("disturbance_source", "output")])
+def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
+    """From the words on the command line to the configuration."""
+    seen = {}
+    monkeypatch.setattr("los_testbed.cli.run.execute", lambda config, **_: seen.update(config=config) or 1 / 0)
+    own, value = RunConfig.SETTINGS[name], OTHER[name]
+    flag = "--" + name.replace("_", "-")
+    if own.kind is bool:
+        words = [flag if value else f"--no-{flag[2:]}"]
+    else:
+        words = [flag, *(str(v) for v in (value if isinstance(value, list) else [value]))]
+    if name == "parameters":
+        words[1] = str(tmp_path / "mine.toml")
+        (tmp_path / "mine.toml").write_text("")
+    try:
+        command = ["run", "--output", str(tmp_path / "bag"), "--scenario", "design", *words]
+        typer.main.get_command(app).main(command, standalone_mode=False)
+    except ZeroDivisionError:
+        pass
+    found = getattr(seen["config"], name)
+    assert (list(found) if isinstance(found, tuple) else found) == (words[1] if name == "parameters" else value)
+
+
+@pytest.mark.parametrize("name", FORMER)
+def test_former_words_for_absent_are_read_as_absent(name, tmp_path) -> None:
+    """In a YAML file, a ROS parameter file and a mapping; what is written for ROS and in a bag has not changed."""
+    assert RunConfig.SETTINGS[name].default is None
+    for form in ({name: FORMER[name]}, {"/**": {"ros__parameters": {name: FORMER[name]}}}, {name: None}):
+        (tmp_path / "old.yaml").write_text(yaml.safe_dump(form))
+        assert getattr(RunConfig.from_file(tmp_path / "old.yaml"), name) is None
+    assert replace(changed(name), **{name: FORMER[name]}) == replace(changed(name), **{name: None})
+    assert RunConfig().to_plain()[name] == FORMER[name]
+    text = RunConfig().to_strings()[name]
+    assert text == (FORMER[name] if isinstance(FORMER[name], str) else json.dumps(FORMER[name]))
+
+
+@pytest.mark.parametrize("given", [{"theta": 0.0, "tau": 0.5}, {"theta": 0.5, "tau": 0.0}, {"theta": 0.0, "tau": 0.0}])
+def test_of_two_angles_the_former_zero_is_the_absent_one(given) -> None:
+    config = RunConfig.from_mapping(given)
+    assert [getattr(config, name) for name in given] == [value or None for value in given.values()]
+
+
+def test_a_truth_value_is_no_word_for_absent() -> None:
+    with pytest.raises(ValueError, match="omega_1 must be a number, got False"):
+        RunConfig(omega_1=False)
+    with pytest.raises(ValueError, match=r"seed must be between 0 and .*, got -1"):
+        RunConfig(seed=-1)
+
+
+def test_the_configuration_of_an_old_bag_is_read_and_has_its_hash() -> None:
+    run = Run.open(REFERENCE)
+    from_file = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
+    limits = ("fsm_authority", "pma_authority")  # those in force
+    recorded = {name: value for name, value in run.parameters.items() if name in RunConfig.SETTINGS}
+    from_metadata = RunConfig.from_mapping({name: v for name, v in recorded.items() if name not in limits})
+    assert physical_hash(from_file) == run.parameters["plant_hash"]
+    assert len(recorded) > 30 and from_metadata == from_file
+
+
+def test_defaults_and_bounds_of_the_plant_are_those_of_the_run() -> None:
+    for name, own in PhysicalSettings.SETTINGS.items():
+        assert RunConfig.SETTINGS[name] == PlantConfig.SETTINGS[name] == own
+    plant = PlantConfig.of(RunConfig(), disturbance=False)
+    shared = set(PhysicalSettings.SETTINGS) - {"disturbance"}
+    assert {name: getattr(plant, name) for name in shared} == {name: getattr(RunConfig(), name) for name in shared}
+    assert {entry.name for entry in fields(RunConfig)} == set(RunConfig.SETTINGS)
+
+
+@pytest.mark.parametrize("kind", [RunConfig, PlantConfig])
+def test_no_physical_setting_is_declared_twice(kind) -> None:
+    (made,) = ast.parse(inspect.getsource(kind)).body
+    declared = {node.target.id for node in made.body if isinstance(node, ast.AnnAssign)}
+    assert declared and not declared & set(PhysicalSettings.SETTINGS)
+
+
+def test_the_installed_parameter_file_and_no_options_mean_the_defaults(tmp_path) -> None:
+    file = Path(__file__).parents[3] / "ros_ws/src/los_testbed/config/run.yaml"
+    assert replace(RunConfig.from_file(file), wait_for_recorder=False) == RunConfig()
+    chosen = configure(None, [], {"output": str(tmp_path / "bag")})
+    member = dict.fromkeys(("tau", "wheel_speed", "omega_1", "omega_2"))
+    assert replace(chosen, output=None, **member) == RunConfig()

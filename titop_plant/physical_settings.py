@@ -1,0 +1,78 @@
+"""Physical settings of a run: what the plant is built from, each with its description, bounds and default."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, frame_ticks
+from titop_plant.settings import STRICT, Settings, setting, settings_class
+
+Speeds = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...]
+Accelerations = tuple[Annotated[float, Field(ge=-100.0, le=100.0)], ...]
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PhysicalSettings(Settings):
+    """Telescope, disturbance, sensors and motion of a run.
+
+    Raises
+    ------
+    ValueError
+        A value of another type, out of range or not finite; an angle that is given twice; a camera rate that does not
+        divide the tick rate.
+
+    Examples
+    --------
+    >>> PhysicalSettings(theta=0.5).array_angle
+    0.5
+    >>> PhysicalSettings(omega_1=-1.0)
+    Traceback (most recent call last):
+        ...
+    ValueError: omega_1 must be between 0 and 1000 rad/s, got -1
+    """
+
+    scenario: str = setting(SCENARIOS[0], "disturbance scenario", choices=SCENARIOS)
+    seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
+    noise: bool = setting(True, "sensor noise on")
+    disturbance: bool = setting(True, "wheel and drive disturbances on")
+    camera_rate: float = setting(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
+    camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0)
+    theta: float | None = setting(None, "angle of both solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
+    tau: float | None = setting(None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta")
+    wheel_speed: Speeds | None = setting(
+        None, "speeds of the four wheels", "rad/s", absent="those of the parameter file", length=4
+    )
+    omega_1: float | None = setting(
+        None, "first frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
+    )
+    omega_2: float | None = setting(
+        None, "second frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
+    )
+    theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0)
+    wheel_acceleration: Accelerations | None = setting(
+        None, "accelerations of the four wheels during the ramp", "rad/s2", absent="none", length=4
+    )
+    ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
+    profile: str = setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
+    parameters: str | None = setting(None, "parameter file of the telescope", absent="the reference")
+
+    def __post_init__(self) -> None:
+        frame_ticks(self.camera_rate)
+        if self.theta is not None and self.tau is not None:
+            both = f"{self.theta:g} rad and {self.tau:g}"
+            raise ValueError(f"one of theta or tau = tan(theta/4) must be absent, got both: {both}")
+
+    @property
+    def array_angle(self) -> float:
+        """Angle theta of both solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
+        return 4.0 * math.atan(self.tau) if self.tau is not None else self.theta or 0.0
+
+    @property
+    def frame_ticks(self) -> int:
+        """Ticks from one camera frame to the next."""
+        return frame_ticks(self.camera_rate)
