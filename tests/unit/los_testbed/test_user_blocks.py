@@ -242,7 +242,7 @@ def test_what_cannot_be_used_is_one_line_before_the_run(
 def test_settings_that_exclude_one_another() -> None:
     with pytest.raises(ValueError, match="start must be rest with k_pma of your own code, got steady"):
         RunConfig(k_pma="mine:Law")
-    with pytest.raises(ValueError, match="disturbance_source must be empty with a plant of your own"):
+    with pytest.raises(ValueError, match="disturbance_source must be absent with a plant of your own"):
         RunConfig(plant="mine:Plant", start="rest", disturbance_source="mine:Wind")
     with pytest.raises(ValueError, match="ramp_duration must be 0"):
         RunConfig(disturbance_source="mine:Wind", ramp_duration=1.0)
