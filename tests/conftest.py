@@ -1,16 +1,18 @@
 """For every test: linear algebra on one thread, as the testbed runs it; no time limit per hypothesis example; an hour
 for a slow test that names no other time.
 
-At the end of a run: what was skipped and how to get it.
+At the end of a run: what was skipped or could not be judged, and how to get it.
 """
 
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
 import pytest
 from support.skip_remedies import summary
+from support.unjudged import UnjudgedWarning, unjudged_lines
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
 
@@ -33,13 +35,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
+UNJUDGED: list[str] = []
+"""What was not judged in this run."""
+
+
+def pytest_warning_recorded(warning_message: warnings.WarningMessage) -> None:
+    """Keep what a test could not judge; the class may have been imported by two names."""
+    if warning_message.category.__name__ == UnjudgedWarning.__name__:
+        UNJUDGED.append(str(warning_message.message))
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """One line per reason for which tests were skipped, with the remedy."""
+    """One line per reason for which tests were skipped or parts of them not judged, with the remedy."""
+    if "PYTEST_XDIST_WORKER" in os.environ:  # the process that started this one counts for all
+        return
     reports = terminalreporter.stats.get("skipped", [])
     reasons = [str(report.longrepr[2]).removeprefix("Skipped: ").splitlines()[0] for report in reports]
-    lines = summary(reasons)
+    lines = summary(reasons) + unjudged_lines(UNJUDGED)
     if lines:
-        terminalreporter.section("skipped tests, and how to run them")
+        terminalreporter.section("skipped tests and what was not judged, and how to run them")
         for line in lines:
             terminalreporter.write_line(line)
     if file := os.environ.get(SKIPPED_VARIABLE):

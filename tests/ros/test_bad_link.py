@@ -13,7 +13,7 @@ import bad_link
 from bad_link import DELAYED, LOST, SWAPPED, TWICE, fate
 from los_testbed.run.node_launch import node_command
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, assert_gaps_are_counted, config_for, keeps_pace, lost_samples, span_of
+from ros_runs import PLANT, assert_gaps_are_counted, config_for, judged_at_pace, lost_samples, span_of
 
 from pointing_analysis.read.run import Run
 
@@ -66,7 +66,9 @@ def test_the_link_is_as_bad_as_it_is_meant_to_be(recorded):
     received = set(run["m1/accel"].stamp.tolist())
     assert not any(int(stamp) in received for stamp in stamps if fate(int(stamp)) == LOST)
     assert len(received) + lost_samples(run, "m1/accel") == len(stamps)
-    assert len(received) >= (0.8 if keeps_pace(run) else 0.1) * (TICKS - among(stamps, LOST))
+    assert len(received) >= 0.1 * (TICKS - among(stamps, LOST))
+    if judged_at_pace(run, "the share of samples that come over the link"):
+        assert len(received) >= 0.8 * (TICKS - among(stamps, LOST))
 
 
 def test_repeated_and_late_commands_are_counted_and_not_obeyed(recorded):
@@ -108,7 +110,8 @@ def test_the_mirror_never_goes_back_to_an_older_command(recorded):
     _, run, _ = recorded
     gauge, command = run["fsm/strain_gauge"], run["fsm/command"]
     angle, stamps = gauge.values[:, 0], gauge.stamp
-    assert np.abs(angle).max() > 5e-5 or not keeps_pace(run), "the loop works"
+    if judged_at_pace(run, "that the mirror moves"):
+        assert np.abs(angle).max() > 5e-5, "the loop works"
     steepest = np.abs(np.diff(command.values[600:, 0]) / np.diff(command.stamp[600:])).max()
     slope = np.abs(np.gradient(command.values[:, 0], command.stamp))
     obeyed = np.full(len(stamps), -1)
@@ -122,4 +125,5 @@ def test_the_mirror_never_goes_back_to_an_older_command(recorded):
     sure = np.flatnonzero(np.convolve(obeyed >= 0, np.ones(9), "same") == 9)
     follows = sure[1:][np.diff(stamps[sure]) == MS]
     assert np.all(obeyed[follows] >= obeyed[follows - 1])
-    assert len(follows) > 20 or not keeps_pace(run), "on a busy machine few commands are obeyed at once"
+    if judged_at_pace(run, "that commands are obeyed at once"):
+        assert len(follows) > 20

@@ -27,10 +27,11 @@ from ros_runs import (
     assert_gaps_are_counted,
     assert_plant_is_recorded,
     config_for,
-    keeps_pace,
+    judged_at_pace,
     lost_samples,
     span_of,
 )
+from unjudged import judged
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
@@ -187,7 +188,9 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     assert (salvage.last_stamp - run["truth/los"].stamp[0]) // MS > done[0] - 2000
     second = Run.open(results.bag)
     assert results.bag.name == "bag-2"
-    assert len(second["truth/los"]) > (1000 if keeps_pace(second) else 100)
+    assert len(second["truth/los"]) > 100
+    if judged_at_pace(second, "that the second bag has most of the rest of the run"):
+        assert len(second["truth/los"]) > 1000
     ticks = int(results.statistics["plant"]["ticks"])
     assert len(run["truth/los"]) + len(second["truth/los"]) < ticks
     assert_plant_is_recorded(second, len(span_of(second)), joined=True)
@@ -212,7 +215,8 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
     assert 0 <= len(span_of(before)) + ticks - 4000 < 1000, "the run ends when it was to end"
     assert after["truth/los"].stamp[0] > before["truth/los"].stamp[-1]
     # all three start anew with the plant: the replay of the second part from zero gives its commands, bit by bit
-    if not any(lost_samples(after, name) for name in (*PLANT_TOPICS, "camera/los")):
+    whole = not any(lost_samples(after, name) for name in (*PLANT_TOPICS, "camera/los"))
+    if judged(whole, "the replay of a run after its plant was killed", "samples were lost"):
         assert compare(after, replay.drive(after, replay.controllers(after), lambda done, total: None)).identical
 
 
@@ -278,9 +282,10 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     counts |= {"fsm_foreign, valid but for their age and their sender": plant["rejected_fsm_foreign"]}
     counts |= {f"pma_{r}": plant[f"rejected_pma_{r}"] for r in WRONG}
     counts |= {f"estimator_{r}": estimator[f"rejected_{r}"] for r in ("off_grid", "future")}
-    least = 190 if keeps_pace(Run.open(results.bag)) else 1
     for reason, count in counts.items():
-        assert least <= int(count) <= 200 + (first[0] if reason == "fsm_size" else 0), (reason, counts)
+        assert 0 < int(count) <= 200 + (first[0] if reason == "fsm_size" else 0), (reason, counts)
+    if judged_at_pace(Run.open(results.bag), "that nearly all wrong messages are seen"):
+        assert min(map(int, counts.values())) >= 190, counts
     assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) == 400 + first[0]
     truth = Run.open(results.bag)["truth/los"].stamp
     assert int(plant["ticks"]) - 100 < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
@@ -363,5 +368,5 @@ def test_busy_processors_do_not_stop_the_loop(tmp_path):
     run = Run.open(results.bag)
     assert len(span_of(run)) > 3900
     assert len(run["fsm/command"]) > 400, "how many ticks are missed is a matter of the machine: see the benchmarks"
-    if not results.warnings:  # with real-time priorities
+    if judged(not results.warnings, "the share of samples beside busy processors", "real time is not permitted"):
         assert_plant_is_recorded(run, 4000)

@@ -12,6 +12,7 @@ pytest.importorskip("rclpy")
 from los_testbed.run.node_launch import environment, node_command, parameter_file
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
+from unjudged import judged
 
 from pointing_analysis.read.run import Run
 
@@ -90,7 +91,8 @@ def test_live_nodes_driven_by_a_bag_answer_as_recorded(recorded, tmp_path):
     same = ours.values[:until, :2] == theirs.values[:until, :2]
     assert np.all(same), "the nodes did not start from their zero state"
     missed = found["ticks"] - min(found["answers"].values())
-    assert found["identical"] or missed or found["late"], errors
+    if judged(not missed and not found["late"], "that all answers of live nodes are as recorded", "samples were lost"):
+        assert found["identical"], errors
 
 
 @pytest.mark.parametrize("recorded", ["realtime"], indirect=True)

@@ -15,13 +15,13 @@ from los_testbed.topics import FSM_COMMAND, TRUTH_LOS
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_faults import run_with_fault
-from ros_runs import keeps_pace
+from ros_runs import judged_at_pace
 from user_node import UserNode
 
 from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
-TURNS, STORM, FORGED = 20, 2000, 50
+TURNS, STORM, FORGED = 6, 2000, 50
 
 NO_CHANGES = [
     '{"name": "camera_dropout", "value": NaN}',
@@ -38,8 +38,9 @@ NO_CHANGES = [
 ]
 
 
-def set_fault(text):
-    return SetParameters.Request(parameters=[Parameter(FAULT, value=text).to_parameter_msg()])
+def set_fault(*texts):
+    """A request with these values, each set by itself; a node answers five requests a second."""
+    return SetParameters.Request(parameters=[Parameter(FAULT, value=text).to_parameter_msg() for text in texts])
 
 
 def use(runner, found):
@@ -47,9 +48,9 @@ def use(runner, found):
     remote = user.remote
     try:
         found["refused"] = [
-            remote._call(SetParameters, f"{node}/set_parameters", set_fault(text)).results[0]
+            result
             for node in ("plant", "controller")
-            for text in NO_CHANGES
+            for result in remote._call(SetParameters, f"{node}/set_parameters", set_fault(*NO_CHANGES)).results
         ]
         odd = ChangeState.Request(transition=Transition(id=250, label="fly"))
         found["odd"] = remote._call(ChangeState, "controller/change_state", odd).success
@@ -116,9 +117,14 @@ def test_commands_of_an_impostor_with_the_name_of_the_controller_reach_no_actuat
     assert line in results.failures
     plant = results.statistics["plant"]
     seen = int(plant["foreign_/telescope/fsm/command"])
-    assert seen == FORGED or (seen < FORGED and not keeps_pace(run))
+    assert seen <= FORGED
+    if judged_at_pace(run, "that the plant sees every forged command"):
+        assert seen == FORGED
     refused = sum(int(plant.get(f"rejected_fsm_{reason}", 0)) for reason in ("foreign", "unmatched", "future"))
     assert refused == seen
     own = np.abs(run["fsm/command"].values[:, :2]).max()
     assert own < 9e-4, "1e-3 was asked for"
-    assert np.abs(run["fsm/strain_gauge"].values[:, :2]).max() < (1.1 * own if keeps_pace(run) else 9e-4)
+    angle = np.abs(run["fsm/strain_gauge"].values[:, :2]).max()
+    assert angle < 9e-4
+    if judged_at_pace(run, "that the mirror follows the recorded commands"):
+        assert angle < 1.1 * own

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 import simple_telescope
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.nodes.support.handshake import LISTEN_S
 from los_testbed.run.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -74,12 +75,12 @@ def test_the_bag_tells_what_was_run_and_how_it_went(real_time):
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=3.0, seed=4, camera_dropout=0.2)
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.5, seed=4, camera_dropout=0.2)
     Runner(config, commands={"plant": PLANT}).run()
     run_in_process(config, tmp_path / "inprocess", SimpleTelescope(seed=4, dropout=0.2))
     ours, theirs = topic_hashes(tmp_path / "lockstep" / "bag"), topic_hashes(tmp_path / "inprocess")
     assert ours == theirs
-    assert ours["/telescope/fsm/command"][0] == 3000
+    assert ours["/telescope/fsm/command"][0] == 1500
 
 
 def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(tmp_path):
@@ -147,19 +148,19 @@ sys.exit({node}.main(sys.argv[1:]))
 def test_a_node_that_dies_before_the_run_begins_is_started_again(tmp_path, node, mode):
     """Nothing is lost with it: the run is whole, with a warning."""
     commands = {"plant": PLANT, node: [sys.executable, "-c", ONCE.format(node=node, mark=str(tmp_path / "mark"))]}
-    results = Runner(config_for(tmp_path, mode=mode), commands=commands).run()
+    results = Runner(config_for(tmp_path, mode=mode, duration=0.6), commands=commands).run()
     assert not results.failures
     (warning,) = [text for text in results.warnings if text.startswith(node)]
     assert warning == f"{node} ended unexpectedly (signal 9); it was started again before the run began"
     assert results.bag == tmp_path / "bag"
     stamps = Run.open(results.bag)["truth/los"].stamp
-    assert len(stamps) == 2000 if mode == "lockstep" else len(stamps) > 1000
+    assert len(stamps) == 600 if mode == "lockstep" else len(stamps) > 300
 
 
 def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
     commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAKE.replace("PATIENT", "True")]}
     with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:
-        Runner(config_for(tmp_path, wait_for_recorder=False), commands=commands).run()
+        Runner(config_for(tmp_path, duration=0.3, wait_for_recorder=False), commands=commands).run()
     assert error.value.code == 1
 
 
@@ -181,24 +182,22 @@ def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
     assert not (tmp_path / "second" / "bag").exists()
 
 
-DEAF = f"""
+SECOND = f"""
 import sys
 sys.path.insert(0, {str(Path(simple_telescope.__file__).parent)!r})
 import simple_telescope
-from los_testbed.nodes.support import handshake
-handshake.LISTEN_S = 0.0
-sys.exit(simple_telescope.main())
+sys.exit(simple_telescope.main(listen_s=float(sys.argv.pop(1))))
 """
-"""A plant that does not listen before it sends, as where discovery takes longer than it listens."""
+"""A plant that listens for so long before it sends; not at all is as where discovery takes longer than it listens."""
 
 
-@pytest.mark.parametrize("second", [PLANT, [sys.executable, "-c", DEAF]], ids=["at once", "discovered late"])
-def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, second):
+@pytest.mark.parametrize("listen_s", [LISTEN_S, 0.0], ids=["at once", "discovered late"])
+def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, listen_s):
     """Also from another machine, where no lock file helps."""
     config = config_for(tmp_path, duration=60.0)
     parameters = tmp_path / "run.yaml"
     parameter_file(config, parameters)
-    command = [*second, "--ros-args", "--params-file", str(parameters)]
+    command = [sys.executable, "-c", SECOND, str(listen_s), "--ros-args", "--params-file", str(parameters)]
     outcome = []
 
     def meanwhile(ticks):
@@ -271,7 +270,7 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
 @pytest.mark.parametrize("loop", ["fsm+pma"])
 def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp_path, loop):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=5.0, seed=3, loop=loop, start="steady")
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=2.0, seed=3, loop=loop, start="steady")
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")
@@ -301,7 +300,7 @@ def test_lockstep_of_a_ramp_gives_the_bytes_of_the_run_in_one_process(tmp_path):
 
 def test_a_loop_of_nodes_started_one_by_one(tmp_path):
     """As over several hosts: each node from its own command, the recorder ended by hand."""
-    config = config_for(tmp_path, duration=2.0)
+    config = config_for(tmp_path, duration=1.0)
     (tmp_path / "run.yaml").write_text(json.dumps(config.to_mapping()))
     variables = environment(config, tmp_path)
     variables.pop("LOS_TESTBED_EVENTS")
@@ -335,6 +334,6 @@ def test_a_loop_of_nodes_started_one_by_one(tmp_path):
             process.communicate()
     run = Run.open(tmp_path / "bag")
     assert not run.problems
-    assert_plant_is_recorded(run, 2000)
+    assert_plant_is_recorded(run, 1000)
     assert_gaps_are_counted(run, "fsm/command", "controller")
-    assert run.parameters["statistics"]["plant"]["ticks"] == "2000"
+    assert run.parameters["statistics"]["plant"]["ticks"] == "1000"

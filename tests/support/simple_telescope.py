@@ -71,9 +71,15 @@ def write_controllers(folder: Path) -> dict[str, str]:
     return {"k_fsm": str(folder / "k_fsm.json"), "k_pma": str(folder / "k_pma.json")}
 
 
-def main() -> int:
-    from los_testbed.nodes import plant
+LISTEN_S = 0.3
+"""How long the plant of a test listens for another one [s]: there is none, except where that is the subject."""
 
+
+def main(listen_s: float = LISTEN_S) -> int:
+    from los_testbed.nodes import plant
+    from los_testbed.nodes.support import handshake
+
+    handshake.LISTEN_S = listen_s
     return plant.main(
         sys.argv[1:],
         build=lambda config: SimpleTelescope(config.frame_ticks, config.seed, config.noise, config.camera_dropout),
