@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.skip_remedies import summary
@@ -28,8 +29,20 @@ SLOW_S = 3600.0
 """Time limit of slow tests [s]: minutes where the machine is quiet."""
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With ``--dist loadfile`` the tests of the nodes are one file, see ``tests/support/lanes.py``."""
+    from support.lanes import Lanes
+
+    return Lanes(config, log) if config.getoption("dist") == "loadfile" else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The limit of slow tests."""
+    """The limit of slow tests; in a process of several, the tests of the nodes first."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        from support.lanes import nodes_first
+
+        items[:] = nodes_first(items)
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
