@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, signal
+from scipy import linalg
 
 from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
 from titop_plant.simulation.driven_plant import DrivenPlant
@@ -105,6 +105,8 @@ class NonlinearPlant:
         self._push, self._move = held_oscillator(actuator, plant.dt)
         self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
         if limits.cut_off:
+            from scipy import signal
+
             self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / plant.dt))
         self._filtered = bool(limits.cut_off)
         self._step = np.zeros(MEASUREMENTS)

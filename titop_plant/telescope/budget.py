@@ -24,7 +24,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal, stats
 
 from lftkit import Port, StateSpace, UncertainSystem, cascade, state_space
 from titop_plant.telescope.parameters import Parameters
@@ -99,11 +98,15 @@ def largest_tone(noise: float, limit: float) -> float:
 
 def _root(function: Callable[[float], float], high: float) -> float:
     """Root between 0 and `high`, with a tolerance that is small beside it in any unit."""
+    from scipy import optimize
+
     return float(optimize.brentq(function, 0.0, high, xtol=min(2e-12, 1e-12 * high)))
 
 
 def _outside(level: float, tone: float, noise: float) -> float:
     """Probability of an error beyond `level`."""
+    from scipy import stats  # slow to import, and most processes of a run need only the constants of this module
+
     sigma = noise / np.sqrt(2.0)
     phase = (np.arange(PHASES) + 0.5) * (0.5 * np.pi / PHASES)
     return float(np.mean(stats.ncx2.sf((level / sigma) ** 2, 2, (tone * np.sin(phase) / sigma) ** 2)))
@@ -173,6 +176,8 @@ def band_weight(band: str, size: int = 2) -> UncertainSystem:
     """
     if band not in ("slow", "fast"):
         raise ValueError(f"band must be slow or fast, got {band!r}")
+    from scipy import signal
+
     denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
     A = np.diag(np.full(BAND_ORDER - 1, BAND_EDGE), -1)
     A[0] = -BAND_EDGE * denominator[1:]
