@@ -6,11 +6,11 @@ signals behind their washout to the six actuator forces.
 ===================  ====  ====================================================================================
 requirement          kind  value 1 means
 ===================  ====  ====================================================================================
-APE                  soft  normalised disturbances make 10 arcsec of line of sight (H-infinity)
-RPE                  soft  they make 40 mas through the weight of 20 ms (H-infinity); the paper's problem only
+APE                  soft  normalised disturbances make the APE limit of line of sight (H-infinity)
+RPE                  soft  they make the RPE limit of both through its weight (H-infinity); the paper's problem only
 fast                 soft  the same for tones above 85 rad/s, with the amplitude of the budget; as implemented
 slow                 hard  the same below 85 rad/s, with the amplitude that the budget leaves; as implemented
-noise -> APE         soft  accelerometer noise at the platform makes 10 arcsec rms (H2); the paper's problem only
+noise -> APE         soft  accelerometer noise at the platform makes the APE limit, rms (H2); the paper's problem only
 noise -> RPE         hard  all sensor noise makes the share of the budget (H2); as implemented
 force                hard  disturbances ask for 15.8 N, half of the authority (H-infinity)
 mirror               hard  they ask for 5.3 mrad of mirror (H-infinity); as implemented

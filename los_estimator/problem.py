@@ -6,8 +6,8 @@ controller of order 4 from the 22 measurements to the estimated line of sight.
 ============  ====  ==========================================================================================
 requirement   kind  value 1 means
 ============  ====  ==========================================================================================
-APE           soft  normalised disturbances make 10 arcsec of line of sight (H-infinity)
-RPE           soft  they make 100 mas through the weight of 20 ms (H-infinity); the paper's problem only
+APE           soft  normalised disturbances make the APE limit of line of sight (H-infinity)
+RPE           soft  they make its limit of the mirror alone through its weight (H-infinity); the paper's problem
 slow, fast    soft  the same for tones below and above 85 rad/s, with the amplitudes of the budget; as implemented
 noise -> RPE  soft  sensor noise makes the share of the budget, through the weight of 20 ms (H2); as implemented
 mirror        hard  disturbances ask for 5.3 mrad of mirror (H-infinity)
@@ -117,8 +117,8 @@ def observer_requirements(
     implemented : bool
         Problem of the implemented loop; otherwise that of the paper.
     relaxation : float
-        Between 0, the shares of the budget, and 1, 100 mas for each of them (geometrically in between): the tuner
-        gets from the Kalman observer to the budget in steps.
+        Between 0, the shares of the budget, and 1, the limit of the mirror alone for each of them (geometrically in
+        between): the tuner gets from the Kalman observer to the budget in steps.
     """
     weights = parameters["weights"]
     expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")

@@ -83,7 +83,7 @@ class LoopMetric:
 def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
     """Metrics of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
 
-    The limit of slow and fast tones is 100 mas without the proof-mass actuators, 40 mas with them; that of a
+    The limit of slow and fast tones is that of the RPE without the proof-mass actuators, or with them; that of a
     sensitivity is 2.
     """
     weights = parameters["weights"]

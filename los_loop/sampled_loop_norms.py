@@ -41,8 +41,8 @@ class SampledLoopMetrics:
     Parameters
     ----------
     ape, rpe, rpe_fine : float
-        Peak gain from normalised disturbances to the line of sight, over 10 arcsec; weighted with the window of 20 ms,
-        over 100 and 40 mas.
+        Peak gain from normalised disturbances to the line of sight, over the limit of the APE; weighted with the window
+        of the RPE, over its limits of the mirror alone and of both.
     mirror, force : float
         Peak gain to the commands, over 5.3 mrad and over 31.6 N.
     noise_ape, noise_rpe : float

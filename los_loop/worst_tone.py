@@ -140,7 +140,7 @@ class WorstTone:
 
 
 def index_limit(parameters: Parameters, index: str, loop: str) -> float:
-    """Limit of an index in a stage [rad]: APE 10 arcsec; the others 40 mas with the proof-mass actuators, else 100."""
+    """Limit of an index in a stage [rad]: that of the APE, or of the RPE with or without the proof-mass actuators."""
     table = parameters["weights"]
     if index == "APE":
         return float(table["ape_limit"])

@@ -145,7 +145,9 @@ def _stages(
         for axes, curve in zip((left, right), largest):
             there = ~np.isnan(curve)
             axes.loglog(middle[there], curve[there], color=colour, lw=width, label=label)
-    left.axhline(table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label="APE 10 arcsec")
+    left.axhline(
+        table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label=f"APE {table['ape_limit'] / ARCSEC:.3g} arcsec"
+    )
     for limit, style in ((table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")):
         value = 1e3 * limit / ARCSEC
         right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")

@@ -95,12 +95,12 @@ class ImplementedCheck:
 
     @property
     def fsm(self) -> list[float]:
-        """Gammas of the mirror alone in the paper's order: APE, RPE (100 mas), mirror."""
+        """Gammas of the mirror alone in the paper's order: APE, RPE, mirror."""
         return [self.gamma("fsm", name) for name in ("APE", "RPE", "mirror")]
 
     @property
     def pma(self) -> list[float]:
-        """Gammas with both controllers in the paper's order: APE, RPE (40 mas), noise to APE, force."""
+        """Gammas with both controllers in the paper's order: APE, RPE, noise to APE, force."""
         noise = self.platform_noise / self.parameters["weights"]["ape_limit"]
         return [self.gamma("fsm+pma", "APE"), self.gamma("fsm+pma", "RPE"), noise, self.gamma("fsm+pma", "force")]
 
@@ -134,7 +134,7 @@ class ImplementedCheck:
     def amplification(self) -> tuple[float, float]:
         """Largest ratio of the worst relative errors of both stages at one frequency [dB], and that frequency [rad/s].
 
-        Frequencies at which both are below a tenth of 40 mas do not count.
+        Frequencies at which both are below a tenth of the limit of both do not count.
         """
         omega, weights = grid(), self.parameters["weights"]
         ratio = float(weights["rpe_limit"]) / float(weights["rpe_limit_fine"])

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ Floats = NDArray[np.float64]
 Entry = Mapping[str, Any]
 Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]
 """Sources of the testbed's own closed loop: (path, table, unit [rad]) -> sources in that unit."""
+OfTestbed = Callable[[Entry], Sequence[Requirement]]
+"""Requirements of the telescope of such a table."""
 INDICES = ("APE", "RPE")
 TOP = {"title", "unit", "axes", "summation", "draws", "seed", "total", "requirement", "sources"}
 
@@ -72,13 +74,17 @@ class Budget:
     totals: tuple[TotalRule, ...]
 
 
-def load_budget(path: str | os.PathLike[str], testbed: Testbed | None = None) -> Budget:
+def load_budget(
+    path: str | os.PathLike[str], testbed: Testbed | None = None, of_testbed: OfTestbed | None = None
+) -> Budget:
     """Read a budget.
 
     Parameters
     ----------
     path : TOML file
     testbed : makes the sources of type ``testbed``; without it such a source is an error
+    of_testbed : requirements of the telescope of such a source, for a file that has neither requirements nor totals;
+        those on indices that a budget has are taken, on the error at every instant where they are on its rms in windows
 
     Raises
     ------
@@ -91,14 +97,14 @@ def load_budget(path: str | os.PathLike[str], testbed: Testbed | None = None) ->
     except StructuredTextError as error:
         raise BudgetError(str(error)) from None
     try:
-        return _budget(content, file, testbed)
+        return _budget(content, file, testbed, of_testbed)
     except BudgetError:
         raise
     except (ValueError, TypeError) as error:
         raise BudgetError(f"{file}: {error}") from None
 
 
-def _budget(content: Entry, file: Path, testbed: Testbed | None) -> Budget:
+def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> Budget:
     unknown = set(content) - TOP
     if unknown:
         raise BudgetError(f"{file}: keys must be of {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
@@ -114,6 +120,9 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None) -> Budget:
         raise BudgetError(f"{file}: sources must hold at least one source, got none")
     requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
     totals = tuple(_total(file, entry) for entry in content.get("total", ()))
+    table = _testbed_table(content.get("sources", {}))
+    if not requirements and not totals and of_testbed is not None and table is not None:
+        requirements = tuple(replace(r, of_windows=False) for r in of_testbed(table) if r.index in INDICES)
     if not requirements and not totals:
         raise BudgetError(f"{file}: must hold a list requirement or total, got neither")
     draws, seed = int(content.get("draws", 50_000)), int(content.get("seed", 1))
@@ -121,6 +130,14 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None) -> Budget:
         raise BudgetError(f"{file}: draws must be 1000 to 10000000, got {draws}")
     title = str(content.get("title", file.stem))
     return Budget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
+
+
+def _testbed_table(table: Entry) -> Entry | None:
+    """First source of type ``testbed`` in a tree of tables."""
+    if table.get("type") == "testbed":
+        return table
+    found = (_testbed_table(entry) for entry in table.values() if isinstance(entry, dict))
+    return next((entry for entry in found if entry is not None), None)
 
 
 def _requirement(file: Path, entry: Any, axes: int) -> Requirement:

@@ -13,10 +13,10 @@ from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, p
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.topic import on_grid, read_only
+from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
+from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
 Floats = NDArray[np.float64]
-RAD_PER_ARCSEC = math.pi / 648_000
-RAD_PER_MAS = RAD_PER_ARCSEC / 1000
 #: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
 #: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0

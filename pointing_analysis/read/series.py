@@ -296,8 +296,7 @@ def judge_series(
     Parameters
     ----------
     t, xy, unit, rate, name : see `series`
-    requirements : requirements or their texts, or one text, or the path of a file; by default those of the reference
-        telescope
+    requirements : requirements or their texts, or one text, or the path of a file; by default none: metrics only
     transient : seconds left out at the start; by default 5 s, of less than 10 s the first half
 
     Returns

@@ -38,6 +38,12 @@ def _flat(key: str, value: Any) -> list[tuple[str, str]]:
         plain = {k: v for k, v in value.items() if not isinstance(v, dict)}
         rows = [(key, ", ".join(f"{k} {v}" for k, v in plain.items()))] if plain else []
         return rows + [row for k, v in value.items() if isinstance(v, dict) for row in _flat(f"{key}: {k}", v)]
+    if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+        named = [
+            (f"{key}: {item.get('name', i)}", {k: v for k, v in item.items() if k != "name"})
+            for i, item in enumerate(value, 1)
+        ]
+        return [row for name, item in named for row in _flat(name, item)]
     if isinstance(value, list):
         return [(key, ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in value) or "none given")]
     return [(key, str(value) if value != "" else "none given")]

@@ -28,8 +28,8 @@ from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.requirements.rows import ALL_RUNS, RequirementRow, digits
-from pointing_analysis.requirements.summary import WINDOW, Summary, scenario_of, summarise_all
-from pointing_analysis.requirements.verdict import Requirement, load
+from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
+from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
 from pointing_analysis.spectra.moving_tones import moving_pictures
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
@@ -184,7 +184,7 @@ def render(
     ----------
     runs : one or several opened bags, for instance the four loop stages
     transient : seconds to drop at the start of each
-    requirements : by default those of the reference telescope
+    requirements : by default of each run those that it holds
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
     predictions : for each run what a model predicts of its tones, or None; by default none at all
     remarks : for each run sentences to print beside its verdict; by default none at all
@@ -202,11 +202,10 @@ def render(
         raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
     if remarks and len(remarks) != len(runs):
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
-    chosen = load() if requirements is None else tuple(requirements)
     names = labels(runs)
-    summaries = summarise_all(runs, transient=transient, requirements=chosen)
+    summaries = summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient) for run, name in zip(runs, names)]
-    drawn = pictures(views, chosen, model)
+    drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model)
     rows = _rows(names, summaries)
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -218,6 +217,7 @@ def render(
         names=names,
         several=len(runs) > 1,
         rows=rows,
+        unknown=all(not s.requirements_known for s in summaries) and UNKNOWN,
         cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
         pictures=[
             {

@@ -26,8 +26,11 @@ from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.rows import RequirementRow, number
-from pointing_analysis.requirements.verdict import Requirement, Verdict, judge, load
+from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 
+METADATA = "requirements"
+"""Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
+UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
 WINDOW = 0.02  # [s], exposure of the reference telescope
 SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
 
@@ -125,6 +128,7 @@ class Summary:
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
     rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
+    requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     """
@@ -152,6 +156,7 @@ class Summary:
     losses: tuple[TopicLoss, ...] = ()
     budget: ToneBudget | None = None
     rpe_windows_p997: float = math.nan
+    requirements_known: bool = True
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -196,6 +201,7 @@ class Summary:
                 "ake_p997_arcsec": number(self.knowledge.ake_p997_arcsec),
                 "rke_rms_mas": number(self.knowledge.rke_rms_mas),
             },
+            "requirements_known": self.requirements_known,
             "requirements": [row.as_dict() for row in self.rows],
             "lost_messages": {
                 loss.topic: {"messages": loss.missing, "places": [str(span) for span in loss.spans[:100]]}
@@ -206,15 +212,28 @@ class Summary:
         }
 
 
+def requirements_of(run: Recording) -> tuple[Requirement, ...] | None:
+    """Requirements that a recording holds (`METADATA`); None where it holds none, or none that can be read."""
+    return _recorded(run)[0]
+
+
+def _recorded(run: Recording) -> tuple[tuple[Requirement, ...] | None, str]:
+    """`requirements_of`, and what is wrong with them."""
+    found = run.parameters.get(METADATA)
+    if found is None:
+        return None, ""
+    try:
+        if not isinstance(found, list):
+            raise RequirementError(f"{METADATA} must be a list, got {type(found).__name__}")
+        return from_entries(found, METADATA), ""
+    except RequirementError as error:
+        return None, f"the requirements of the recording cannot be read: {error}"
+
+
 def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Requirement, ...]:
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
-    return tuple(r for r in requirements if applies(r, run))
-
-
-def applies(requirement: Requirement, run: Recording) -> bool:
-    """Whether a requirement is one on the loop stage of a run, or the stage is not known."""
     loop = run.parameters.get("loop")
-    return not requirement.loops or loop is None or loop in requirement.loops
+    return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
 
 
 def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
@@ -298,20 +317,21 @@ def summarise(
     run : an opened bag
     transient : seconds to drop at the start; by default the bag's ``transient_s``, else 5 s,
         from runs shorter than 10 s their first half (:func:`pointing_analysis.indices.errors.default_transient`)
-    requirements : by default those of the reference telescope
+    requirements : by default those of the recording (`requirements_of`)
 
     Raises
     ------
     BagError
         No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
     """
-    chosen = applicable(load() if requirements is None else requirements, run)
+    known, damaged = (requirements, "") if requirements is not None else _recorded(run)
     series = performance_error(run, transient)
     error, budget = Performance.of(series.values, series.dt), None
     whole = metrics.is_whole(WINDOW, series.dt)
     if whole and series.duration >= WINDOW and motion_of(run) is None:
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
+    problems += [damaged] if damaged else []
     if not whole:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
@@ -336,7 +356,8 @@ def summarise(
         lost_by_topic=lost,
         camera_dropped=dropped,
         knowledge=_knowledge(run, transient),
-        verdicts=tuple(judge(r, [run], transient) for r in chosen),
+        verdicts=tuple(judge(r, [run], transient) for r in applicable(known or (), run)),
+        requirements_known=known is not None,
         problems=tuple(problems),
         losses=run.losses,
         budget=budget,
@@ -362,6 +383,10 @@ def summarise_all(
     found = [summarise(run, transient=transient, requirements=requirements) for run in runs]
     if len(runs) < 2:
         return found
-    chosen = load() if requirements is None else requirements
-    joint = {str(r): judge(r, [run for run in runs if applies(r, run)], transient) for r in chosen if r.across_runs}
+    own = [applicable(requirements_of(run) or () if requirements is None else requirements, run) for run in runs]
+    wanted = {str(r): r for chosen in own for r in chosen if r.across_runs}
+    joint = {
+        text: judge(r, [run for run, chosen in zip(runs, own) if text in map(str, chosen)], transient)
+        for text, r in wanted.items()
+    }
     return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in found]

@@ -25,22 +25,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pointing_analysis.files.structured_text import StructuredTextError, load_toml, load_yaml, read_text
-from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.units import ANGLES as ANGLES
 
-ANGLES = {
-    "mas": RAD_PER_MAS,
-    "arcsec": RAD_PER_ARCSEC,
-    "nrad": 1e-9,
-    "urad": 1e-6,
-    "mrad": 1e-3,
-    "rad": 1.0,
-}
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 #: index -> number of times it takes
 INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
 INTERPRETATIONS = ("temporal", "ensemble", "mixed")
-DEFAULT_FILE = Path(__file__).with_name("requirements.toml")
 _TEXT = re.compile(
     r"prob\s*\(\s*(?P<sign>\||rms\s)\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
     r"(?P<end>\|?)\s*<=?\s*"
@@ -96,16 +86,29 @@ class Requirement:
     @property
     def quantity(self) -> str:
         """The judged quantity, e.g. ``|RPE(20 ms)|`` or ``rms RPE(20 ms)``."""
-        times = ", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times)
+        return self._quantity(", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times))
+
+    def _quantity(self, times: str) -> str:
         axis = f"_{self.axis}" if self.axis else ""
         text = f"{self.index}{axis}{f'({times})' if times else ''}"
         return f"rms {text}" if self.of_windows else f"|{text}|"
 
     def __str__(self) -> str:
+        return self._text(f"{self.limit / self.scale:g} {self.unit}", self.quantity)
+
+    @property
+    def exact_text(self) -> str:
+        """Text that `parse` reads as the same limit and times to the last bit."""
+        value, wanted = self.limit / self.scale, self.limit
+        near = (float(f"{value:g}"), value, math.nextafter(value, 0.0), math.nextafter(value, math.inf))
+        shown = next((f"{x:g}" if x == near[0] else repr(x) for x in near if x * self.scale == wanted), "")
+        times = ", ".join(_exact_time(t) for t in self.times)
+        return self._text(f"{shown} {self.unit}" if shown else f"{wanted!r} rad", self._quantity(times))
+
+    def _text(self, limit: str, quantity: str) -> str:
         tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
         return (
-            f"prob({self.quantity} < {self.limit / self.scale:g} {self.unit}) >= {self.probability:g} "
-            f"at {100 * self.confidence:g} % confidence{tail}"
+            f"prob({quantity} < {limit}) >= {self.probability:.10g} at {100 * self.confidence:.10g} % confidence{tail}"
         )
 
 
@@ -174,6 +177,14 @@ def _time(text: str) -> float:
     return float(m[1]) * TIMES[m[2]]
 
 
+def _exact_time(seconds: float) -> str:
+    """Text of a time that `parse` reads as the same number of seconds."""
+    for value, unit in ((f"{1e3 * seconds:g}", "ms"), (f"{seconds:g}", "s"), (repr(seconds), "s")):
+        if "e" not in value and float(value) * TIMES[unit] == seconds and (seconds < 1 or unit == "s"):
+            return f"{value} {unit}"
+    return f"{seconds:.40f}".rstrip("0") + " s"
+
+
 def _float(text: str) -> float:
     """A number, NaN where the text is none."""
     try:
@@ -182,33 +193,67 @@ def _float(text: str) -> float:
         return math.nan
 
 
-def load(path: str | os.PathLike[str] = DEFAULT_FILE) -> tuple[Requirement, ...]:
+def load(path: str | os.PathLike[str]) -> tuple[Requirement, ...]:
     """Read a requirement file: TOML with ``[[requirement]]`` tables, or YAML with a list ``requirement``.
 
     Each entry has a ``text`` and may have a ``name`` and a ``loop`` (list of loop stages it applies to).
 
-    Examples
-    --------
-    >>> [r.quantity for r in load()]
-    ['|APE|', 'rms RPE(20 ms)', 'rms RPE(20 ms)']
+    Raises
+    ------
+    RequirementError
+        A file that cannot be read, or an entry of another form.
     """
+    from pointing_analysis.files.structured_text import StructuredTextError, load_toml, load_yaml, read_text
+
     file = Path(path)
     try:
         read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
         content = read(read_text(file), file)
     except StructuredTextError as error:
         raise RequirementError(str(error)) from None
-    entries = content.get("requirement") if isinstance(content, dict) else None
-    if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) and "text" in e for e in entries):
+    found = content.get("requirement") if isinstance(content, dict) else None
+    if not isinstance(found, list) or not found:
         raise RequirementError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
-    found = []
-    for entry in entries:
+    return from_entries(found, str(file))
+
+
+def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
+    """Requirements from the entries of a list: ``text``, and where given ``name`` and ``loop``.
+
+    Parameters
+    ----------
+    found : entries, as `entries` makes them or a file has them
+    where : name of the list, for the messages
+
+    Raises
+    ------
+    RequirementError
+        An entry of another form.
+    """
+    made = []
+    for entry in found:
+        if not isinstance(entry, dict) or "text" not in entry:
+            raise RequirementError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
         unknown = set(entry) - {"text", "name", "loop"}
         if unknown:
-            raise RequirementError(f"{file}: keys must be of text, name, loop, got {sorted(unknown)}")
+            raise RequirementError(f"{where}: keys must be of text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
         loops = [loops] if isinstance(loops, str) else loops
         if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
-            raise RequirementError(f"{file}: loop must be a name or a list of names, got {loops!r}")
-        found.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
-    return tuple(found)
+            raise RequirementError(f"{where}: loop must be a name or a list of names, got {loops!r}")
+        made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
+    return tuple(made)
+
+
+def entries(requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
+    """Entries of a list from which `from_entries` makes the same requirements, limits to the last bit.
+
+    Examples
+    --------
+    >>> limit = parse("prob(|APE| < 4.848e-6 rad) >= 0.997 at 95 % confidence", "APE", ["fsm"])
+    >>> entries([limit])
+    [{'name': 'APE', 'text': 'prob(|APE| < 4.848e-06 rad) >= 0.997 at 95 % confidence', 'loop': ['fsm']}]
+    """
+    return [
+        {"name": r.name, "text": r.exact_text, **({"loop": list(r.loops)} if r.loops else {})} for r in requirements
+    ]

@@ -15,16 +15,16 @@ from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, perfo
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.requirements.text import DEFAULT_FILE, Requirement, RequirementError, load, parse
+from pointing_analysis.requirements.text import Requirement, RequirementError, from_entries, load, parse
 
 __all__ = [
-    "DEFAULT_FILE",
     "Requirement",
     "RequirementError",
     "Samples",
     "Status",
     "Verdict",
     "decide",
+    "from_entries",
     "index_samples",
     "judge",
     "load",

@@ -28,7 +28,7 @@ FOLDERS = {
 }
 MAY_IMPORT: dict[str, set[str]] = {
     "lftkit": set(),
-    "titop_plant": {"lftkit"},
+    "titop_plant": {"lftkit", "pointing_analysis"},
     "los_estimator": {"lftkit", "titop_plant"},
     "fsm_pma_controller": {"lftkit", "titop_plant"},
     "pointing_analysis": set(),
@@ -36,6 +36,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "los_design": set(FOLDERS) - {"los_testbed"},
     "los_testbed": set(FOLDERS),
 }
+LANGUAGE = "pointing_analysis.requirements.text"
+"""What the telescope may import of the analysis: the language of requirements, in which its file states them."""
 LAYERS = (
     "config",
     "topics",
@@ -120,6 +122,9 @@ def test_imports_obey_the_direction(case: tuple[str, Path]) -> None:
     package, path = case
     inside = {top for top, _ in imports(path) if top in FOLDERS} - {package}
     assert inside <= MAY_IMPORT[package], f"{package} may import {sorted(MAY_IMPORT[package])}, got {sorted(inside)}"
+    if package == "titop_plant":
+        of_analysis = {name for top, name in imports(path) if top == "pointing_analysis"}
+        assert of_analysis <= {LANGUAGE}, f"titop_plant may import {LANGUAGE} of the analysis, got {of_analysis}"
     if "nodes" not in path.relative_to(FOLDERS[package]).parts:
         assert not {top for top, _ in imports(path)} & ROS, "only nodes/ imports rclpy and message packages"
 

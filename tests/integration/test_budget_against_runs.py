@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
+from los_testbed.run.budget_sources import testbed_requirements
 from los_testbed.run.budget_sources import testbed_sources as sources_of_the_testbed
 
 import pointing_analysis
@@ -31,7 +32,9 @@ def test_the_shipped_budget_agrees_with_a_run(tmp_path: Path) -> None:
     options = ["--mode", "inprocess", "--scenario", "imbalance", "--loop", "fsm+pma", "--seed", "3", "--no-report"]
     assert main(["run", "--duration", "65", *options, "--output", str(bag)]) == 0
     requirements = tuple(parse(text) for text in INDICES)
-    budget = replace(load_budget(SHIPPED, sources_of_the_testbed), draws=30_000, requirements=requirements)
+    budget = replace(
+        load_budget(SHIPPED, sources_of_the_testbed, testbed_requirements), draws=30_000, requirements=requirements
+    )
     run = Run.open(bag)
     for verdict in evaluate(budget):
         measured = judge(verdict.requirement, [run], 5.0).quantile

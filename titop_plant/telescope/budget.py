@@ -1,4 +1,4 @@
-"""Budget of the relative error: slow tones, fast tones and sensor noise share the limit of 40 mas.
+"""Budget of the relative error: slow tones, fast tones and sensor noise share its limit.
 
 The limit is asked of 99.7 % of the windows of 20 ms, whatever made the error. A tone of amplitude a along one axis and
 Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a random phase of the tone outside of a circle of
@@ -14,7 +14,7 @@ accelerometer, do nothing for the line of sight; above it they act. The two weig
 requirement at this frequency.
 
 The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
-tones, K_PMA for the fast tones that are left. Below the line the sum keeps 40 mas.
+tones, K_PMA for the fast tones that are left. Below the line the sum keeps the limit.
 """
 
 from __future__ import annotations

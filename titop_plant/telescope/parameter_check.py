@@ -69,8 +69,12 @@ ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_rat
 REPLACE = "replace"
 """Key of a user's table: the lists of named tables, for instance equipment, that replace those of the reference."""
 
-REQUIRED = {"equipment": {"name", "mass", "size"}, "further_modes": {"frequency", "direction", "share"}}
-OPTIONAL = {"equipment": {"position", "node"}, "further_modes": set[str]()}
+REQUIRED = {
+    "equipment": {"name", "mass", "size"},
+    "further_modes": {"frequency", "direction", "share"},
+    "requirement": {"name", "text"},
+}
+OPTIONAL = {"equipment": {"position", "node"}, "further_modes": set[str](), "requirement": {"loop"}}
 
 
 class ParameterFile:
@@ -194,6 +198,11 @@ class ParameterFile:
                 name, f"must be between -2 pi and 2 pi rad, where tau = tan(theta/4) is regular, got {value!r}"
             )
 
+    def _check_names(self, name: str, value: Any) -> None:
+        names = value if isinstance(value, list) else [value]
+        if not all(isinstance(item, str) for item in names):
+            raise self.error(name, f"must be a text or a list of texts, got {value!r}")
+
     def _check_tables(self, name: str, key: str, value: Any, first: int = 0) -> None:
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(name, f"must be tables [[{name}]], got {value!r}")
@@ -206,6 +215,9 @@ class ParameterFile:
             if key == "equipment" and not {"position", "node"} & set(item):
                 raise self.error(f"{name}[{i}]", "needs a 'position' or a 'node'")
             for part, entry in item.items():
+                if part == "loop":
+                    self._check_names(f"{name}[{i}].{part}", entry)
+                    continue
                 like: Any = [0.0] * 3 if part in ("size", "position") else "" if part in _TEXTS else 0.0
                 self.check(f"{name}[{i}].{part}", part, like, entry)
             if key == "further_modes" and item["direction"] not in AXES:
@@ -219,7 +231,7 @@ def _named(base: Mapping[str, Any]) -> list[str]:
     return [key for key in base if "name" in REQUIRED.get(key, ())]
 
 
-_TEXTS = ("name", "node", "direction")
+_TEXTS = ("name", "node", "direction", "text")
 
 
 def _keys(text: str) -> Iterator[tuple[str, int]]:

@@ -18,6 +18,7 @@ from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.requirements import take_limits, with_limits
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,8 +38,9 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     ----------
     path : str or Path
         TOML file of the form of ``reference.toml``; tables that are missing are taken from it, so that a
-        user's file holds only what differs. Tables with a name, ``[[payload.equipment]]``, change those of the same
-        name and are added to the others; ``replace = ["equipment"]`` in ``[payload]`` replaces all of them. Lists of
+        user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and ``[[requirement]]``,
+        change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
+        ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
         tables without names are replaced. A relative ``body.modal_data`` or ``payload.modal_data`` is looked for
         beside it.
 
@@ -46,13 +48,16 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     ------
     ValueError
         File missing or not TOML; a key that the reference does not have, or a value of another kind, length or
-        sign than the reference's. The message names the file, the line and the key.
+        sign than the reference's; requirements that :func:`titop_plant.telescope.requirements.with_limits` refuses.
+        The message names the file, the line and the key.
     """
-    reference, _ = _read(REFERENCE)
+    reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
-        return MappingProxyType(reference)
+        return MappingProxyType(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
     own, text = _read(Path(path))
-    merged = ParameterFile(str(path), text).merged(reference, own)
+    file = ParameterFile(str(path), text)
+    limits = take_limits(own, file)
+    merged = with_limits(file.merged(reference, own), own, limits, file)
     for name in _OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
@@ -118,8 +123,11 @@ def _parsed(text: str) -> bytes:
 
 
 def parameters_hash(parameters: Parameters) -> str:
-    """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts."""
-    content = dict(parameters)
+    """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
+
+    Of the requirements only the limits in ``weights`` count: nothing else of them is in a plant or a design.
+    """
+    content = {key: value for key, value in parameters.items() if key != "requirement"}
     for name in _OWN_BODIES:
         file = content[name].get("modal_data", "")
         if file:

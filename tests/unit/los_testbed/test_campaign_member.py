@@ -9,10 +9,10 @@ from typing import Any
 import los_testbed.campaign.member
 import numpy as np
 import pytest
-from los_testbed.campaign.member import TIME_METRICS, MemberEvaluator, row_hash
+from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.factories import assemble_controller, run_start
+from los_testbed.factories import assemble_controller, requirements_of, run_start
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
 from los_estimator.runtime import LosEstimator
@@ -20,6 +20,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
 BASE = RunConfig(mode="inprocess", duration=2.0)
+TIME_METRICS = metric_columns("time", requirements_of(BASE))
 
 
 def member(index: int) -> dict[str, Any]:

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import first_order_index, influences, yield_curve
-from los_testbed.campaign.member import DEPTHS, TIME_METRICS, finished_row
+from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
+from los_testbed.factories import requirements_of
 from support import axe, headless_browser
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
+REQUIREMENTS = requirements_of(BASE)
+TIME_METRICS = metric_columns("time", REQUIREMENTS)
 
 
 def columns(count: int, largest: float = 30.0, share: float = 0.0) -> dict[str, np.ndarray]:
@@ -36,7 +39,7 @@ def by_name(found: list[Any], requirement: str) -> dict[str, Any]:
 
 
 def test_a_thousand_members_below_the_limit_are_compliant_and_a_hundred_do_not_show_it() -> None:
-    many, few = (by_name(verdicts(columns(n), ["ok"] * n, "fsm+pma"), "RPE, finest") for n in (1000, 100))
+    many, few = (by_name(verdicts(columns(n), ["ok"] * n, "fsm+pma", REQUIREMENTS), "RPE, finest") for n in (1000, 100))
     assert many["ensemble"].status == "compliant" and many["ensemble"].upper < 0.003
     assert few["ensemble"].status == "not enough data" and few["ensemble"].needed == 998
     assert few["mixed"].status == "compliant" and few["mixed"].samples == 40000
@@ -45,7 +48,9 @@ def test_a_thousand_members_below_the_limit_are_compliant_and_a_hundred_do_not_s
 
 def test_interpretations_differ_as_ecss_says() -> None:
     """Each member is above the limit for 0.1 % of its windows: good in time, bad in every worst instant."""
-    found = by_name(verdicts(columns(1000, largest=60.0, share=1e-3), ["ok"] * 1000, "fsm+pma"), "RPE, finest")
+    found = by_name(
+        verdicts(columns(1000, largest=60.0, share=1e-3), ["ok"] * 1000, "fsm+pma", REQUIREMENTS), "RPE, finest"
+    )
     assert [found[name].status for name in ("ensemble", "temporal", "mixed")] == [
         "not compliant",
         "compliant",
@@ -56,14 +61,14 @@ def test_interpretations_differ_as_ecss_says() -> None:
 
 def test_lost_members_count_as_above_and_failed_ones_not() -> None:
     status = ["ok"] * 990 + ["diverged"] * 8 + ["failed"] * 2
-    found = by_name(verdicts(columns(1000), status, "fsm+pma"), "RPE, finest")
+    found = by_name(verdicts(columns(1000), status, "fsm+pma", REQUIREMENTS), "RPE, finest")
     assert found["ensemble"].samples == 998 and found["ensemble"].exceeding == pytest.approx(8 / 998)
     assert found["temporal"].status == "not compliant" and found["temporal"].as_dict()["value"] is None
-    assert verdicts(columns(2), ["failed"] * 2, "fsm") == []
+    assert verdicts(columns(2), ["failed"] * 2, "fsm", REQUIREMENTS) == []
 
 
 def test_requirements_are_those_of_the_stage() -> None:
-    names = {v.requirement for v in verdicts(columns(10), ["ok"] * 10, "fsm")}
+    names = {v.requirement for v in verdicts(columns(10), ["ok"] * 10, "fsm", REQUIREMENTS)}
     assert "RPE, finest" not in names and {"APE", "RPE, fine"} <= names
 
 
@@ -95,7 +100,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, dic
         rows = []
         for _, chunk in asked.chunks():
             for member in chunk:
-                metrics = dict.fromkeys(DEPTHS["time"], 1.0)
+                metrics = dict.fromkeys(TIME_METRICS, 1.0)
                 metrics["rpe_window_p997_mas"] = 20.0 + 5.0 * member["tau"] + 1e-3 * member["wheel_speed_2"]
                 rows.append(finished_row(member["index"], member, metrics, "ok", ""))
         folder.write(0, rows)
@@ -134,5 +139,5 @@ def test_members_that_are_no_random_draws_have_no_probability(tmp_path: Path) ->
     folder = ResultFolder(tmp_path / "c")
     folder.open(asked, False)
     for number, chunk in asked.chunks():
-        folder.write(number, [finished_row(m["index"], m, dict.fromkeys(DEPTHS["time"], 1.0), "ok", "") for m in chunk])
+        folder.write(number, [finished_row(m["index"], m, dict.fromkeys(TIME_METRICS, 1.0), "ok", "") for m in chunk])
     assert {v["interpretation"] for v in campaign_summary(asked, folder)["verdicts"]} == {"temporal"}

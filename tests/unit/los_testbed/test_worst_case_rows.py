@@ -3,10 +3,14 @@
 from types import SimpleNamespace
 
 import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import requirements_of
 from los_testbed.run.worst_case_rows import level, limits_kept
 
 from pointing_analysis.budget.tone_budget import ToneBudget
 from titop_plant.telescope.budget import combined_level
+
+REQUIREMENTS = requirements_of(RunConfig())
 
 
 def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
@@ -31,9 +35,9 @@ def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
 def test_a_limit_is_kept_or_broken_only_beyond_the_scatter_of_the_noise(
     fast: float, noise: float, noise_error: float, text: str
 ) -> None:
-    assert limits_kept(summary(fast, noise, noise_error), "fast") == text
+    assert limits_kept(summary(fast, noise, noise_error), "fast", REQUIREMENTS) == text
 
 
 def test_what_is_shown_is_the_level_of_the_record_itself() -> None:
     assert level(summary(19.4, 12.4, 0.7), "fast") == pytest.approx(combined_level(19.4, 12.4))
-    assert limits_kept(summary(19.4, 12.4, 0.7), "APE") == "breaks 10"
+    assert limits_kept(summary(19.4, 12.4, 0.7), "APE", REQUIREMENTS) == "breaks 10"

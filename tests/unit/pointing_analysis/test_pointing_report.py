@@ -19,6 +19,7 @@ from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+from titop_plant.telescope.parameters import load_parameters
 
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
@@ -51,7 +52,8 @@ def make(path: Path, loop: str, scale: float, n: int = 6000, **parameters) -> Pa
         "pma/command": rng.standard_normal((n, 6)),
         "camera/los": truth[::20],
     }
-    given = {"loop": loop, "mode": "inprocess", "scenario": "design", "seed": 1, "tones_rad_s": tones, **parameters}
+    given = {"loop": loop, "mode": "inprocess", "scenario": "design", "seed": 1, "tones_rad_s": tones}
+    given |= {"requirements": load_parameters()["requirement"], **parameters}
     return write_bag(path, signals, periods={"camera/los": 20}, parameters=given)
 
 

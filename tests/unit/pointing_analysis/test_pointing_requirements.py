@@ -13,8 +13,10 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.verdict import RequirementError, index_samples, judge, parse
+from titop_plant.telescope.parameters import load_parameters
 
 MAS = np.pi / 648_000_000
+OF_TELESCOPE = load_parameters()["requirement"]
 
 
 @pytest.fixture
@@ -235,14 +237,28 @@ def test_windows_all_broken_give_no_verdict(tmp_path) -> None:
 
 
 def test_summary_takes_the_requirements_of_the_stage(noise_run) -> None:
-    pma = summarise(noise_run(2.0, 25.0, loop="fsm+pma", mode="inprocess"))
+    pma = summarise(noise_run(2.0, 25.0, loop="fsm+pma", mode="inprocess", requirements=OF_TELESCOPE))
     assert [v.requirement.name for v in pma.verdicts] == ["APE", "RPE, fine", "RPE, finest"]
-    fsm = summarise(noise_run(2.0, 25.0, 1, loop="fsm"))
+    fsm = summarise(noise_run(2.0, 25.0, 1, loop="fsm", requirements=OF_TELESCOPE))
     assert [v.requirement.name for v in fsm.verdicts] == ["APE", "RPE, fine"]
     figures = pma.as_dict()
     assert (figures["loop"], figures["mode"], figures["ticks"]) == ("fsm+pma", "inprocess", 25_000)
     assert set(figures["ape_arcsec"]) == {"max", "p997"}
     assert set(figures["rpe_mas"]) == {"rms", "p997", "windows_p997"}
+
+
+def test_a_recording_without_requirements_has_metrics_and_no_verdict(noise_run) -> None:
+    """Nobody's limits are taken for those of another; damaged ones are named."""
+    found = summarise(noise_run(2.0, 25.0, loop="fsm"))
+    assert found.verdicts == () and not found.requirements_known and found.ape_p997 > 0
+    assert found.as_dict()["requirements"] == [] and not found.as_dict()["requirements_known"]
+    for damaged in ("APE", [{"name": "no text"}], [{"text": "APE below 1"}], [{"text": 3}], ["prob"]):
+        wrong = summarise(noise_run(2.0, 25.0, 1 + len(str(damaged)), requirements=damaged))
+        assert wrong.verdicts == () and any("requirements of the recording cannot be read" in p for p in wrong.problems)
+    given = [parse("prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")]
+    assert len(summarise(noise_run(2.0, 25.0, 99), requirements=given).verdicts) == 1
+    none_applies = summarise(noise_run(2.0, 25.0, 77, loop="isolator", requirements=OF_TELESCOPE[2:]))
+    assert none_applies.verdicts == () and none_applies.requirements_known
 
 
 def test_summary_counts_what_was_lost(tmp_path) -> None:
@@ -271,7 +287,9 @@ def test_runs_too_short_for_anything(tmp_path, n: int) -> None:
 
 
 def test_shorter_than_a_window_gives_the_ape_alone(tmp_path) -> None:
-    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.full((15, 2), MAS)}))
+    run = Run.open(
+        write_bag(tmp_path / "bag", {"truth/los": np.full((15, 2), MAS)}, parameters={"requirements": OF_TELESCOPE})
+    )
     s = summarise(run, transient=0.0)
     assert s.ape_max == pytest.approx(math.sqrt(2) * 1e-3)
     assert math.isnan(s.rpe_rms)

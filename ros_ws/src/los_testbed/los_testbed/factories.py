@@ -25,6 +25,7 @@ from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, desi
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import LoopModel
+    from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig
     from titop_plant.simulation.driven_plant import DrivenPlant
     from titop_plant.simulation.sampled_plant import SampledPlant
@@ -87,6 +88,14 @@ def recorded_files(config: RunConfig) -> dict[str, Path]:
     }
     code = code_of(config)
     return {name: Path(getattr(config, name) or path) for name, path in stored.items() if name not in code}
+
+
+def requirements_of(config: RunConfig) -> tuple[Requirement, ...]:
+    """Pointing requirements of the telescope of a run, those of all stages; ValueError as :func:`telescope_basis`."""
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+    from titop_plant.telescope.requirements import telescope_requirements
+
+    return telescope_requirements(load_parameters(config.parameters or REFERENCE))
 
 
 def telescope_basis(config: RunConfig) -> DesignBasis:

@@ -11,10 +11,17 @@ import yaml
 
 from los_design.synthesis.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
-from los_testbed.factories import compare_with_telescope, recorded_files, run_controllers, telescope_basis
+from los_testbed.factories import (
+    compare_with_telescope,
+    recorded_files,
+    requirements_of,
+    run_controllers,
+    telescope_basis,
+)
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
+from pointing_analysis.requirements.text import entries
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
@@ -28,8 +35,9 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference. ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`,
-    are of the source files of code of the user.
+    differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged.
+    ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
+    of the user.
     """
     telescope = telescope_basis(config)
     warnings = compare_with_telescope(run_controllers(config), telescope, config.loop)
@@ -37,6 +45,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
+        "requirements": json.dumps(entries(requirements_of(config))),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),

@@ -22,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.campaign.adversarial import adversarial_members
-from los_testbed.campaign.member import CRASHED, DEPTHS
+from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
+from los_testbed.factories import requirements_of
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.summary import WINDOW
+from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
@@ -108,6 +110,16 @@ class Campaign:
                         for k in range(number * size, min((number + 1) * size, self.samples))
                     ],
                 )
+
+    @property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Requirements of the telescope."""
+        return requirements_of(self.base)
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Columns of metrics."""
+        return metric_columns(self.depth, self.requirements)
 
     @property
     def chunk_count(self) -> int:

@@ -24,10 +24,10 @@ import scipy
 from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.local_cluster import local_cluster
-from los_testbed.campaign.member import CRASHED, DEPTHS, MemberEvaluator, finished_row
+from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.tls_files import TlsFiles, client_security
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files
+from los_testbed.factories import controller_files, requirements_of
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
@@ -52,13 +52,19 @@ FILES = ("k_fsm", "k_pma", "parameters")
 def identity(base: RunConfig) -> dict[str, str]:
     """Version of the package and hashes of what the rows depend on: the same on all workers, or there is no campaign.
 
+    Requirements are named where they are not those of the reference telescope.
+
     Raises
     ------
     ValueError
         A file that cannot be read.
     """
+    from pointing_analysis.requirements.text import entries
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+    from titop_plant.telescope.requirements import telescope_requirements
 
+    required = json.dumps(entries(requirements_of(base)))
+    reference = json.dumps(entries(telescope_requirements(load_parameters())))
     controllers = {name: _digest(path) for name, path in controller_files(base).items()}
     return {
         "version": __version__,
@@ -66,6 +72,7 @@ def identity(base: RunConfig) -> dict[str, str]:
         "scipy": scipy.__version__,
         "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
         **controllers,
+        **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
     }
 
 
@@ -328,7 +335,7 @@ def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campai
                 f"{CRASHES} members in a row end their workers, the last of them {member['index']} "
                 f"({type(error).__name__}; too little memory?), {KEPT}"
             )
-        nothing = dict.fromkeys(DEPTHS[campaign.depth], float("nan"))
+        nothing = dict.fromkeys(campaign.metrics, float("nan"))
         reason = f"its worker ended: {type(error).__name__}"
         rows.append(finished_row(member["index"], member, nothing, CRASHED, reason))
     return rows

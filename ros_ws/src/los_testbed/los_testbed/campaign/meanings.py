@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 MEANINGS = {
     "ape_max_arcsec": "largest absolute error [arcsec]",
     "ape_p997_arcsec": "absolute error, 99.7 % of the instants [arcsec]",
@@ -15,10 +17,10 @@ MEANINGS = {
     "rpe_window_p997_mas": "relative error, rms of a window, 99.7 % of the windows [mas]",
     "ape_effective": "independent samples of the absolute error",
     "rpe_window_effective": "independent windows",
-    "ape_gain": "largest absolute error of a tone of unit norm over 10 arcsec",
+    "ape_gain": "largest absolute error of a tone of unit norm over its limit",
     "slow_tone_mas": "relative error of the worst slow tone of unit norm [mas]",
     "fast_tone_mas": "relative error of the worst fast tone of unit norm [mas]",
-    "rpe_fine_gain": "the larger of both over 40 mas",
+    "rpe_fine_gain": "the larger of both over the limit of the stage with all actuators",
     "mirror_gain": "largest mirror angle of a tone of unit norm over its authority",
     "force_gain": "largest forces of a tone of unit norm over their authority",
     "noise_ape_arcsec_rms": "absolute error from sensor noise [arcsec rms]",
@@ -35,12 +37,18 @@ def meaning(column: str) -> str:
 
     Examples
     --------
-    >>> meaning("rpe_window_above_40_mas")
-    'share of the windows above 40 mas'
-    >>> meaning("ape_above_10_arcsec")
-    'share of the instants above 10 arcsec'
+    >>> meaning("rpe_window_above_25_mas")
+    'share of the windows above 25 mas'
+    >>> meaning("ape_p95_arcsec")
+    'absolute error, 95 % of the instants [arcsec]'
     """
     stem, sign, limit = column.partition("_above_")
+    quantile = re.fullmatch(r"(ape|rpe_window)_p(\d+)_(\w+)", column)
+    if quantile and column not in MEANINGS:
+        share, unit = 100 * float(f"0.{quantile[2]}"), quantile[3]
+        if quantile[1] == "ape":
+            return f"absolute error, {share:g} % of the instants [{unit}]"
+        return f"relative error, rms of a window, {share:g} % of the windows [{unit}]"
     if sign:
         return f"share of the {'windows' if stem.endswith('window') else 'instants'} above {limit.replace('_', ' ')}"
     return MEANINGS[column]

@@ -25,17 +25,25 @@ from los_loop.steady_state import LoopStart
 from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
 from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
-from los_testbed.campaign.verdict import judged, share_column
+from los_testbed.campaign.verdict import INDICES, judged, quantile_column, share_column
 from los_testbed.config import RunConfig
-from los_testbed.factories import assemble_controller, load_controllers, plant_config, run_start, telescope_basis
+from los_testbed.factories import (
+    assemble_controller,
+    load_controllers,
+    plant_config,
+    requirements_of,
+    run_start,
+    telescope_basis,
+)
 from los_testbed.loop.simulate import LoopDivergedError
+from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_batch import PlantBatch
 
 FloatArray = NDArray[np.float64]
 
-TIME_METRICS = (
+COMMON_METRICS = (
     "ape_max_arcsec",
     "ape_p997_arcsec",
     "rpe_rms_mas",
@@ -48,17 +56,32 @@ TIME_METRICS = (
     "rpe_window_p997_mas",
     "ape_effective",
     "rpe_window_effective",
-    *(share_column(r.index, r.limit) for r in judged()),
 )
-"""Metrics of the bag of the run; of the root mean squares in windows of 20 ms the largest and the 99.7 % quantile;
-independent samples that instants and windows weigh; shares of them above the limits."""
+"""Metrics of the bag of the run, whatever is required; of the root mean squares in windows of 20 ms the largest and the
+99.7 % quantile; independent samples that instants and windows weigh."""
 
 CRASHED = "crashed"
 """Status of a member that ended its process or for which there was no memory: another machine may do better, so a
 resumed campaign computes its part again."""
 
-DEPTHS = {"time": TIME_METRICS, "model": MODEL_METRICS}
-"""Columns of metrics of a depth."""
+DEPTHS = ("time", "model")
+"""How a member is evaluated: from a simulated run, or from its matrices."""
+
+
+def metric_columns(depth: str, requirements: Sequence[Requirement]) -> tuple[str, ...]:
+    """Columns of metrics of a depth.
+
+    Those of a simulated run are `COMMON_METRICS`, shares of the samples above the limits that a campaign judges, and
+    quantiles that the requirements name.
+    """
+    if depth == "model":
+        return MODEL_METRICS
+    of_requirements = [f(r) for f in (_share_column, quantile_column) for r in judged(requirements)]
+    return tuple(dict.fromkeys((*COMMON_METRICS, *of_requirements)))
+
+
+def _share_column(requirement: Requirement) -> str:
+    return share_column(requirement.index, requirement.limit)
 
 
 RECORDED = 2_000_000
@@ -77,12 +100,15 @@ class MemberEvaluator:
     controllers : mapping
         ``k_fsm`` and ``k_pma``.
     telescope : DesignBasis
+    requirements : tuple of Requirement
+        Of the telescope.
     """
 
     base: RunConfig
     family: PlantFamily
     controllers: Mapping[str, SampledSystem]
     telescope: DesignBasis
+    requirements: tuple[Requirement, ...]
 
     @classmethod
     def of(cls, base: RunConfig) -> MemberEvaluator:
@@ -95,7 +121,7 @@ class MemberEvaluator:
         """
         with one_thread():
             family = PlantFamily.of(plant_config(base))
-        return cls(base, family, load_controllers(base), telescope_basis(base))
+        return cls(base, family, load_controllers(base), telescope_basis(base), requirements_of(base))
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -145,7 +171,7 @@ class MemberEvaluator:
     def _row(
         self, index: int, values: Mapping[str, Any], depth: str, evaluate: Callable[[], Mapping[str, float]]
     ) -> dict[str, Any]:
-        metrics, status, reason = dict.fromkeys(DEPTHS[depth], math.nan), "ok", ""
+        metrics, status, reason = dict.fromkeys(metric_columns(depth, self.requirements), math.nan), "ok", ""
         try:
             with one_thread(), np.errstate(all="ignore"):
                 metrics |= evaluate()
@@ -176,7 +202,7 @@ class MemberEvaluator:
             states = LoopStart(rest, np.zeros(COMMANDS), k_fsm, k_pma, np.zeros(2))
         command = np.zeros(COMMANDS) if start.command is None else start.command
         loop = MemberLoop(plant, states.k_fsm, states.k_pma, states.camera, command, record.keep)
-        return _MemberRun(loop, record, first)
+        return _MemberRun(loop, record, first, self.requirements)
 
     def _simulate(self, runs: Sequence[_MemberRun]) -> None:
         """Runs of equal sizes together."""
@@ -237,11 +263,12 @@ class _Record:
 
 @dataclass
 class _MemberRun:
-    """A member's loop, its record, the first row that is judged, and what the run ended with."""
+    """A member's loop, its record, the first row that is judged, requirements, and what the run ended with."""
 
     loop: MemberLoop
     record: _Record
     first: int
+    requirements: Sequence[Requirement]
     end: LoopDivergedError | MemoryError | None = None
 
     def metrics(self) -> dict[str, float]:
@@ -256,12 +283,13 @@ class _MemberRun:
 
         if self.end is not None:
             raise self.end
+        samples = _Samples.of(self.record.values[self.first :, :2])
         judged_rows, largest = self.record.values[self.first :], self.record.largest
         performance = Performance.of(judged_rows[:, :2], DT)
         knowledge = Knowledge.of(judged_rows[:, 2:4], DT)
-        return dict(
+        found = dict(
             zip(
-                TIME_METRICS,
+                COMMON_METRICS,
                 (
                     performance.ape_max,
                     performance.ape_p997,
@@ -271,29 +299,47 @@ class _MemberRun:
                     knowledge.rke_rms_mas,
                     1e3 * float(largest[0]),
                     float(largest[1]),
-                    *_samples(judged_rows[:, :2], performance.rpe_windows_p997),
+                    *samples.common(performance.rpe_windows_p997),
                 ),
             )
         )
+        return {**found, **samples.required(self.requirements)}
 
 
-def _samples(error: FloatArray, window_p997: float) -> tuple[float, ...]:
-    """Last columns of a simulated run, from its performance error (n, 2) [rad]."""
-    from pointing_analysis.indices import metrics
-    from pointing_analysis.indices.confidence import effective_number
-    from pointing_analysis.indices.errors import RAD_PER_MAS
-    from pointing_analysis.requirements.summary import WINDOW
+@dataclass(frozen=True)
+class _Samples:
+    """Samples of a simulated run that requirements judge [rad]: the error at each instant, its rms in each window."""
 
-    instants = metrics.radial(error)
-    windows = metrics.radial(np.sqrt(metrics.windows(error, DT, WINDOW).variance))
-    of = {"APE": instants, "RPE": windows}
-    return (
-        float(windows.max()) / RAD_PER_MAS,
-        window_p997,
-        effective_number(instants),
-        effective_number(windows),
-        *(float(np.mean(of[r.index] >= r.limit)) for r in judged()),
-    )
+    instants: FloatArray
+    windows: FloatArray
+
+    @classmethod
+    def of(cls, error: FloatArray) -> _Samples:
+        """From the performance error (n, 2) [rad]."""
+        from pointing_analysis.indices import metrics
+        from pointing_analysis.requirements.summary import WINDOW
+
+        return cls(metrics.radial(error), metrics.radial(np.sqrt(metrics.windows(error, DT, WINDOW).variance)))
+
+    def common(self, window_p997: float) -> tuple[float, ...]:
+        """Last of `COMMON_METRICS`."""
+        from pointing_analysis.indices.confidence import effective_number
+        from pointing_analysis.indices.errors import RAD_PER_MAS
+
+        numbers = effective_number(self.instants), effective_number(self.windows)
+        return (float(self.windows.max()) / RAD_PER_MAS, window_p997, *numbers)
+
+    def required(self, requirements: Sequence[Requirement]) -> dict[str, float]:
+        """Share above the limit of each requirement that a campaign judges, and quantiles that are no common metric."""
+        from pointing_analysis.read.mapped_arrays import SortedValues
+
+        found = {}
+        for r in judged(requirements):
+            of, scale = {"APE": self.instants, "RPE": self.windows}[r.index], INDICES[r.index][1]
+            found[_share_column(r)] = float(np.mean(of >= r.limit))
+            if quantile_column(r) not in COMMON_METRICS:
+                found[quantile_column(r)] = SortedValues(of / scale).quantile(r.probability)
+        return found
 
 
 def finished_row(

@@ -65,7 +65,7 @@ MODEL_METRICS = (
     "sensitivity_forces",
     "rpe_peak_rad_s",
 )
-"""Gains over the limits (10 arcsec, 40 mas, authorities); worst slow and fast tone of unit norm; noise; what 99.7 % of
+"""Gains over the limits (errors, authorities); worst slow and fast tone of unit norm; noise; what 99.7 % of
 the windows keep with the worst tone and the noise; peak sensitivities; frequency of the worst tone."""
 
 

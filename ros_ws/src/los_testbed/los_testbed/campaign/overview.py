@@ -10,9 +10,8 @@ from rich.table import Table
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, influences
-from los_testbed.campaign.member import DEPTHS
 from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
-from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, verdicts
+from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
 RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
@@ -32,7 +31,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
     table = folder.table()
     status = Counter(table.column("status").to_pylist())
     metrics = {}
-    for name in DEPTHS[campaign.depth]:
+    for name in campaign.metrics:
         values = table.column(name).to_numpy()
         finite = values[np.isfinite(values)]
         metrics[name] = {
@@ -53,6 +52,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "rows_hash": folder.rows_hash(),
         "ranked_by": RANKED[campaign.depth],
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
+        "not_judged": [str(r) for r in not_judged(campaign.requirements, campaign.base.loop, campaign.depth)],
         "influence": [_shown(vars(i)) for i in _influences(campaign, table)],
         "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
     }
@@ -61,9 +61,9 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
 def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
     if campaign.depth == "model":
         total = table.column(RANKED["model"]).to_numpy()
-        return model_verdicts(total, table.column("status").to_pylist(), campaign.base.loop)
-    columns = {name: table.column(name).to_numpy() for name in DEPTHS["time"]}
-    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop)
+        return model_verdicts(total, table.column("status").to_pylist(), campaign.base.loop, campaign.requirements)
+    columns = {name: table.column(name).to_numpy() for name in campaign.metrics}
+    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop, campaign.requirements)
     return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]
 
 

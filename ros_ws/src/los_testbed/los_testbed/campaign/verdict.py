@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
-from pointing_analysis.requirements.verdict import Requirement, load
+from pointing_analysis.requirements.summary import WINDOW
+from pointing_analysis.requirements.text import Requirement
+from titop_plant.telescope.budget import CONFIDENCE
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +55,8 @@ class CampaignVerdict:
         Bounds of the probability to exceed, each with the confidence of the requirement.
     samples, needed : int
         Independent samples, and those that would show compliance with the exceedances seen.
+    text : str
+        Requirement in full.
     """
 
     requirement: str
@@ -66,6 +70,7 @@ class CampaignVerdict:
     upper: float
     samples: int
     needed: int
+    text: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; what is not finite is None."""
@@ -81,14 +86,48 @@ def share_column(index: str, limit: float) -> str:
     return f"{stem}_above_{limit / scale:g}_{unit}"
 
 
-def judged(loop: str | None = None) -> tuple[Requirement, ...]:
-    """Requirements of the reference telescope that campaigns judge: of a stage, or of all."""
-    return tuple(
-        r for r in load() if r.index in INDICES and not r.axis and (loop is None or not r.loops or loop in r.loops)
-    )
+def quantile_column(requirement: Requirement) -> str:
+    """Column with the quantile of a member that a requirement names: ``rpe_window_p997_mas``.
+
+    Examples
+    --------
+    >>> from pointing_analysis.requirements.text import parse
+    >>> quantile_column(parse("prob(|APE| < 1 arcsec) >= 95 % at 90 % confidence"))
+    'ape_p95_arcsec'
+    """
+    stem, _, unit = INDICES[requirement.index]
+    return f"{stem}_p{requirement.probability:.10g}_{unit}".replace("_p0.", "_p")
 
 
-def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -> list[CampaignVerdict]:
+def judged(requirements: Sequence[Requirement], loop: str | None = None) -> tuple[Requirement, ...]:
+    """Requirements that campaigns judge, of a stage or of all: on both axes of the APE, or of the RPE of windows."""
+    return tuple(r for r in of_stage(requirements, loop) if _has_columns(r))
+
+
+def not_judged(requirements: Sequence[Requirement], loop: str, depth: str = "time") -> tuple[Requirement, ...]:
+    """Requirements of a stage on which a campaign has no verdict at a depth."""
+    chosen = _of_model(requirements, loop) if depth == "model" else judged(requirements, loop)
+    return tuple(r for r in of_stage(requirements, loop) if r not in chosen)
+
+
+def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Requirement, ...]:
+    """Requirements that apply to a stage; all of them for None."""
+    return tuple(r for r in requirements if loop is None or not r.loops or loop in r.loops)
+
+
+def _has_columns(requirement: Requirement) -> bool:
+    windows = requirement.of_windows and requirement.times == (WINDOW,)
+    return requirement.index in INDICES and not requirement.axis and (requirement.index == "APE" or windows)
+
+
+def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requirement, ...]:
+    """Those that the depth model judges: its level of tone and noise is that of one probability."""
+    return tuple(r for r in judged(requirements, loop) if r.index == "RPE" and r.probability == CONFIDENCE)
+
+
+def verdicts(
+    columns: dict[str, FloatArray], status: Sequence[str], loop: str, requirements: Sequence[Requirement]
+) -> list[CampaignVerdict]:
     """Verdicts of a campaign of simulated runs.
 
     Parameters
@@ -98,13 +137,15 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
     status : sequence of str
     loop : str
         Stage, for the requirements that apply to it.
+    requirements : sequence of Requirement
+        Of the telescope.
     """
     lost = np.array([s in LOST for s in status])
     keep = lost | np.array([s == "ok" for s in status])
     found: list[CampaignVerdict] = []
     if not keep.any():
         return found
-    for requirement in judged(loop):
+    for requirement in judged(requirements, loop):
         stem, scale, unit = INDICES[requirement.index]
         limit = requirement.limit / scale
 
@@ -112,7 +153,7 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
             values = np.where(lost, instead, columns.get(name, np.full(len(lost), np.nan)))[keep]
             return np.asarray(values, dtype=float)
 
-        worst, own = column(f"{stem}_max_{unit}", np.inf), column(f"{stem}_p997_{unit}", np.inf)
+        worst, own = column(f"{stem}_max_{unit}", np.inf), column(quantile_column(requirement), np.inf)
         share = column(share_column(requirement.index, requirement.limit), 1.0)
         effective = np.maximum(column(f"{stem}_effective", 1.0), 1.0)
         pooled = float(np.average(share, weights=effective))
@@ -131,14 +172,16 @@ def verdicts(columns: dict[str, FloatArray], status: Sequence[str], loop: str) -
     return found
 
 
-def model_verdicts(total: FloatArray, status: Sequence[str], loop: str) -> list[CampaignVerdict]:
+def model_verdicts(
+    total: FloatArray, status: Sequence[str], loop: str, requirements: Sequence[Requirement]
+) -> list[CampaignVerdict]:
     """Verdicts of a campaign at depth model: each member keeps the limit with its worst tone and its noise.
 
     Parameters
     ----------
     total : ndarray, shape (members,)
         What 99.7 % of the windows keep [mas].
-    status, loop
+    status, loop, requirements
         As in :func:`verdicts`.
     """
     lost = np.array([s in LOST for s in status])
@@ -146,7 +189,7 @@ def model_verdicts(total: FloatArray, status: Sequence[str], loop: str) -> list[
     if not keep.any():
         return []
     own = np.where(lost, np.inf, total)[keep]
-    return [_temporal(r, r.limit / RAD_PER_MAS, "mas", own) for r in judged(loop) if r.index == "RPE"]
+    return [_temporal(r, r.limit / RAD_PER_MAS, "mas", own) for r in _of_model(requirements, loop)]
 
 
 def _quantile(values: FloatArray, requirement: Requirement, mean: bool = False) -> float:
@@ -164,7 +207,18 @@ def _decided(
     status = "compliant" if upper <= allowed else "not compliant" if lower > allowed else "not enough data"
     needed = samples_needed(requirement.probability, requirement.confidence, above)
     return CampaignVerdict(
-        requirement.name, interpretation, status, value, limit, unit, above / samples, lower, upper, samples, needed
+        requirement.name,
+        interpretation,
+        status,
+        value,
+        limit,
+        unit,
+        above / samples,
+        lower,
+        upper,
+        samples,
+        needed,
+        str(requirement),
     )
 
 
@@ -175,5 +229,16 @@ def _temporal(requirement: Requirement, limit: float, unit: str, own: FloatArray
     status = "not compliant" if above else "compliant"
     worst = float(np.max(own))
     return CampaignVerdict(
-        requirement.name, "temporal", status, worst, limit, unit, above / samples, lower, upper, samples, samples
+        requirement.name,
+        "temporal",
+        status,
+        worst,
+        limit,
+        unit,
+        above / samples,
+        lower,
+        upper,
+        samples,
+        samples,
+        str(requirement),
     )

@@ -14,7 +14,8 @@ from los_testbed.run.screen import Screen
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 
-Without FILE the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop.
+Without FILE the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop, beside the
+requirements of the reference telescope.
 
 **Examples**
 
@@ -32,7 +33,7 @@ def budget(
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
-    from los_testbed.run.budget_sources import testbed_sources
+    from los_testbed.run.budget_sources import testbed_requirements, testbed_sources
     from pointing_analysis.budget.page import digits, render_budget, vector
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
@@ -40,7 +41,7 @@ def budget(
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
     if output is not None:
         check_output(output, "the page")
-    found = budget_file.load_budget(file or shipped, testbed_sources)
+    found = budget_file.load_budget(file or shipped, testbed_sources, testbed_requirements)
     verdicts = evaluate(found)
     console = Screen(stderr=json_)
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)

@@ -135,6 +135,8 @@ def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> No
     console.print(metric_table(summary))
     if summary["verdicts"]:
         console.print(verdict_table(summary))
+    for text in summary["not_judged"]:
+        console.print(f"no verdict of a campaign on {text}", soft_wrap=True, highlight=False, markup=False)
     for member in summary["worst"][:5]:
         console.print(f"{summary['ranked_by']} {member['value']}: {member['command']}", soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)

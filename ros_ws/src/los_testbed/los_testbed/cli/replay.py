@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,6 +118,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
     check_ros()
     from los_testbed.nodes.sensor_player import play
+    from pointing_analysis.requirements.summary import METADATA as REQUIREMENTS
 
     with Progress("sensors to ROS [ticks]") as bar:
         played = play(run, domain, timeout, bar.report)
@@ -133,6 +135,8 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     if output is not None:
         signals = {name: (run[name].stamp, run[name].values) for name in played.sent}
         metadata = {"mode": "replay to ROS", "replay_of": run.path.name}
+        if REQUIREMENTS in run.parameters:
+            metadata[REQUIREMENTS] = json.dumps(run.parameters[REQUIREMENTS])
         replay_run.write_signal_bag(output, metadata, {**signals, **played.answers})
         say(console, f"bag     {output}")
     return {**content, "output": None if output is None else str(output)}

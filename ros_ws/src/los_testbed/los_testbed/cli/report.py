@@ -51,6 +51,7 @@ def report(
     json_: Json = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
+    from los_testbed.run.older_bags import REMARK, is_older, with_requirements
     from los_testbed.run.predictions import predictions
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels, write_report
@@ -65,12 +66,17 @@ def report(
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     check_output(target, "--output")
     limit = chunk_limit(max_chunk)
-    runs = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
+    opened = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
+    assumed = [given is None and is_older(run) for run in opened]
+    runs = [with_requirements(run) if older else run for run, older in zip(opened, assumed)]
+    remarks = [(REMARK,) if older else () for older in assumed]
     found = summarise_all(runs, transient=transient, requirements=given)
     expected = predictions(runs, transient, start, stop)
-    write_report(runs, target, transient=transient, requirements=given, predictions=expected)
+    write_report(runs, target, transient=transient, requirements=given, predictions=expected, remarks=remarks)
     console = Screen(stderr=json_)
     show(console, labels(runs), found)
+    for text in dict.fromkeys(text for texts in remarks for text in texts):
+        say(console, text, "note")
     say(console, f"report  {target}")
     if json_:
         print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
@@ -79,6 +85,7 @@ def report(
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
     from pointing_analysis.requirements.rows import digits, overall
+    from pointing_analysis.requirements.summary import UNKNOWN
 
     table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     table.add_column("run", overflow="fold")
@@ -89,6 +96,8 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
         table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", str(s.samples_lost))
     console.print(table)
+    if not all(s.requirements_known for s in found):
+        say(console, UNKNOWN, "note")
     for name, s in zip(names, found):
         for problem in s.problems:
             say(console, f"{name}: {problem}", "note")

@@ -9,7 +9,8 @@ from typing import Any
 
 from los_testbed.bags.diagnostics import Status
 from los_testbed.config import RunConfig
-from los_testbed.live.history import URAD, History, indices, limits
+from los_testbed.live.history import URAD, History, indices
+from pointing_analysis.requirements.text import Requirement
 
 COMPUTED_S = 0.5
 """Time from one computation of indices and spectrum to the next."""
@@ -27,11 +28,13 @@ class Frames:
         The run.
     authority : sequence of float
         Largest mirror angle [rad] and force [N].
+    requirements : sequence of Requirement
+        Of the telescope.
     """
 
-    def __init__(self, config: RunConfig, authority: Sequence[float]) -> None:
+    def __init__(self, config: RunConfig, authority: Sequence[float], requirements: Sequence[Requirement] = ()) -> None:
         self._config = config
-        self._limits = limits()
+        self._limits = requirements
         self.history = History()
         self.over = False
         self._run = 1

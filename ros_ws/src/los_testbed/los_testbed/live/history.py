@@ -13,7 +13,7 @@ from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, Topic
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import radial, windows
-from pointing_analysis.requirements.verdict import Requirement, load
+from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra.spectra import psd
 from titop_plant.interface import TICK_NS
 
@@ -154,11 +154,6 @@ def indices(error: NDArray[np.float64], stage: str, requirements: Sequence[Requi
                 }
             )
     return found
-
-
-def limits(requirements: Sequence[Requirement] | None = None) -> tuple[Requirement, ...]:
-    """The requirements, by default those of the reference telescope."""
-    return tuple(load() if requirements is None else requirements)
 
 
 def _short(values: NDArray[np.float64]) -> list[float]:

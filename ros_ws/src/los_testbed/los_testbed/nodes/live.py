@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from los_testbed.bags.cdr import codec_for, stamp_of
-from los_testbed.factories import telescope_basis
+from los_testbed.factories import requirements_of, telescope_basis
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import Frames
 from los_testbed.live.page_server import PageServer
@@ -83,7 +83,7 @@ class LiveNode:
         self._simulated = config.mode == "lockstep"
         self._next_look = 0
         channels = {track.path: topic.type_name for track, topic in zip(self.tracks, TOPICS)}
-        self.frames = Frames(config, telescope_basis(config).authority)
+        self.frames = Frames(config, telescope_basis(config).authority, requirements_of(config))
         self.foxglove = FoxgloveServer({**channels, DIAGNOSTICS_TOPIC: DIAGNOSTICS}, host, port)
         self.page = PageServer(host, port and port + 1, self.frames.next, self._act)
         # one request at a time, by a node of its own: this one's executor answers requests to it

@@ -19,9 +19,10 @@ from lftkit.support.threads import one_thread
 from los_loop.sampled_loop import SampledLoop
 from los_loop.tone_model import LoopModel
 from los_testbed.config import RunConfig
-from los_testbed.factories import tone_model
+from los_testbed.factories import requirements_of, tone_model
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
+from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
@@ -68,6 +69,12 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part != "tones" and config.loop in MIRROR_STAGES and config.noise:
         found += _noise(path, model.loop, config, unit)
     return found
+
+
+def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:
+    """Requirements of the telescope of a table of type ``testbed``, those of its stage."""
+    config = RunConfig.from_mapping({**dict(table.get("settings", {})), "loop": table.get("loop", RunConfig().loop)})
+    return tuple(r for r in requirements_of(config) if not r.loops or config.loop in r.loops)
 
 
 def _tones(path: tuple[str, ...], model: LoopModel, unit: float) -> list[Source]:

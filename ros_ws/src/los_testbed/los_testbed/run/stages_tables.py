@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
+from los_testbed.factories import requirements_of
 from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -48,7 +49,7 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, me
     return digits(first) if len(found) == 1 else f"{digits(first)} ({digits(worst)})"
 
 
-def worst_rows(results: Sequence[StageResult]) -> list[list[str]]:
+def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
     """Rows of the table of the scenario worst_case."""
     cells = []
     for loop in STAGES:
@@ -57,7 +58,7 @@ def worst_rows(results: Sequence[StageResult]) -> list[list[str]]:
             summary = whole[index].summary
             if alone.worst is not None and summary is not None:
                 cells.append((loop, alone.worst, summary))
-    return worst_case_rows.rows(cells)
+    return worst_case_rows.rows(cells, requirements_of(plan.base))
 
 
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
@@ -108,7 +109,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
     for scenario in plan.scenarios:
         if scenario == WORST:
             title = f"{WORST}: {worst_caption(plan)}"
-            yield _plain_table(worst_case_rows.HEADS, worst_rows(results), title)
+            yield _plain_table(worst_case_rows.HEADS, worst_rows(results, plan), title)
             continue
         whole = [c for c in columns(results) if c[0] == "all"]
         for chosen in (whole, [c for c in columns(results) if c[0] != "all"]):
@@ -178,7 +179,7 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     for scenario in plan.scenarios:
         if scenario == WORST:
             lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of 20 ms)", ""]
-            lines += _markdown_table(worst_case_rows.HEADS, worst_rows(results)) + [""]
+            lines += _markdown_table(worst_case_rows.HEADS, worst_rows(results, plan)) + [""]
             continue
         lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
         lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.screen import met, printable, say
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.read.mcap.records import MAX_CHUNK
@@ -20,7 +21,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import write_report
 from pointing_analysis.requirements.rows import HEADS, cells, digits
-from pointing_analysis.requirements.summary import Summary, summarise_all
+from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
 
@@ -65,7 +66,7 @@ def summarise_runs(
     max_chunk : int
         Largest chunk that is unpacked [byte].
     requirements : sequence of Requirement, optional
-        By default those of the reference telescope.
+        By default those of each bag; an older bag of this testbed is judged by those of the reference telescope.
 
     Raises
     ------
@@ -74,9 +75,14 @@ def summarise_runs(
     """
     if report is not None:
         check_output(report, "the report")
-    opened = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
+    found = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
+    assumed = [requirements is None and is_older(run) for run in found]
+    opened = [with_requirements(run) if older else run for run, older in zip(found, assumed)]
     summaries = tuple(summarise_all(opened, transient=transient, requirements=requirements))
-    remarks = tuple(remarks_of(run, found) if isinstance(run, Run) else () for run, found in zip(opened, summaries))
+    remarks = tuple(
+        (*(remarks_of(run, found) if isinstance(run, Run) else ()), *([REMARK] if older else []))
+        for run, found, older in zip(opened, summaries, assumed)
+    )
     if report is not None:
         from los_testbed.run.predictions import predictions
 
@@ -142,6 +148,8 @@ def print_summary(console: Console, results: RunSummaries) -> None:
     """Print a table for each run, and the paths."""
     for summary, metrics in zip(results.summaries, results.runs):
         console.print(_table(summary, metrics))
+        if not summary.requirements_known:
+            say(console, UNKNOWN, "note")
         if summary.budget is not None:
             console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
         for remark in metrics["remarks"]:

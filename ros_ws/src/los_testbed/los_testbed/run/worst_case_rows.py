@@ -21,7 +21,7 @@ from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import WINDOW, Summary
-from pointing_analysis.requirements.verdict import load
+from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.weights import rpe_weight
@@ -94,7 +94,7 @@ def level(summary: Summary, index: str, errors: float = 0.0) -> float:
     return combined_level(max(budget.slow, budget.fast), max(0.0, budget.noise + scatter))
 
 
-def limits_kept(summary: Summary, index: str) -> str:
+def limits_kept(summary: Summary, index: str, requirements: Sequence[Requirement]) -> str:
     """What a run keeps of the limits of its index: "keeps 100, breaks 40".
 
     :func:`level` is compared with each limit. The noise of a short record scatters: a limit is kept, or broken, if it
@@ -104,7 +104,8 @@ def limits_kept(summary: Summary, index: str) -> str:
     errors = float(special.ndtri(CONFIDENCE))
     least, most = level(summary, index, -errors), level(summary, index, errors)
     name = "APE" if index == "APE" else "RPE"
-    bounds = sorted({r.limit / r.scale for r in load() if r.index == name and not r.axis}, reverse=True)
+    unit = RAD_PER_ARCSEC if name == "APE" else RAD_PER_MAS
+    bounds = sorted({r.limit / unit for r in requirements if judges(r, name)}, reverse=True)
     kept = [f"{b:g}" for b in bounds if most <= b]
     scattered = [f"{b:g}" for b in bounds if least <= b < most]
     broken = [f"{b:g}" for b in bounds if b < least]
@@ -114,6 +115,12 @@ def limits_kept(summary: Summary, index: str) -> str:
         f"breaks {' and '.join(broken)}",
     )
     return ", ".join(text for text, names in zip(texts, (kept, scattered, broken)) if names)
+
+
+def judges(requirement: Requirement, index: str) -> bool:
+    """Whether a requirement has a limit of an index: of both axes, the RPE in windows of `WINDOW`."""
+    windows = (WINDOW,) if index == "RPE" else ()
+    return requirement.index == index and not requirement.axis and requirement.times == windows
 
 
 def figure(value: float) -> str:
@@ -135,8 +142,8 @@ HEADS = (
 )
 
 
-def rows(cells: Sequence[tuple[str, WorstTone, Summary]]) -> list[list[str]]:
-    """Rows of the table: stage, tone, run with noise."""
+def rows(cells: Sequence[tuple[str, WorstTone, Summary]], requirements: Sequence[Requirement]) -> list[list[str]]:
+    """Rows of the table: stage, tone, run with noise, limits of the telescope that it keeps."""
     table = []
     for loop, tone, summary in cells:
         quantile = summary.ape_p997 if tone.index == "APE" else summary.rpe_windows_p997
@@ -151,7 +158,7 @@ def rows(cells: Sequence[tuple[str, WorstTone, Summary]]) -> list[list[str]]:
                 f"{figure(tone.measured)} {tone.unit}",
                 f"{figure(level(summary, tone.index))} {tone.unit}",
                 "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}",
-                limits_kept(summary, tone.index),
+                limits_kept(summary, tone.index, requirements),
             ]
         )
     return table

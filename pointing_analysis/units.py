@@ -1,0 +1,17 @@
+"""Units of angle in radians."""
+
+from __future__ import annotations
+
+import math
+
+RAD_PER_ARCSEC = math.pi / 648_000
+RAD_PER_MAS = RAD_PER_ARCSEC / 1000
+ANGLES = {
+    "mas": RAD_PER_MAS,
+    "arcsec": RAD_PER_ARCSEC,
+    "nrad": 1e-9,
+    "urad": 1e-6,
+    "mrad": 1e-3,
+    "rad": 1.0,
+}
+"""Radians by the name of a unit."""

@@ -1,0 +1,35 @@
+"""Bags of this testbed from before they held the requirements of their telescope."""
+
+from __future__ import annotations
+
+import copy
+from types import MappingProxyType
+
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import METADATA
+from pointing_analysis.requirements.text import entries
+from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.requirements import telescope_requirements
+
+OF_TELESCOPE = ("plant_hash", "parameters_hash", "plant_parameters_hash")
+"""Keys of the metadata that name the telescope of a run."""
+REMARK = "the bag holds no requirements: judged by those of the reference telescope (--requirements FILE gives others)"
+
+
+def with_requirements(run: Recording) -> Recording:
+    """The recording; an older bag of this testbed with the requirements of the reference telescope.
+
+    Recordings of others keep none: no limits are known of them.
+    """
+    if not is_older(run):
+        return run
+    found = copy.copy(run)
+    reference = entries(telescope_requirements(load_parameters()))
+    found.parameters = MappingProxyType({**run.parameters, METADATA: reference})  # type: ignore[misc]
+    return found
+
+
+def is_older(run: Recording) -> bool:
+    """Whether it is a bag of this testbed that names its telescope and holds no requirements."""
+    return isinstance(run, Run) and METADATA not in run.parameters and any(k in run.parameters for k in OF_TELESCOPE)

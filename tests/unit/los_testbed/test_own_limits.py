@@ -1,0 +1,138 @@
+"""The limits of a user's telescope judge its runs: table, page, JSON, bag and campaign."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.campaign.dataset import Campaign
+from los_testbed.campaign.member import MemberEvaluator, metric_columns
+from los_testbed.campaign.sampling import COLUMNS
+from los_testbed.campaign.verdict import judged, model_verdicts, not_judged, verdicts
+from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.factories import requirements_of
+from los_testbed.run.older_bags import REMARK, is_older, with_requirements
+from support.requirement_outputs import page_rows, screen_rows
+
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.series import series
+from pointing_analysis.requirements.summary import requirements_of as recorded
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.text import parse
+
+MINE = "[weights]\nrpe_limit_fine = 4.848e-8\nape_limit = 4.848e-6\n"  # 10 mas, 1 arcsec
+MAS = 4.84813681109536e-09
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two seconds of a telescope with limits of its own; its bag, page and parameter file."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "mine.toml").write_text(MINE)
+    given = ["--mode=inprocess", "--duration=2", f"--parameters={folder / 'mine.toml'}", f"--output={folder / 'bag'}"]
+    assert main(["run", *given, "--json"]) == 0
+    return folder
+
+
+def test_the_bag_is_judged_by_its_telescope(
+    own: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """27.3 mas are not compliant with 10 mas, wherever it is said; the parameter file is not needed any more."""
+    (own / "mine.toml").rename(own / "elsewhere.toml")
+    monkeypatch.setenv("COLUMNS", "300")
+    assert main(["analyse", str(own / "bag"), f"--report={own / 'again.html'}", "--json"]) == 0
+    told = capsys.readouterr()
+    (own / "elsewhere.toml").rename(own / "mine.toml")
+    (table,) = screen_rows(told.err)
+    fine = next(row for row in table if row[2] == "9.99972 mas")
+    assert fine[0] == "rms RPE(20 ms), 99.7 %" and fine[4] == "not compliant"
+    assert not any("40 mas" in cell for row in table for cell in row)
+    found = {row["name"]: row for row in json.loads(told.out.splitlines()[-1])["requirements"]}
+    assert found["RPE, finest"]["status"] == "not compliant" and found["RPE, finest"]["quantile"] > 20
+    assert found["RPE, finest"]["limit"] == pytest.approx(4.848e-8 / MAS, rel=1e-5)
+    for page in ("bag/report.html", "again.html"):
+        shown = {row["Requirement"].partition("\n")[0]: row for row in page_rows((own / page).read_text())}
+        assert shown["RPE, finest"]["Verdict"] == "not compliant" and shown["RPE, finest"]["Limit"] == "9.99972 mas"
+        assert shown["APE"]["Limit"] == "0.999972 arcsec"
+    assert [r.limit for r in recorded(Run.open(own / "bag")) or ()] == [4.848e-6, 100 * MAS, 4.848e-8]
+
+
+def test_a_file_of_requirements_takes_their_place(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = own / "req.toml"
+    file.write_text('[[requirement]]\ntext = "prob(rms RPE(20 ms) < 1 arcsec) >= 0.9 at 90 % confidence"\n')
+    assert main(["analyse", str(own / "bag"), f"--requirements={file}", f"--report={own / 'r.html'}", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
+    assert (row["limit"], row["unit"], row["status"]) == (1.0, "arcsec", "compliant")
+
+
+def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
+    base = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", parameters=str(own / "mine.toml"))
+    requirements = requirements_of(base)
+    names = metric_columns("time", requirements)
+    assert "rpe_window_above_9.99972_mas" in names and not any("above_40_mas" in name for name in names)
+    asked = Campaign.of(base, "uniform", 2, 1, "time", {})
+    assert asked.metrics == names
+    evaluator = MemberEvaluator.of(base)
+    rows = evaluator.rows([member for _, chunk in asked.chunks() for member in chunk], "time")
+    assert all(set(names) | set(COLUMNS) <= set(row) and row["status"] == "ok" for row in rows)
+    columns = {name: np.array([row[name] for row in rows]) for name in names}
+    found = {(v.requirement, v.interpretation): v for v in verdicts(columns, ["ok"] * 2, "fsm+pma", requirements)}
+    fine = found["RPE, finest", "temporal"]
+    assert fine.limit == pytest.approx(9.99972, rel=1e-5) and fine.status == "not compliant"
+    assert (columns["rpe_window_p997_mas"] > 10).any()
+    total = model_verdicts(np.array([9.0, 11.0]), ["ok"] * 2, "fsm+pma", requirements)
+    assert {v.requirement: v.status for v in total} == {"RPE, fine": "compliant", "RPE, finest": "not compliant"}
+
+
+def test_a_campaign_says_what_it_does_not_judge() -> None:
+    texts = {
+        "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence": True,
+        "prob(|APE_x| < 1 arcsec) >= 0.95 at 95 % confidence": False,
+        "prob(rms RPE(20 ms) < 40 mas) >= 0.9 at 95 % confidence": True,
+        "prob(rms RPE(250 ms) < 40 mas) >= 0.997 at 95 % confidence": False,
+        "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence": False,
+        "prob(|PDE(1 s, 10 s)| < 40 mas) >= 0.997 at 95 % confidence": False,
+    }
+    requirements = tuple(map(parse, texts))
+    assert [str(r) for r in judged(requirements)] == [text for text, kept in texts.items() if kept]
+    assert [str(r) for r in not_judged(requirements, "fsm")] == [text for text, kept in texts.items() if not kept]
+    assert not_judged(requirements, "fsm", "model") == requirements  # its level is that of 99.7 % of the windows
+    assert metric_columns("time", requirements)[-4:] == (
+        "ape_above_1_arcsec",
+        "rpe_window_above_40_mas",
+        "ape_p95_arcsec",
+        "rpe_window_p9_mas",
+    )
+
+
+def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    bag = Path(__file__).parents[3] / "bags" / "reference"
+    run = Run.open(bag)
+    assert is_older(run) and recorded(run) is None
+    assert [v.requirement for v in summarise(with_requirements(run)).verdicts] == list(requirements_of(RunConfig()))
+    assert summarise(run).verdicts == ()  # the analysis alone knows no telescope
+    other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)
+    assert not is_older(other) and with_requirements(other) is other
+    assert REMARK.startswith("the bag holds no requirements")
+
+
+def test_files_of_others_have_no_limits_until_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    rows = np.random.default_rng(1).standard_normal((9000, 2))
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="x,y", comments="")
+    given = ["analyse", str(tmp_path / "a.csv"), "--los=x,y", "--unit=arcsec", "--rate=1000"]
+    assert main([*given, f"--report={tmp_path / 'r.html'}", "--json"]) == 0
+    told = capsys.readouterr()
+    (table,) = screen_rows(told.err)
+    assert all(row[2:] == ["", "", ""] for row in table if row[0] != "samples lost")
+    assert told.err.count("no requirements are known of this recording") == 1 and "--requirements FILE" in told.err
+    content: dict[str, Any] = json.loads(told.out.splitlines()[-1])
+    assert content["requirements"] == [] and content["requirements_known"] is False
+    page = (tmp_path / "r.html").read_text()
+    assert "no requirements are known" in page.lower() and "compliant" not in page

@@ -1,0 +1,157 @@
+"""Requirements of a parameter file: the verdict and the design take their limits from the same place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pointing_analysis.requirements.text import INDICES, Requirement, entries, from_entries, parse
+from pointing_analysis.units import ANGLES
+from titop_plant.telescope.parameters import Parameters, design_basis, differences, load_parameters, parameters_hash
+from titop_plant.telescope.requirements import design_limits, telescope_requirements
+
+MAS, ARCSEC = ANGLES["mas"], ANGLES["arcsec"]
+SHIPPED_HASH = "0bfe1a8c8a62"
+"""Of the telescope that the shipped designs are made for."""
+
+
+def own(tmp_path: Path, text: str) -> Parameters:
+    file = tmp_path / "mine.toml"
+    file.write_text(text, "utf-8")
+    return load_parameters(file)
+
+
+def limits(parameters: Parameters) -> dict[str, float]:
+    return {r.name: r.limit for r in telescope_requirements(parameters)}
+
+
+def test_the_reference_is_what_the_designs_are_made_for() -> None:
+    reference = load_parameters()
+    assert design_basis(reference).parameters_hash == parameters_hash(reference) == SHIPPED_HASH
+    weights = reference["weights"]
+    assert weights["ape_limit"] == 10 * ARCSEC and weights["rpe_window"] == 0.02
+    assert (weights["rpe_limit"], weights["rpe_limit_fine"]) == (100 * MAS, 40 * MAS)
+
+
+def test_a_requirement_of_the_file_is_the_limit_of_the_design(tmp_path: Path) -> None:
+    found = own(
+        tmp_path,
+        '[[requirement]]\nname = "RPE, finest"\ntext = "prob(rms RPE(20 ms) < 10 mas) >= 0.997 at 95 % confidence"\n',
+    )
+    assert found["weights"] == {**load_parameters()["weights"], "rpe_limit_fine": 10 * MAS}
+    assert limits(found) == {**limits(load_parameters()), "RPE, finest": 10 * MAS}
+    assert telescope_requirements(found)[2].loops == ("fsm+pma",)  # the stage stays that of the reference
+    assert parameters_hash(found) != SHIPPED_HASH
+
+
+def test_an_older_file_gives_the_limits_as_weights(tmp_path: Path) -> None:
+    found = own(tmp_path, "[weights]\nrpe_limit_fine = 4.848e-8\nape_limit = 4.848e-6\n")
+    assert limits(found) == {"APE": 4.848e-6, "RPE, fine": 100 * MAS, "RPE, finest": 4.848e-8}
+    assert (found["weights"]["rpe_limit_fine"], found["weights"]["ape_limit"]) == (4.848e-8, 4.848e-6)
+    assert parameters_hash(found) == "366c1ee6ac0f"  # as before requirements stood in the file
+    assert any("RPE, finest" in line for line in differences(tmp_path / "mine.toml"))
+    window = own(tmp_path, "[weights]\nrpe_window = 0.05\n")
+    assert [r.times for r in telescope_requirements(window)] == [(), (0.05,), (0.05,)]
+    mirror = own(tmp_path, "[weights]\nrpe_limit = 9.696e-8\n")  # below the limit of the last stage
+    assert limits(mirror)["RPE, fine"] == mirror["weights"]["rpe_limit"] == 9.696e-8
+    assert mirror["weights"]["rpe_limit_fine"] == 40 * MAS
+
+
+def test_both_forms_must_agree(tmp_path: Path) -> None:
+    text = (
+        '[[requirement]]\nname = "APE"\ntext = "prob(|APE| < {} arcsec) >= 0.997 at 95 % confidence"\n'
+        "[weights]\nape_limit = 9.69627362219072e-06\n"
+    )
+    assert own(tmp_path, text.format(2))["weights"]["ape_limit"] == 9.69627362219072e-06
+    with pytest.raises(
+        ValueError, match=r"line 5: 'weights.ape_limit' must agree with the requirement 'APE'.*3 arcsec"
+    ):
+        own(tmp_path, text.format(3))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            '[[requirement]]\nname = "APE"\ntext = "APE below 3"\n',
+            r"line 3: 'requirement\[0\].text' must be a requirement",
+        ),
+        ('[[requirement]]\ntext = "x"\n', r"'requirement\[0\]' has no 'name'"),
+        ('[[requirement]]\nname = "APE"\nloop = 3\n', r"line 3: .*must be a text or a list of texts, got 3"),
+        ('[[requirement]]\nname = "APE"\nloop = "both"\n', r"line 3: .*must be of none, isolator, fsm, fsm\+pma"),
+        ('[[requirement]]\nname = "APE"\nlimit = 3\n', r"unknown parameter 'requirement\[0\].limit'"),
+        ('[[requirement]]\nname = "new"\nloop = "fsm"\n', r"'requirement\[0\]' has no 'text'"),
+        ("[weights]\nape_limit = -1.0\n", r"line 2: 'weights.ape_limit' must be positive"),
+        ("[weights]\nape_limits = 1.0\n", r"unknown parameter 'weights.ape_limits'"),
+        ('weights = "none"\n', "'weights' must be a table"),
+        (
+            'replace = ["requirement"]\n[[requirement]]\nname = "drift"\n'
+            'text = "prob(|PDE(1 s, 10 s)| < 1 arcsec) >= 0.9 at 90 % confidence"\n',
+            r"must hold one on \|APE\| and one on rms RPE for the stages fsm and fsm\+pma",
+        ),
+    ],
+)
+def test_mistakes_are_named_with_their_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        own(tmp_path, text)
+
+
+def test_a_requirement_beside_the_design_changes_no_basis(tmp_path: Path) -> None:
+    """A drift is judged and not designed for: the shipped controllers stay those of this telescope."""
+    text = '[[requirement]]\nname = "drift"\ntext = "prob(|PDE(1 s, 10 s)| < 1 arcsec) >= 0.9 at 90 % confidence"\n'
+    found = own(tmp_path, text)
+    assert parameters_hash(found) == SHIPPED_HASH and [r.name for r in telescope_requirements(found)][-1] == "drift"
+
+
+def test_the_whole_list_is_replaced_where_asked(tmp_path: Path) -> None:
+    text = (
+        'replace = ["requirement"]\n'
+        '[[requirement]]\nname = "A"\ntext = "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"\n'
+        '[[requirement]]\nname = "B"\ntext = "prob(|RPE(50 ms)| < 30 mas) >= 0.9 at 90 % confidence"\n'
+    )
+    found = own(tmp_path, text)
+    assert list(limits(found)) == ["A", "B"]
+    assert found["weights"]["rpe_window"] == 0.05 and found["weights"]["rpe_limit"] == 30 * MAS
+    again = text + '[[requirement]]\nname = "B"\ntext = "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"\n'
+    with pytest.raises(ValueError, match="must have each name once, got 'B' twice"):
+        own(tmp_path, again)
+
+
+def test_the_strictest_of_the_stage_counts() -> None:
+    """Axes, other windows and instants beside windows are judged, and are no limit of the design."""
+    texts = {
+        "prob(|APE| < 5 arcsec) >= 0.9 at 90 % confidence": (),
+        "prob(|APE| < 2 arcsec) >= 0.9 at 90 % confidence": ("fsm+pma",),
+        "prob(|APE_x| < 1 arcsec) >= 0.9 at 90 % confidence": (),
+        "prob(rms RPE(20 ms) < 80 mas) >= 0.9 at 90 % confidence": ("fsm",),
+        "prob(rms RPE(20 ms) < 60 mas) >= 0.9 at 90 % confidence": (),
+        "prob(rms RPE(20 ms) < 30 mas) >= 0.9 at 90 % confidence": ("fsm+pma", "isolator"),
+        "prob(rms RPE(1 s) < 50 mas) >= 0.9 at 90 % confidence": ("fsm",),
+        "prob(|RPE(20 ms)| < 10 mas) >= 0.9 at 90 % confidence": (),
+        "prob(rms RPE_y(20 ms) < 5 mas) >= 0.9 at 90 % confidence": (),
+    }
+    found, places = design_limits([parse(text, loops=loops) for text, loops in texts.items()])
+    assert found["ape_limit"] == pytest.approx(5 * ARCSEC) and found["rpe_window"] == 0.02
+    assert (found["rpe_limit"], found["rpe_limit_fine"]) == (60 * MAS, 30 * MAS)
+    assert places == {"ape_limit": [0], "rpe_limit": [4], "rpe_limit_fine": [5], "rpe_window": [4, 5]}
+
+
+def test_entries_keep_every_bit() -> None:
+    """What a bag holds is what the telescope requires, also where the limit is no short number in its unit."""
+    rng = np.random.default_rng(28)
+    for _ in range(300):
+        index, unit = str(rng.choice(list(INDICES))), str(rng.choice(list(ANGLES)))
+        times = tuple(float(10.0 ** rng.uniform(-6.0, 3.0)) for _ in range(INDICES[index]))
+        limit, loops = float(10.0 ** rng.uniform(-9.0, -1.0)), ("fsm",) if rng.random() < 0.5 else ()
+        made = Requirement(index, str(rng.choice(["", "x"])), times, limit, unit, 0.95, 0.9, "mixed", "name", loops)
+        (again,) = from_entries(entries([made]), "a bag")
+        assert (again.limit, again.times) == (limit, times)
+        assert (again.index, again.axis, again.name, again.loops, again.interpretation) == (
+            index,
+            made.axis,
+            "name",
+            loops,
+            "mixed",
+        )

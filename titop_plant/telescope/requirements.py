@@ -1,0 +1,162 @@
+"""Pointing requirements of a telescope: read from its parameter file, and the limits that a design takes from them.
+
+The list ``[[requirement]]`` of the file says what a line of sight must keep, in the form of
+:mod:`pointing_analysis.requirements.text`. Runs are judged by it, and the limits of the synthesis weights
+(``parameters["weights"]``) are made of it:
+
+===================  =================================================================================================
+``ape_limit``        of the strictest requirement on \\|APE\\| that holds for all stages with fine control
+``rpe_limit_fine``   of the strictest one on the RPE of windows (where there is none: of instants) that holds for the
+                     stage with all actuators
+``rpe_window``       its window
+``rpe_limit``        of the strictest one with this window that holds for the stage with the mirror alone
+===================  =================================================================================================
+
+An older file gives these four values in ``[weights]``: they replace the limits (and the window) of these requirements.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pointing_analysis.requirements.text import Requirement, RequirementError, entries, parse
+from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.telescope.parameter_check import ParameterFile
+
+LIMITS = ("ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window")
+"""Values of ``parameters["weights"]`` that are made of the requirements."""
+
+
+def telescope_requirements(parameters: Mapping[str, Any]) -> tuple[Requirement, ...]:
+    """Requirements of a telescope, those of all stages.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> [r.quantity for r in telescope_requirements(load_parameters())]
+    ['|APE|', 'rms RPE(20 ms)', 'rms RPE(20 ms)']
+    """
+    return tuple(_parsed(entry) for entry in parameters["requirement"])
+
+
+def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
+    """Take the limits out of the ``[weights]`` of an older file.
+
+    Raises
+    ------
+    ValueError
+        One of them is no positive number.
+    """
+    table = own.get("weights")
+    if not isinstance(table, dict):
+        return {}
+    given = {key: table[key] for key in LIMITS if key in table}
+    for key, value in given.items():
+        file.check(f"weights.{key}", key, 1.0, value)
+    own["weights"] = {key: value for key, value in table.items() if key not in given}
+    return {key: float(value) for key, value in given.items()}
+
+
+def with_limits(
+    content: dict[str, Any], own: Mapping[str, Any], given: Mapping[str, float], file: ParameterFile
+) -> dict[str, Any]:
+    """The merged content of a file with its requirements checked and the limits in ``weights``.
+
+    Parameters
+    ----------
+    content : dict
+        Merged with the reference.
+    own : mapping
+        Of the file alone.
+    given : mapping
+        What `take_limits` found.
+    file : ParameterFile
+        For the messages.
+
+    Raises
+    ------
+    ValueError
+        A requirement that cannot be read, names an unknown stage or has the name of another one; none that a limit can
+        be made of; a limit that contradicts a requirement of the same file.
+    """
+    names = [entry["name"] for entry in own.get("requirement", ())]
+    found = []
+    for entry in content["requirement"]:
+        key = f"requirement[{names.index(entry['name'])}]" if entry["name"] in names else "requirement"
+        try:
+            found.append(_parsed(entry))
+        except RequirementError as error:
+            raise file.error(f"{key}.text", f"must be a requirement: {error}") from None
+        for loop in found[-1].loops:
+            if loop not in STAGES:
+                raise file.error(f"{key}.loop", f"must be of {', '.join(STAGES)}, got {loop!r}")
+    for name in names:
+        if names.count(name) > 1:
+            raise file.error("requirement", f"must have each name once, got {name!r} twice")
+    try:
+        limits, defining = design_limits(found)
+    except ValueError as error:
+        raise file.error("requirement", str(error)) from None
+    for key, value in given.items():
+        for i in defining[key]:
+            changed = _changed(found[i], key, value)
+            if found[i].name in names and not _same(found[i], changed):
+                raise file.error(
+                    f"weights.{key}", f"must agree with the requirement {found[i].name!r}, {found[i]}, got {value:g}"
+                )
+            found[i] = changed
+    return {**content, "requirement": entries(found), "weights": {**content["weights"], **limits, **given}}
+
+
+def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float], dict[str, list[int]]]:
+    """Value of each of `LIMITS` (SI units), and the places of the requirements that it is made of.
+
+    Raises
+    ------
+    ValueError
+        There is none that it can be made of.
+    """
+    ape = _strictest(requirements, lambda r: r.index == "APE" and all(_holds(r, loop) for loop in MIRROR_STAGES))
+    means = any(r.index == "RPE" and r.of_windows and not r.axis for r in requirements)
+    mirror, forces = MIRROR_STAGES
+    fine = _strictest(requirements, lambda r: r.index == "RPE" and r.of_windows == means and _holds(r, forces))
+    if ape is None or fine is None:
+        raise ValueError(f"must hold one on |APE| and one on rms RPE for the stages {' and '.join(MIRROR_STAGES)}")
+    window = requirements[fine].times[0]
+    rpe = _strictest(
+        requirements,
+        lambda r: r.index == "RPE" and r.of_windows == means and _holds(r, mirror) and r.times[0] == window,
+    )
+    if rpe is None:
+        raise ValueError(f"must hold one on the RPE of {1e3 * window:g} ms for the stage {mirror}")
+    made = {"ape_limit": [ape], "rpe_limit": [rpe], "rpe_limit_fine": [fine], "rpe_window": sorted({rpe, fine})}
+    values = {key: requirements[made[key][0]].limit for key in LIMITS[:3]}
+    return {**values, "rpe_window": window}, made
+
+
+def _parsed(entry: Mapping[str, Any]) -> Requirement:
+    loop = entry.get("loop", ())
+    return parse(entry["text"], entry["name"], (loop,) if isinstance(loop, str) else loop)
+
+
+def _holds(requirement: Requirement, loop: str) -> bool:
+    return not requirement.loops or loop in requirement.loops
+
+
+def _strictest(requirements: Sequence[Requirement], wanted: Any) -> int | None:
+    """Place of the smallest limit, both axes together, of the requirements that are wanted."""
+    places = [i for i, r in enumerate(requirements) if not r.axis and wanted(r)]
+    return min(places, key=lambda i: requirements[i].limit, default=None)
+
+
+def _changed(requirement: Requirement, key: str, value: float) -> Requirement:
+    return replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
+
+
+def _same(one: Requirement, other: Requirement) -> bool:
+    return math.isclose(one.limit, other.limit, rel_tol=1e-6) and all(
+        math.isclose(a, b, rel_tol=1e-6) for a, b in zip(one.times, other.times)
+    )
