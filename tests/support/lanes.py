@@ -20,8 +20,8 @@ def lane_of(nodeid: str) -> str:
 
     Examples
     --------
-    >>> lane_of("tests/ros/test_control.py::test_changes"), lane_of("tests/unit/lftkit/systems/test_system.py::test_gain[1]")
-    ('tests/ros/', 'tests/unit/lftkit/systems/test_system.py')
+    >>> lane_of("tests/ros/test_control.py::test_changes"), lane_of("tests/unit/lftkit/test_system.py::test_gain[1]")
+    ('tests/ros/', 'tests/unit/lftkit/test_system.py')
     """
     return NODES if nodeid.startswith(NODES) else nodeid.split("::", 1)[0]
 
