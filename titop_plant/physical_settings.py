@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, frame_ticks
 from titop_plant.settings import STRICT, Settings, setting, settings_class
-
-Speeds = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...]
-Accelerations = tuple[Annotated[float, Field(ge=-100.0, le=100.0)], ...]
 
 
 @settings_class
@@ -44,8 +39,8 @@ class PhysicalSettings(Settings):
     camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0)
     theta: float | None = setting(None, "angle of both solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
     tau: float | None = setting(None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta")
-    wheel_speed: Speeds | None = setting(
-        None, "speeds of the four wheels", "rad/s", absent="those of the parameter file", length=4
+    wheel_speed: tuple[float, ...] | None = setting(
+        None, "speeds of the four wheels", "rad/s", -1e5, 1e5, absent="those of the parameter file", length=4
     )
     omega_1: float | None = setting(
         None, "first frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
@@ -54,8 +49,8 @@ class PhysicalSettings(Settings):
         None, "second frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
     )
     theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0)
-    wheel_acceleration: Accelerations | None = setting(
-        None, "accelerations of the four wheels during the ramp", "rad/s2", absent="none", length=4
+    wheel_acceleration: tuple[float, ...] | None = setting(
+        None, "accelerations of the four wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=4
     )
     ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
     profile: str = setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")

@@ -64,31 +64,17 @@ def setting(
     length : int, optional
         How many numbers a list holds.
     """
-    bounds: dict[str, Any] = {"ge": low, "le": high, "min_length": length, "max_length": length}
-    extra: Any = {"unit": unit, "absent": absent, "choices": list(choices)}
+    extra: Any = {"unit": unit, "low": low, "high": high, "absent": absent, "choices": choices, "length": length}
+    limits = {"ge": low, "le": high} if length is None else {"min_length": length, "max_length": length}
+    bounds: dict[str, Any] = limits
     return Field(default=default, description=description, json_schema_extra=extra, **bounds)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a field of a class of settings is.
+    """What a field of a class of settings is: what :func:`setting` was told, its name, and its type.
 
-    Parameters
-    ----------
-    name : str
-    kind : type
-        ``bool``, ``int``, ``float``, ``str`` or ``tuple`` (of numbers).
-    optional : bool
-        Whether it may be absent.
-    default : object
-    description, unit : str
-    low, high : float or None
-        Inclusive bounds of a number, or of each number of a list.
-    absent : str
-        What holds where it is absent.
-    choices : tuple of str
-    length : int or None
-        Of a list.
+    `kind` is ``bool``, ``int``, ``float``, ``str`` or ``tuple`` (of numbers); `optional` says whether it may be absent.
     """
 
     name: str
@@ -109,16 +95,8 @@ class Setting:
         kinds = [kind for kind in get_args(field.annotation) if kind is not type(None)]
         optional = len(kinds) < len(get_args(field.annotation))
         annotation: Any = kinds[0] if optional else field.annotation
-        kind = get_origin(annotation) or annotation
-        limits = getattr(get_args(get_args(annotation)[0])[-1], "metadata", ()) if kind is tuple else field.metadata
-        low, high = (
-            next((getattr(limit, end) for limit in limits if hasattr(limit, end)), None) for end in ("ge", "le")
-        )
-        length = next((limit.min_length for limit in field.metadata if hasattr(limit, "min_length")), None)
-        extra: Any = field.json_schema_extra
-        texts = str(field.description), extra["unit"]
-        choices = tuple(extra["choices"])
-        return cls(name, kind, optional, field.default, *texts, low, high, extra["absent"], choices, length)
+        told: Any = field.json_schema_extra
+        return cls(name, get_origin(annotation) or annotation, optional, field.default, str(field.description), **told)
 
     @property
     def text(self) -> str:
@@ -216,10 +194,13 @@ class Settings:
 
     @field_validator("*", mode="after")
     @classmethod
-    def _among_choices(cls, value: Any, info: ValidationInfo) -> Any:
+    def _check(cls, value: Any, info: ValidationInfo) -> Any:
         own = cls.SETTINGS[str(info.field_name)]
         if own.choices and value not in own.choices:
             raise ValueError(own.mistake("", value))
+        if own.length and value is not None and own.low is not None and own.high is not None:
+            for outside in (number for number in value if not own.low <= number <= own.high):
+                raise ValueError(own.mistake("finite_number", outside))
         return value
 
     @classmethod

@@ -95,7 +95,7 @@ def test_what_is_out_of_range_or_in_the_wrong_state_is_refused_with_the_reason(c
     refused = controlled[0]["refused"]
     assert refused["stage"].startswith("loop must be a stage with the isolator")
     assert refused["unknown"].startswith("loop must be one of")
-    assert refused["range"] == "camera_dropout must be between 0 and 1 1, got 1.5"
+    assert refused["range"] == "camera_dropout must be between 0 and 1, got 1.5"
     assert refused["authority"].startswith("fsm_authority must be positive and at most")
     assert refused["past"].startswith("at must be later than")
     assert refused["name"].startswith("name must be a setting that can change during a run")
