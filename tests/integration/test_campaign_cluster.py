@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,15 +86,22 @@ def pages_of_arrays() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
-def test_local_workers_keep_freed_memory_and_collect_no_call_stacks(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def one_worker() -> Iterator[Any]:
+    """Client of a local cluster that several tests ask; none of them changes it."""
     pytest.importorskip("distributed")
-    for name in [name for name in os.environ if name.startswith("MALLOC_")]:
-        monkeypatch.delenv(name)
-    with cluster("", 1) as client:
-        client.run(pages_of_arrays)  # the allocator learns the size of the first ones
-        (pages,) = client.run(pages_of_arrays).values()
-        client.submit(time.sleep, 1.5).result()
-        stacks = client.profile()["count"]
+    with pytest.MonkeyPatch.context() as patch:
+        for name in [name for name in os.environ if name.startswith("MALLOC_")]:
+            patch.delenv(name)
+        with cluster("", 1) as client:
+            yield client
+
+
+def test_local_workers_keep_freed_memory_and_collect_no_call_stacks(one_worker: Any) -> None:
+    one_worker.run(pages_of_arrays)  # the allocator learns the size of the first ones
+    (pages,) = one_worker.run(pages_of_arrays).values()
+    one_worker.submit(time.sleep, 1.5).result()
+    stacks = one_worker.profile()["count"]
     assert pages < 4 * 8_000_000 / resource.getpagesize()
     assert stacks == 0
 
@@ -336,35 +344,28 @@ def test_address_of_another_program_is_refused(answer: bytes, reason: str, monke
         connection.close()
 
 
-def test_address_of_a_worker_is_refused() -> None:
-    pytest.importorskip("distributed")
-    with cluster("", 1) as client:
-        (worker,) = client.scheduler_info(n_workers=-1)["workers"]
-        files = TlsFiles(
-            *(Path(getattr(client.security, f"tls_{name}")) for name in ("ca_file", "client_cert", "client_key"))
-        )
-        message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker.* answers"
-        with pytest.raises(ValueError, match=message), cluster(worker, 0, files):
-            pass
+def test_address_of_a_worker_is_refused(one_worker: Any) -> None:
+    (worker,) = one_worker.scheduler_info(n_workers=-1)["workers"]
+    files = TlsFiles(
+        *(Path(getattr(one_worker.security, f"tls_{name}")) for name in ("ca_file", "client_cert", "client_key"))
+    )
+    message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker.* answers"
+    with pytest.raises(ValueError, match=message), cluster(worker, 0, files):
+        pass
 
 
-def test_worker_with_other_parameters_is_refused() -> None:
-    pytest.importorskip("distributed")
+def test_worker_with_other_parameters_is_refused(one_worker: Any) -> None:
     other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "parameters": "0123"})
-    with (
-        cluster("", 1) as client,
-        pytest.raises(ValueError, match=r"worker tls://.*: parameters must be 0123 as here, got [0-9a-f]{12}"),
-    ):
-        check_workers(other, client)
+    with pytest.raises(ValueError, match=r"worker tls://.*: parameters must be 0123 as here, got [0-9a-f]{12}"):
+        check_workers(other, one_worker)
 
 
-def test_worker_that_joins_later_is_compared_too(tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
+def test_worker_that_joins_later_is_compared_too(one_worker: Any, tmp_path: Path) -> None:
     other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "version": "9"})
     folder = ResultFolder(tmp_path / "c")
     message = r"a worker has another installation: version must be 9 as here, got \S+; the rows so far are kept"
-    with cluster("", 1) as client, pytest.raises(RuntimeError, match=message):
-        run_campaign(other, folder, client, folder.open(other, False))
+    with pytest.raises(RuntimeError, match=message):
+        run_campaign(other, folder, one_worker, folder.open(other, False))
     assert folder.parts() == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.linalg as sl
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -36,14 +37,15 @@ def plant(seed: int, kinds: list[str], feedthrough: bool) -> StateSpace:
     )
 
 
-@settings(max_examples=6, deadline=None)
-@given(
+PLANTS = (
     st.integers(0, 10_000),
     st.lists(st.sampled_from(sorted(BLOCKS)), min_size=1, max_size=3),
     st.integers(0, 1),
     st.booleans(),
 )
-def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
+
+
+def check_tuning(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
     system = plant(seed, kinds, feedthrough)
     structure = state_space([("y", 2)], [("u", 2)], order)
     options = TuningOptions(starts=1, seed=seed, iterations=12)
@@ -55,3 +57,16 @@ def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str],
     if result.status == "converged":
         assert result.certificate.values.max() >= result.soft * (1 - 1e-3)
         assert result.certificate.upper.max() <= result.soft * (1 + 1e-3)
+
+
+@settings(max_examples=3)
+@given(*PLANTS)
+def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
+    check_tuning(seed, kinds, order, feedthrough)
+
+
+@pytest.mark.slow
+@settings(max_examples=30)
+@given(*PLANTS)
+def test_no_exception_on_many_plants(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
+    check_tuning(seed, kinds, order, feedthrough)

@@ -162,10 +162,10 @@ def test_lockstep_waits_for_a_stopped_recorder(tmp_path):
         time.sleep(0.5)
         os.kill(pid, signal.SIGCONT)
 
-    results = run_with_fault(tmp_path, 500, stop_for_a_while, duration=4.0, mode="lockstep")
+    results = run_with_fault(tmp_path, 500, stop_for_a_while, duration=2.0, mode="lockstep")
     run = Run.open(results.bag)
     assert results.statistics["recorder"]["samples_lost"] == "0", "time waits for the recorder"
-    assert {len(run[name]) for name in run.topics if name != "camera/los"} == {4000}
+    assert {len(run[name]) for name in run.topics if name != "camera/los"} == {2000}
 
 
 def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
@@ -359,14 +359,14 @@ def test_a_recorder_that_fails_while_it_is_stopped_gives_its_own_reason(tmp_path
 def test_busy_processors_do_not_stop_the_loop(tmp_path):
     hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)]
     try:
-        results = run_with_fault(tmp_path, 10**9, lambda r: None, 4.0)
+        results = run_with_fault(tmp_path, 10**9, lambda r: None, 2.0)
     finally:
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert results.statistics["plant"]["ticks"] == "4000"
+    assert results.statistics["plant"]["ticks"] == "2000"
     run = Run.open(results.bag)
-    assert len(span_of(run)) > 3900
-    assert len(run["fsm/command"]) > 400, "how many ticks are missed is a matter of the machine: see the benchmarks"
+    assert len(span_of(run)) > 1900
+    assert len(run["fsm/command"]) > 200, "how many ticks are missed is a matter of the machine: see the benchmarks"
     if judged(not results.warnings, "the share of samples beside busy processors", "real time is not permitted"):
-        assert_plant_is_recorded(run, 4000)
+        assert_plant_is_recorded(run, 2000)

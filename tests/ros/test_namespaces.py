@@ -28,7 +28,7 @@ from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 SEEDS = {"/foo": 3, "/foo/bar": 4}
-TICKS = {"/foo": 3000, "/foo/bar": 4000}
+TICKS = {"/foo": 1500, "/foo/bar": 2000}
 
 
 def run_both(tmp_path_factory, ticks):

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(scope="module", params=["realtime", "lockstep"])
 def recorded(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
-    config = config_for(folder, mode=request.param, duration=2.0, seed=5, camera_dropout=0.2)
+    config = config_for(folder, mode=request.param, duration=1.2, seed=5, camera_dropout=0.2)
     results = Runner(config, commands={"plant": PLANT}).run()
     return config, results.bag
 

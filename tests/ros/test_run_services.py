@@ -20,7 +20,7 @@ from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros
-PLAIN_TICKS = 1500
+PLAIN_TICKS = 800
 SERVICES = ("start", "stop", "reset")
 
 

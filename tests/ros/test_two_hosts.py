@@ -12,7 +12,7 @@ from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000
-TICKS = 4000
+TICKS = 2500
 
 
 @pytest.fixture(scope="module", params=[veth_pair, lossy_link])

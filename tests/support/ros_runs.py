@@ -30,7 +30,7 @@ def private_domain() -> int:
 def config_for(folder: Path, **values: object) -> RunConfig:
     """Configuration of a run with the small telescope that writes to `folder`/bag."""
     base = {
-        "duration": 2.0,
+        "duration": 1.0,
         "mode": "realtime",
         "output": str(folder / "bag"),
         "domain": private_domain(),
