@@ -1,0 +1,127 @@
+"""Verdicts of a campaign on hand-made populations of members."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.campaign import verdict as module
+from los_testbed.campaign.verdict import (
+    CampaignVerdict,
+    judged,
+    model_verdicts,
+    not_judged,
+    of_stage,
+    quantile_column,
+    share_column,
+    verdicts,
+)
+
+from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
+from pointing_analysis.requirements.text import parse
+
+APE = parse("prob(|APE| < 2 arcsec) >= 0.75 at 75 % confidence", "A")
+RPE = parse("prob(rms RPE(20 ms) < 50 mas) >= 0.997 at 95 % confidence", "R", ["fsm+pma"])
+
+
+def columns(largest: Any, own: Any, share: Any, effective: Any) -> dict[str, Any]:
+    named = {"ape_max_arcsec": largest, "ape_p75_arcsec": own, "ape_above_2_arcsec": share, "ape_effective": effective}
+    return {name: np.asarray(values, dtype=float) for name, values in named.items()}
+
+
+def by_kind(found: list[CampaignVerdict]) -> dict[str, CampaignVerdict]:
+    return {v.interpretation: v for v in found}
+
+
+def test_names_of_columns() -> None:
+    assert share_column("APE", APE.limit) == "ape_above_2_arcsec"
+    assert share_column("RPE", RPE.limit) == "rpe_window_above_50_mas"
+    assert (quantile_column(APE), quantile_column(RPE)) == ("ape_p75_arcsec", "rpe_window_p997_mas")
+
+
+def test_each_interpretation_has_its_own_samples() -> None:
+    """Worst instants 1, 2 (the limit), 3; quantiles 1, 1.5, 1.9; shares 0, 0.1, 0.4 of 10, 30, 0.5 samples."""
+    found = by_kind(verdicts(columns([1, 2, 3], [1, 1.5, 1.9], [0, 0.1, 0.4], [10, 30, 0.5]), ["ok"] * 3, "fsm", [APE]))
+    ensemble, temporal, mixed = (found[kind] for kind in ("ensemble", "temporal", "mixed"))
+    assert (ensemble.exceeding, ensemble.samples, ensemble.limit, ensemble.unit) == (2 / 3, 3, 2.0, "arcsec")
+    assert ensemble.value == 3.0  # what 75 % of the worst instants keep: of three, the largest
+    assert (temporal.status, temporal.value, temporal.exceeding, temporal.samples) == ("compliant", 1.9, 0.0, 3)
+    assert temporal.needed == 3
+    above = math.ceil((3 + 0.4) / 41 * 41 - 1e-6)  # the last member weighs at least one sample
+    assert (mixed.samples, mixed.exceeding) == (41, above / 41)
+    assert mixed.value == pytest.approx((1 + 1.5 + 1.9) / 3)
+    for v, k, n in ((ensemble, 2, 3), (temporal, 0, 3), (mixed, above, 41)):
+        assert (v.lower, v.upper) == (exceedance_lower(k, n, 0.75), exceedance_upper(k, n, 0.75))
+        assert v.text == str(APE) and v.requirement == "A"
+    assert ensemble.needed == samples_needed(0.75, 0.75, 2) and mixed.needed == samples_needed(0.75, 0.75, above)
+
+
+def test_a_member_at_its_limit_breaks_it() -> None:
+    for own, status in ((2.0, "not compliant"), (math.nextafter(2.0, 0), "compliant")):
+        found = by_kind(verdicts(columns([1, 1], [1, own], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
+        assert found["temporal"].status == status and found["temporal"].exceeding == (own >= 2.0) / 2
+
+
+def test_whole_counts_are_not_rounded_up() -> None:
+    """A pooled share that is a whole number of samples but for rounding is that number."""
+    found = by_kind(verdicts(columns([1] * 3, [1] * 3, [0.1] * 3, [10] * 3), ["ok"] * 3, "fsm", [APE]))
+    assert found["mixed"].exceeding == 3 / 30
+    more = by_kind(verdicts(columns([1] * 3, [1] * 3, [0.1] * 3, [10.4] * 3), ["ok"] * 3, "fsm", [APE]))
+    assert (more["mixed"].samples, more["mixed"].exceeding) == (31, 4 / 31)
+
+
+@pytest.mark.parametrize("count", [4, 5, 20])
+def test_status_is_that_of_the_bounds(count: int) -> None:
+    for above in range(count + 1):
+        largest = [3.0] * above + [1.0] * (count - above)
+        found = by_kind(verdicts(columns(largest, [1] * count, [0] * count, [1] * count), ["ok"] * count, "fsm", [APE]))
+        upper, lower = exceedance_upper(above, count, 0.75), exceedance_lower(above, count, 0.75)
+        status = "compliant" if upper <= 0.25 else "not compliant" if lower > 0.25 else "not enough data"
+        assert found["ensemble"].status == status
+
+
+def test_equality_at_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    for upper, lower, status in (
+        (0.25, 0.0, "compliant"),
+        (math.nextafter(0.25, 1), 0.25, "not enough data"),
+        (1.0, math.nextafter(0.25, 1), "not compliant"),
+    ):
+        monkeypatch.setattr(module, "exceedance_upper", lambda k, n, c, x=upper: x)
+        monkeypatch.setattr(module, "exceedance_lower", lambda k, n, c, x=lower: x)
+        found = by_kind(verdicts(columns([1, 1], [1, 1], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
+        assert found["ensemble"].status == found["mixed"].status == status
+
+
+def test_lost_members_are_above_and_failed_ones_left_out() -> None:
+    status = ["ok", "unstable", "failed", "diverged", "crashed"]
+    found = by_kind(verdicts(columns([1] * 5, [1] * 5, [0] * 5, [4, 9, 9, 9, 9]), status, "fsm", [APE]))
+    assert (found["ensemble"].samples, found["ensemble"].exceeding) == (3, 2 / 3)
+    assert found["temporal"].status == "not compliant" and math.isinf(found["temporal"].value)
+    assert (found["mixed"].samples, found["mixed"].exceeding) == (6, 2 / 6)  # each lost member weighs one sample
+    assert found["temporal"].as_dict()["value"] is None and found["temporal"].as_dict()["limit"] == 2.0
+    assert verdicts(columns([1], [1], [0], [1]), ["failed"], "fsm", [APE]) == []
+    assert model_verdicts(np.ones(1), ["failed"], "fsm+pma", [RPE]) == []
+
+
+def test_the_model_judges_windows_of_its_probability() -> None:
+    found = model_verdicts(np.array([10.0, 49.9, 70.0]), ["ok", "ok", "failed"], "fsm+pma", [APE, RPE])
+    assert [(v.requirement, v.status, v.value, v.samples, v.limit, v.unit) for v in found] == [
+        ("R", "compliant", 49.9, 2, 50.0, "mas")
+    ]
+    (above,) = model_verdicts(np.array([10.0, 50.0, 5.0]), ["ok", "ok", "diverged"], "fsm+pma", [RPE])
+    assert above.status == "not compliant" and above.exceeding == 2 / 3 and math.isinf(above.value)
+    assert model_verdicts(np.ones(2), ["ok"] * 2, "fsm", [RPE]) == []
+
+
+def test_requirements_of_a_stage() -> None:
+    assert of_stage([APE, RPE], None) == of_stage([APE, RPE], "fsm+pma") == (APE, RPE)
+    assert of_stage([APE, RPE], "fsm") == judged([APE, RPE], "fsm") == (APE,)
+    axis, other = (
+        parse("prob(|APE_x| < 2 arcsec) >= 0.75 at 75 % confidence"),
+        parse("prob(rms RPE(50 ms) < 2 arcsec) >= 0.75 at 75 % confidence"),
+    )
+    assert judged([APE, axis, other, RPE]) == (APE, RPE)
+    assert not_judged([APE, axis, other, RPE], "fsm") == (axis, other)
+    assert not_judged([APE, axis, other, RPE], "fsm+pma", "model") == (APE, axis, other)

@@ -1,0 +1,147 @@
+"""Each index against its definition written out as a loop, whatever the parts a long series is worked on in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pointing_analysis.indices import metrics
+
+DT = 1e-3
+
+
+@pytest.fixture(params=[metrics.PART, 60, 7])
+def series(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Error with two missing samples; parts of the whole, of some windows, of less than one."""
+    monkeypatch.setattr(metrics, "PART", request.param)
+    e = np.random.default_rng(3).standard_normal((137, 2))
+    e[[45, 90]] = np.nan
+    return e
+
+
+def by_hand(e: Any, n: int) -> list[tuple[int, Any]]:
+    """Disjoint windows of n samples that are whole, with their first sample."""
+    found = [(i, e[i : i + n]) for i in range(0, len(e) - n + 1, n)]
+    return [(i, part) for i, part in found if np.isfinite(part).all()]
+
+
+@pytest.mark.parametrize("n", [2, 10, 20, 137])
+def test_windows(series: Any, n: int) -> None:
+    found, parts = metrics.windows(series, DT, n * DT), by_hand(series, n)
+    assert (found.samples, found.skipped) == (n, 137 // n - len(parts))
+    assert found.start.tolist() == [i for i, _ in parts]
+    if not parts:
+        assert found.mean.shape == (0, 2) and np.isnan(found.rpe_rms).all() and found.rpe_rms.shape == (2,)
+        return
+    mean, variance = (np.array([f(part, axis=0) for _, part in parts]) for f in (np.mean, np.var))
+    assert np.allclose(found.mean, mean, atol=1e-13) and np.allclose(found.variance, variance, atol=1e-13)
+    assert np.allclose(found.rpe_rms, np.sqrt(variance.mean(axis=0)))
+    assert np.array_equal(metrics.mpe(series, DT, n * DT), found.mean)
+    assert np.array_equal(metrics.rpe_rms(series, DT, n * DT), found.rpe_rms)
+
+
+@pytest.mark.parametrize("n", [2, 10, 20])
+def test_instants_of_the_rpe(series: Any, n: int) -> None:
+    found = metrics.rpe_instant(series, DT, n * DT)
+    assert found.shape == (137 // n * n, 2)
+    for i in range(137 // n):
+        part = series[i * n : (i + 1) * n]
+        assert np.allclose(found[i * n : (i + 1) * n], part - part.mean(axis=0), equal_nan=True, atol=1e-13)
+    for position, at in (("centred", n // 2), ("end", n - 1)):
+        sliding = metrics.rpe_instant(series, DT, n * DT, position)  # type: ignore[arg-type]
+        expected = [series[k + at] - series[k : k + n].mean(axis=0) for k in range(137 - n + 1)]
+        assert np.allclose(sliding, expected, equal_nan=True, atol=1e-12)
+    with pytest.raises(ValueError, match="position must be 'all', 'centred' or 'end', got 'start'"):
+        metrics.rpe_instant(series, DT, n * DT, "start")  # type: ignore[arg-type]
+
+
+def test_nothing_but_missing_samples() -> None:
+    blank = np.full((30, 2), np.nan)
+    assert np.isnan(metrics.rpe_instant(blank, DT, 0.01, "end")).all()
+    assert metrics.windows(blank, DT, 0.01).skipped == 3
+
+
+def test_a_sliding_mean_keeps_its_digits_beside_a_large_offset() -> None:
+    e = 1e-9 * np.random.default_rng(1).standard_normal((300, 2))
+    near, far = (metrics.rpe_instant(x, DT, 0.02, "end") for x in (e, e + 1.0))
+    assert np.allclose(near, far, atol=1e-15)
+
+
+@pytest.mark.parametrize(("n", "lag"), [(2, 2), (10, 25), (20, 117), (5, 3)])
+def test_drift(series: Any, n: int, lag: int) -> None:
+    pairs = [(series[i : i + n], series[i + lag : i + lag + n]) for i in range(0, 137 - n - lag + 1, n)]
+    expected = [b.mean(axis=0) - a.mean(axis=0) for a, b in pairs]
+    whole = np.array([x for x in expected if np.isfinite(x).all()]).reshape(-1, 2)
+    assert np.allclose(metrics.pde(series, DT, n * DT, lag * DT), whole, atol=1e-12)
+
+
+def test_drift_of_a_run_that_just_fits() -> None:
+    e = np.arange(60.0).reshape(30, 2)
+    assert metrics.pde(e, DT, 0.01, 0.02).tolist() == [[40.0, 40.0]]
+    with pytest.raises(ValueError, match=r"window \+ separation = 0.031 s or more, got 0.03 s"):
+        metrics.pde(e, DT, 0.01, 0.021)
+
+
+def test_reproducibility() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.standard_normal((100, 2)), rng.standard_normal((60, 2))
+    first, second = ([x[i : i + 10].mean(axis=0) for i in range(0, len(x), 10)] for x in (a, b))
+    expected = [y - x for x in first for y in second]
+    assert np.allclose(metrics.pre(a, b, DT, 0.01), expected)
+    few = metrics.pre(a, b, DT, 0.01, max_windows=3)
+    assert np.allclose(few, [second[j] - first[i] for i in (0, 4, 9) for j in (0, 2, 5)])
+    assert metrics.pre(np.full((100, 2), np.nan), b, DT, 0.01).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("window", "dt", "whole"),
+    [
+        (0.02, DT, True),
+        (0.002, DT, True),
+        (0.001, DT, False),
+        (0.0, DT, False),
+        (-0.02, DT, False),
+        (0.0200009, DT, True),
+        (0.0199991, DT, True),
+        (0.0200011, DT, False),
+        (0.0199989, DT, False),
+        (0.02, 1 / 512, False),
+        (0.02, 0.0, False),
+        (0.02, -DT, False),
+        (-0.02, -DT, False),
+        (float("inf"), DT, False),
+        (float("nan"), DT, False),
+        (2.0, 1.0, True),
+        (1.5, 0.5, True),
+        (0.25, 0.125, True),
+    ],
+)
+def test_a_window_is_a_whole_number_of_samples(window: float, dt: float, whole: bool) -> None:
+    assert metrics.is_whole(window, dt) is whole
+    if whole:
+        assert metrics.window_samples(window, dt) == round(window / dt)
+    else:
+        with pytest.raises(ValueError, match="window must be a whole number"):
+            metrics.window_samples(window, dt)
+
+
+def test_messages_of_windows_have_milliseconds() -> None:
+    with pytest.raises(ValueError, match=r"of samples of 2 ms, got 5 ms"):
+        metrics.window_samples(0.005, 0.002)
+
+
+def test_shapes_and_lengths_that_are_refused() -> None:
+    for shape in ((30,), (30, 3), (2, 30, 2), (30, 1)):
+        with pytest.raises(ValueError, match=r"error must have the shape \(n, 2\), got"):
+            metrics.radial(np.zeros(shape))
+    assert metrics.windows(np.zeros((20, 2)), DT, 0.02).samples == 20
+    with pytest.raises(ValueError, match=r"as long as the window of 0\.02 s, got 0\.019 s"):
+        metrics.windows(np.zeros((19, 2)), DT, 0.02)
+
+
+def test_radial_and_rms() -> None:
+    e = np.array([[3.0, 4.0], [np.nan, 1.0], [-6.0, 8.0], [0.0, np.nan]])
+    assert metrics.radial(e)[[0, 2]].tolist() == [5.0, 10.0] and np.isnan(metrics.radial(e)[[1, 3]]).all()
+    assert metrics.rms(e) == pytest.approx([np.sqrt(45 / 3), np.sqrt(81 / 3)])

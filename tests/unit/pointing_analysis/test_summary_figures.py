@@ -1,0 +1,196 @@
+"""Every figure of a summary against samples whose figures are known, and every sentence about a damaged bag."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.series import series
+from pointing_analysis.requirements.summary import (
+    Knowledge,
+    Performance,
+    Summary,
+    applicable,
+    scenario_of,
+    summarise,
+    summarise_all,
+)
+from pointing_analysis.requirements.verdict import parse
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
+
+DT = 1e-3
+NOISE = RAD_PER_MAS * np.random.default_rng(7).standard_normal((3000, 2)) + 5 * RAD_PER_MAS
+
+
+def upper_rank(values: Any, p: float) -> float:
+    """Smallest of the samples that no more than 1 - p of them exceed."""
+    x = np.sort(values)
+    return float(next(v for v in x if np.mean(x > v) <= 1 - p + 1e-12))
+
+
+def test_performance() -> None:
+    found, w = Performance.of(NOISE, DT), metrics.windows(NOISE, DT, 0.02)
+    radial, instants = np.hypot(*NOISE.T), np.hypot(*metrics.rpe_instant(NOISE, DT, 0.02).T)
+    assert found.ape_max == pytest.approx(radial.max() / RAD_PER_ARCSEC)
+    assert found.ape_p997 == pytest.approx(upper_rank(radial, 0.997) / RAD_PER_ARCSEC)
+    assert found.rpe_axis == pytest.approx(w.rpe_rms / RAD_PER_MAS)
+    assert found.rpe_rms == pytest.approx(math.hypot(*found.rpe_axis))
+    assert found.rpe_p997 == pytest.approx(upper_rank(instants, 0.997) / RAD_PER_MAS)
+    windows = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
+    assert found.rpe_windows_p997 == pytest.approx(upper_rank(windows, 0.997))
+    assert (found.windows, found.windows_skipped) == (150, 0)
+    assert Performance.of(NOISE[:20], DT).windows == 1
+
+
+@pytest.mark.parametrize(("values", "dt"), [(NOISE[:19], DT), (NOISE, 1 / 512)])
+def test_without_a_window_there_is_no_relative_error(values: Any, dt: float) -> None:
+    found = Performance.of(values, dt)
+    assert found.ape_max > 0 and (found.windows, found.windows_skipped) == (0, 0)
+    assert all(math.isnan(x) for x in (found.rpe_rms, found.rpe_p997, found.rpe_windows_p997, *found.rpe_axis))
+
+
+def test_knowledge() -> None:
+    found = Knowledge.of(NOISE, DT)
+    assert found.ake_p997_arcsec == pytest.approx(upper_rank(np.hypot(*NOISE.T), 0.997) / RAD_PER_ARCSEC)
+    assert found.rke_rms_mas == pytest.approx(math.hypot(*metrics.rpe_rms(NOISE, DT, 0.02)) / RAD_PER_MAS)
+
+
+def bag(folder: Path, n: int = 3000, *, lost: tuple[int, ...] = (), **parameters: Any) -> Run:
+    """Truth and an accelerometer that lacks some samples."""
+    stamps = 10**9 + 10**6 * np.arange(n)
+    late = np.delete(stamps, list(lost))
+    signals = {"truth/los": NOISE[:n], "m1/accel": np.zeros((len(late), 6))}
+    return Run.open(write_bag(folder, signals, stamps={"truth/los": stamps, "m1/accel": late}, parameters=parameters))
+
+
+def test_figures_of_a_bag(tmp_path: Path) -> None:
+    found = summarise(bag(tmp_path / "a", loop="fsm", mode="inprocess", scenario="design", transient_s=1))
+    assert (found.loop, found.mode, found.scenario, found.path.name) == ("fsm", "inprocess", "design", "a")
+    assert (found.ticks, found.duration, found.transient, found.windows) == (3000, 3.0, 1.0, 100)
+    assert (found.samples_lost, found.lost_by_topic, found.camera_dropped, found.problems) == (0, {}, 0, ())
+    assert found.knowledge is None and found.budget is not None
+    content = found.as_dict()
+    assert content["ape_arcsec"] == {"max": float(f"{found.ape_max:.6g}"), "p997": float(f"{found.ape_p997:.6g}")}
+    assert content["rpe_mas"] == {
+        name: float(f"{getattr(found, f'rpe_{name}'):.6g}") for name in ("rms", "p997", "windows_p997")
+    }
+    assert (content["ticks"], content["windows"], content["transient_s"], content["knowledge"]) == (
+        3000,
+        100,
+        1.0,
+        None,
+    )
+    assert content["lost_messages"] == {} and content["budget_rpe_mas"]["total"] is not None
+
+
+def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
+    gaps = summarise(bag(tmp_path / "gaps", lost=(500, 501, 900), transient_s=0))
+    assert gaps.lost_by_topic == {"m1/accel": 3} and gaps.samples_lost == 3
+    assert gaps.problems == ("m1/accel: 3 samples missing in 2 gaps",)
+    start = summarise(bag(tmp_path / "start", lost=(0, 1, 2), transient_s=0))
+    assert start.lost_by_topic == {"m1/accel": 3}
+    assert start.problems == ("m1/accel: 3 samples missing at the start or the end of the run",)
+    ends = summarise(bag(tmp_path / "ends", lost=(0, 2998, 2999), transient_s=0))
+    assert ends.samples_lost == 3 and "m1/accel: 3 samples missing at the start" in ends.problems[0]
+    one = summarise(bag(tmp_path / "one", lost=(2999,), transient_s=0))  # the command to the last tick may come late
+    assert one.samples_lost == 0 and one.problems == ()
+    both = summarise(bag(tmp_path / "both", lost=(0, 1, 700), transient_s=0))
+    assert both.lost_by_topic == {"m1/accel": 3} and len(both.problems) == 2
+
+
+def test_frames_and_numbers_that_are_none(tmp_path: Path) -> None:
+    signals = {"truth/los": NOISE, "camera/los": np.full((150, 2), np.nan), "m1/accel": np.zeros((3000, 6))}
+    signals["m1/accel"][7] = np.nan
+    signals["camera/los"][1:] = 0.0
+    given = {"camera/los": 20}
+    one = summarise(Run.open(write_bag(tmp_path / "a", signals, periods=given, parameters={"transient_s": 0})))
+    assert one.camera_dropped == 1 and one.problems == (
+        "m1/accel: 1 messages with NaN",
+        "camera/los: 1 frame dropped (NaN)",
+    )
+    signals["camera/los"][5] = np.nan
+    two = summarise(Run.open(write_bag(tmp_path / "b", signals, periods=given, parameters={"transient_s": 0})))
+    assert two.camera_dropped == 2 and two.problems[-1] == "camera/los: 2 frames dropped (NaN)"
+
+
+def test_sentences_about_the_run(tmp_path: Path) -> None:
+    short = summarise(bag(tmp_path / "a"))
+    assert short.transient == 1.5
+    assert short.problems == (
+        "a run shorter than 10 s: only 1.5 s of start-up is left out, not 5 s (--transient SECONDS)",
+    )
+    assert summarise(bag(tmp_path / "b"), transient=0.0).problems == ()
+    long = summarise(series(None, np.ones((10_000, 2)), unit="mas", rate=1000.0))
+    assert long.transient == 5.0 and long.problems == ()
+    failed = bag(tmp_path / "c", transient_s=0, mode="replay", statistics={"plant": {"failure": "no power"}})
+    assert [p.partition(":")[0] for p in summarise(failed).problems] == ["the run failed", "a replay"]
+    for odd in ("none", {"plant": "none"}, {}):
+        assert summarise(bag(tmp_path / f"{len(str(odd))}", transient_s=0, statistics=odd)).problems == ()
+    rate = summarise(series(None, NOISE, unit="rad", rate=512.0), transient=0.0)
+    assert rate.problems == ("no RPE of 20 ms: not a whole number of samples of 1.95312 ms",) and rate.budget is None
+    assert rate.ticks == 3000 and rate.duration == pytest.approx(3000 / 512)
+    few = summarise(series(None, NOISE[:19], unit="rad", rate=1000.0), transient=0.0)
+    assert few.budget is None and few.problems == ()
+    assert summarise(series(None, NOISE[:20], unit="rad", rate=1000.0), transient=0.0).budget is not None
+
+
+def test_name_of_the_scenario(tmp_path: Path) -> None:
+    every = {"disturbance_source": "mine.py", "plant": "own", "scenario": "design"}
+    for k, name in enumerate(every.values()):
+        rest = dict(list(every.items())[k:])
+        assert scenario_of(bag(tmp_path / str(k), **{**dict.fromkeys(every, ""), **rest})) == name
+    assert scenario_of(bag(tmp_path / "none")) == ""
+
+
+TEXTS = {
+    "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence": (),
+    "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence, mixed": ("fsm", "none"),
+    "prob(|APE| < 2 arcsec) >= 0.9 at 90 % confidence, ensemble": (),
+}
+REQUIREMENTS = tuple(parse(text, loops=loops) for text, loops in TEXTS.items())
+
+
+def test_requirements_over_runs_are_judged_on_those_they_apply_to(tmp_path: Path) -> None:
+    runs = [bag(tmp_path / str(k), transient_s=0, loop=loop) for k, loop in enumerate(("fsm", "fsm+pma", "none"))]
+    assert applicable(REQUIREMENTS, runs[1]) == (REQUIREMENTS[0], REQUIREMENTS[2])
+    assert applicable(REQUIREMENTS, bag(tmp_path / "x")) == REQUIREMENTS
+    found = summarise_all(runs, requirements=REQUIREMENTS)
+    samples = [[v.samples for v in s.verdicts] for s in found]
+    assert samples == [[3000, 6000, 3], [3000, 3], [3000, 6000, 3]]  # the mixed one is not on the second run
+    (alone,) = summarise_all(runs[:1], requirements=REQUIREMENTS)
+    assert [v.status for v in alone.verdicts][1:] == ["not judged"] * 2
+    two = summarise_all(runs[:2], requirements=REQUIREMENTS)
+    assert two[0].verdicts[1].status == "not judged"  # one of them only
+
+
+def test_runs_with_requirements_of_their_own(tmp_path: Path) -> None:
+    """Each by its own; what is over several runs on those that hold it."""
+    own = [{"name": "m", "text": "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence, mixed"}]
+    other = [{"name": "a", "text": "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"}]
+    runs = [bag(tmp_path / str(k), transient_s=0, requirements=r) for k, r in enumerate((own, other, own))]
+    found = summarise_all(runs)
+    assert [[v.samples for v in s.verdicts] for s in found] == [[6000], [3000], [6000]]
+
+
+def names(found: Summary) -> list[str]:
+    return [figure.name for figure in found.figures]
+
+
+def test_figures_that_stand_without_a_limit(tmp_path: Path) -> None:
+    found = summarise(bag(tmp_path / "a", transient_s=0))
+    values = [found.ape_max, found.ape_p997, found.rpe_rms, found.rpe_windows_p997, found.rpe_p997]
+    assert [figure.value for figure in found.figures] == values
+    assert [figure.unit for figure in found.figures] == ["arcsec"] * 2 + ["mas"] * 3
+    assert [figure.quantity for figure in found.figures if figure.quantity] == [
+        "|APE|, 99.7 %",
+        "rms RPE(20 ms), 99.7 %",
+        "|RPE(20 ms)|, 99.7 %",
+    ]
+    assert names(summarise(series(None, NOISE, unit="rad", rate=512.0))) == ["APE max", "APE 99.7 %"]
