@@ -238,7 +238,9 @@ def test_several_runs_are_needed(interpretation: str) -> None:
     assert found.status == "not judged" and found.note == f"a {interpretation} requirement needs several runs, got 1"
     pre = judge(parse("prob(|PRE(10 ms)| < 0.5 rad) >= 0.9 at 90 % confidence"), [run(samples(30, 0))], 0.0)
     assert pre.note == "a PRE requirement needs several runs, got 1"
-    assert found.seconds == found.seconds_needed * 0 == 0.0 or math.isnan(found.seconds_needed)
+    assert (pre.samples, pre.effective, pre.seconds, pre.quantile.effective) == (0, 0.0, 0.0, 0.0)
+    assert all(math.isnan(x) for x in (pre.exceeding, pre.seconds_needed, pre.quantile.value, pre.quantile.lower))
+    assert (pre.quantile.probability, pre.quantile.confidence, pre.missing) == (0.9, 0.9, 0.0)
 
 
 def wave(count: int = 400) -> np.ndarray[Any, Any]:
@@ -302,6 +304,8 @@ def test_reproducibility_is_of_each_pair_of_runs() -> None:
     assert found.quantile.value == confidence.quantile(np.hypot(*difference.T), 0.9, 0.9, 1.0).value
     worst = judge(requirement, [run(a), run(b), run(far)], 0.0)
     assert worst.exceeding > 0.9 and worst.samples in (20 * 10, 15 * 10)
+    together = judge(replace(requirement, interpretation="mixed"), [run(a), run(b), run(far)], 0.0)
+    assert together.samples == 20 * 15 + 20 * 10 + 15 * 10  # each pair once, no run with itself
     gap = judge(requirement, [run(a, missing=(3,)), run(b)], 0.0)
     assert (gap.samples, gap.missing) == (19 * 15, 15.0)
     for ends in ((True, False), (False, True)):
