@@ -33,7 +33,8 @@ def test_what_was_not_judged_is_counted_at_the_end_of_a_run(tmp_path: Path) -> N
     """Also where the tests run in processes of their own."""
     (tmp_path / "test_slow_machine.py").write_text(SLOW_MACHINE)
     told = tmp_path / "told.txt"
-    variables = {**os.environ, "PYTHONPATH": str(ROOT / "tests"), "SKIPPED_TESTS_FILE": str(told)}
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    variables = {**own, "PYTHONPATH": str(ROOT / "tests"), "SKIPPED_TESTS_FILE": str(told)}
     command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "--rootdir", str(tmp_path), "-q"]
     command += ["-p", "conftest", "-p", "no:cacheprovider", "-n", "1", str(tmp_path)]
     done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=120)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.run.budget_sources import testbed_requirements
+from los_testbed.run.budget_sources import testbed_requirements as requirements_of_the_testbed
 from los_testbed.run.budget_sources import testbed_sources as sources_of_the_testbed
 
 import pointing_analysis
@@ -17,7 +17,7 @@ from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.verdict import judge, parse
 
-SHIPPED = Path(pointing_analysis.__file__).with_name("budget_testbed.toml")
+SHIPPED = Path(pointing_analysis.__file__).with_name("budget") / "budget_testbed.toml"
 INDICES = [
     "prob(|RPE(20 ms)| < 100 mas) >= 0.9 at 95 % confidence",
     "prob(|RPE(20 ms)| < 100 mas) >= 0.997 at 95 % confidence",
@@ -33,7 +33,9 @@ def test_the_shipped_budget_agrees_with_a_run(tmp_path: Path) -> None:
     assert main(["run", "--duration", "65", *options, "--output", str(bag)]) == 0
     requirements = tuple(parse(text) for text in INDICES)
     budget = replace(
-        load_budget(SHIPPED, sources_of_the_testbed, testbed_requirements), draws=30_000, requirements=requirements
+        load_budget(SHIPPED, sources_of_the_testbed, requirements_of_the_testbed),
+        draws=30_000,
+        requirements=requirements,
     )
     run = Run.open(bag)
     for verdict in evaluate(budget):

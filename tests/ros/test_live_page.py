@@ -202,7 +202,7 @@ def test_actions_are_refused_without_the_token_and_with_values_that_do_not_fit(w
     for name in ("no token", "wrong token"):
         assert refused[name] == (403, "token must be that of the printed address, got another one or none")
     assert all(refused[name][0] == 400 for name in refused if "token" not in name)
-    assert refused["range"][1] == "camera_dropout must be between 0 and 1 1, got 7"
+    assert refused["range"][1] == "camera_dropout must be between 0 and 1, got 7"
     assert refused["node"][1] == "node must be estimator or controller, got 'plant'"
     assert refused["state"][1] == "the run must be waiting for its start for start, got running"
     assert not any("\n" in text for _, text in refused.values())
