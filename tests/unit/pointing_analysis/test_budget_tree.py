@@ -17,7 +17,7 @@ from pointing_analysis.budget.total import axis_factor, axis_total, evaluate, no
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.indices.weights import rpe_exact
 
-FOLDER = Path(pointing_analysis.__file__).parent
+FOLDER = Path(pointing_analysis.__file__).parent / "budget"
 HEAD = 'unit = "mas"\ndraws = 20000\n'
 
 
