@@ -31,6 +31,8 @@ __all__ = [
     "parse",
 ]
 
+ROUNDING = 1e-9
+"""What a count of samples that was computed may be off by rounding."""
 Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
@@ -71,7 +73,7 @@ class Verdict:
         if math.isinf(self.missing):
             return False
         above = self.exceeding * self.samples + self.missing
-        return above <= (1 - self.requirement.probability) * (self.samples + self.missing) + 1e-9
+        return above <= (1 - self.requirement.probability) * (self.samples + self.missing) + ROUNDING
 
     @property
     def statement(self) -> str:
@@ -104,7 +106,7 @@ class Samples:
     values: NDArray[np.float64]
     effective: float
     seconds: float
-    missing: float = 0.0
+    missing: float
 
 
 def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float, float]:
@@ -153,7 +155,7 @@ def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transi
             values = _norm(samples, requirement)
             means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
             weight = min(confidence.effective_number(metrics.radial(m)) for m in means)
-            pairs = math.prod(int(len(s.values) * s.dt / window + 1e-9) for s in (first, second))
+            pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end
             missing = math.inf if cut else float(max(pairs - len(values), 0))
             found.append(Samples(values, weight, first.duration + second.duration, missing))
@@ -189,8 +191,8 @@ def decide(
     total = len(values) + (0.0 if unknown else missing)
     worst, best = (1.0 if unknown else (above + missing) / total), above / total
     # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
-    upper = confidence.exceedance_upper(math.ceil(worst * n - 1e-9), n, c)
-    lower = confidence.exceedance_lower(math.floor(best * n + 1e-9), n, c)
+    upper = confidence.exceedance_upper(math.ceil(worst * n - ROUNDING), n, c)
+    lower = confidence.exceedance_lower(math.floor(best * n + ROUNDING), n, c)
     status: Status = "not enough data"
     needed = seconds
     if upper <= 1 - p:
