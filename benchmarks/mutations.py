@@ -73,6 +73,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/pointing_analysis/test_confidence.py",
     ),
     "pointing_analysis/requirements/verdict.py": ("tests/unit/pointing_analysis/test_verdict_laws.py",),
+    "pointing_analysis/requirements/rows.py": ("tests/unit/pointing_analysis/test_requirement_rows.py",),
     "pointing_analysis/indices/metrics.py": ("tests/unit/pointing_analysis/test_index_laws.py",),
     "pointing_analysis/requirements/summary.py": ("tests/unit/pointing_analysis/test_summary_figures.py",),
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),

@@ -287,12 +287,10 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
     first, last, _ = stamps["truth/los"]
     for name, (begin, end, period) in stamps.items():
         step = period * 1e9
-        if not step > 0:
-            continue
         short = int(max(begin - first, 0) / step + 1e-6) + int(max(last - end, 0) / step + 1e-6)
         # The command to the last sensor tick may fall after the end of the recording.
         if short > 1:
-            lost[name] = lost.get(name, 0) + short
+            lost[name] += short
             problems.append(f"{name}: {short} samples missing at the start or the end of the run")
 
 

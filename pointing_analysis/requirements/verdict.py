@@ -243,7 +243,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         missing = sum(one.missing for one in collected)
         return decide(requirement, values, sum(one.effective for one in collected), seconds, missing)
     verdicts = [decide(requirement, one.values, one.effective, one.seconds, one.missing) for one in collected]
-    order = {"not compliant": 0, "not enough data": 1, "compliant": 2, "not judged": 3}
+    order = {"not compliant": 0, "not enough data": 1, "compliant": 2}
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,27 @@ def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
     assert both.lost_by_topic == {"m1/accel": 3} and len(both.problems) == 2
 
 
+def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
+    """Numbered messages, or the planned duration, say how many; they belong to the judged span."""
+    made = series(None, NOISE, unit="rad", rate=1000.0)
+    found = summarise(replace(made, topic=replace(made["truth/los"], lost_before=2, lost_after=3)), transient=0.0)
+    assert found.lost_by_topic == {"truth/los": 5}
+    assert found.problems == ("truth/los: 5 samples missing before the first one and after the last one",)
+    assert found.ticks == 3005
+    cut = summarise(replace(made, topic=replace(made["truth/los"], open_end=True)), transient=0.0)
+    assert cut.samples_lost == 0 and "truth/los: the recording was cut off" in cut.problems[0]
+
+
+def test_messages_that_came_twice_or_late(tmp_path: Path) -> None:
+    stamps = 10**9 + 10**6 * np.arange(3000)
+    order = np.r_[np.arange(5), 6, 5, np.arange(7, 2999), 2999, 2999]
+    signals = {"truth/los": NOISE, "m1/accel": np.zeros((len(order), 6))}
+    given = {"truth/los": stamps, "m1/accel": stamps[order]}
+    found = summarise(Run.open(write_bag(tmp_path / "a", signals, stamps=given, parameters={"transient_s": 0})))
+    assert set(found.problems) == {"m1/accel: 1 stamps twice", "m1/accel: 1 messages out of order"}
+    assert found.samples_lost == 0
+
+
 def test_frames_and_numbers_that_are_none(tmp_path: Path) -> None:
     signals = {"truth/los": NOISE, "camera/los": np.full((150, 2), np.nan), "m1/accel": np.zeros((3000, 6))}
     signals["m1/accel"][7] = np.nan
@@ -168,6 +190,7 @@ def test_requirements_over_runs_are_judged_on_those_they_apply_to(tmp_path: Path
     assert [v.status for v in alone.verdicts][1:] == ["not judged"] * 2
     two = summarise_all(runs[:2], requirements=REQUIREMENTS)
     assert two[0].verdicts[1].status == "not judged"  # one of them only
+    assert (two[0].verdicts[2].samples, two[1].verdicts[1].samples) == (2, 2)
 
 
 def test_runs_with_requirements_of_their_own(tmp_path: Path) -> None:

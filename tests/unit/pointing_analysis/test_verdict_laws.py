@@ -189,6 +189,18 @@ def test_temporal_counts_the_worst_run() -> None:
             assert (found.status, found.samples, found.seconds) == (status, count, count / 1000)
 
 
+def test_a_worse_verdict_counts_before_a_larger_share() -> None:
+    """A long run that is refuted at 35 % beside a short one with 50 %; a short one at 0 % beside a compliant at 10 %."""
+    rng = np.random.default_rng(8)
+    refuted, shorter = run(np.where(rng.random(800) < 0.35, 0.6, 0.1)), run([0.1, 0.9])
+    assert judge(LOOSE, [shorter, refuted], 0.0).status == "not compliant"
+    assert judge(LOOSE, [shorter], 0.0).exceeding > judge(LOOSE, [refuted], 0.0).exceeding
+    compliant, short = run(np.where(rng.random(800) < 0.1, 0.6, 0.1)), run([0.1, 0.2])
+    assert judge(LOOSE, [compliant], 0.0).status == "compliant"
+    assert judge(LOOSE, [compliant, short], 0.0).status == "not enough data"
+    assert judge(LOOSE, [shorter, compliant], 0.0).status == "not enough data"
+
+
 def test_of_two_runs_alike_the_one_that_exceeds_more_counts() -> None:
     first = run(samples(3, 0))
     second, third = run(samples(3, 1)), run(np.array([0.1, 0.2, 0.9]))
