@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.stored_proofs import FOLDER, SUFFIX, halves, planes, rounded, rounded_matrices, unpack, unplaned, whole
 
 from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
@@ -21,7 +22,6 @@ from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import load_parameters
 
 ROOT = Path(__file__).parents[2]
-PROOFS = ROOT / "tests" / "fixtures" / "proofs"
 WHOLE = (0.0, NYQUIST)
 BANDS = {"APE": WHOLE, "slow": (0.0, BAND_EDGE), "fast": (BAND_EDGE, NYQUIST), "mirror": WHOLE, "force": WHOLE}
 NAMES = {"slow": "RPE, slow tone", "fast": "RPE, fast tone"}
@@ -36,6 +36,14 @@ def printed_bound(figure: str) -> float:
 
 
 @pytest.fixture(scope="module")
+def proofs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Files of the proofs by figure, as the command writes them."""
+    folder = tmp_path_factory.mktemp("proofs")
+    names = {figure: f"fsm+pma-{figure}" for figure in BANDS}
+    return {figure: unpack(FOLDER / f"{name}{SUFFIX}", folder / f"{name}.npz") for figure, name in names.items()}
+
+
+@pytest.fixture(scope="module")
 def loop() -> ImplementedLoop:
     parameters = load_parameters()
     open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
@@ -43,9 +51,9 @@ def loop() -> ImplementedLoop:
 
 
 @pytest.mark.parametrize("figure", BANDS)
-def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop) -> None:
+def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop, proofs: dict[str, Path]) -> None:
     """Remade by ``los-testbed design certify`` when the telescope or the controllers change."""
-    proof = LoopProof.from_file(PROOFS / f"fsm+pma-{figure}.npz")
+    proof = LoopProof.from_file(proofs[figure])
     model = telescope_model(loop, figures_of(loop.parameters, loop.stage)[figure])
     assert printed_bound(figure) - 1e-4 < proof.level <= printed_bound(figure) <= 1.0, "rounded up"
     assert proof.model.scale == model.scale and proof.model.window == model.window
@@ -55,6 +63,18 @@ def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop)
     for omega in np.geomspace(max(BANDS[figure][0], 1e-3), BANDS[figure][1], 12):
         for own, stored in zip(model.at(float(omega)), proof.model.at(float(omega))):
             np.testing.assert_allclose(stored, own, rtol=0.0, atol=1e-6 * np.abs(own).max())
+
+
+def test_scalings_are_stored_without_a_change_but_their_rounding() -> None:
+    chance = np.random.default_rng(0)
+    square = chance.normal(size=(5, 3, 3)) * 10.0 ** chance.uniform(-6, 6, (5, 1, 1))
+    matrices = (square + square.swapaxes(1, 2) + 1j * (square - square.swapaxes(1, 2))).astype(np.complex64)
+    np.testing.assert_array_equal(whole(unplaned(planes(halves(matrices)))), matrices)
+    np.testing.assert_array_equal(rounded_matrices(matrices, 23), matrices)
+    for bits in (7, 16):
+        coarse = rounded(matrices.real, bits)
+        assert np.all(np.abs(coarse - matrices.real) <= 2.0 ** -(bits + 1) * np.abs(matrices.real))
+        assert not np.any(coarse.view(np.uint32) % (1 << (23 - bits)))
 
 
 def test_modal_coordinates_of_the_telescope_keep_its_responses(loop: ImplementedLoop) -> None:
@@ -68,8 +88,8 @@ def test_modal_coordinates_of_the_telescope_keep_its_responses(loop: Implemented
 
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", BANDS)
-def test_the_proof_passes(figure: str) -> None:
-    checked = check_loop_proof(PROOFS / f"fsm+pma-{figure}.npz")
+def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
+    checked = check_loop_proof(proofs[figure])
     assert checked.level <= printed_bound(figure) and checked.band == pytest.approx(BANDS[figure])
     assert checked.stable == (BANDS[figure] == WHOLE), "poles above half of the sampling rate included"
 
@@ -79,9 +99,9 @@ def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
 
 
 @pytest.mark.parametrize("figure", BANDS)
-def test_the_scalings_do_not_prove_less_than_the_worst_point(figure: str) -> None:
+def test_the_scalings_do_not_prove_less_than_the_worst_point(figure: str, proofs: dict[str, Path]) -> None:
     """Level 0.5 % below the largest value known: the window of its frequency is refused for some part of the box."""
-    proof = LoopProof.from_file(PROOFS / f"fsm+pma-{figure}.npz")
+    proof = LoopProof.from_file(proofs[figure])
     known = [p for table in load_worst_points(None).values() for p in table.values()]
     worst = max((p for p in known if (p.stage, p.requirement) == ("fsm+pma", figure)), key=lambda p: p.gamma)
     held = []

@@ -1,0 +1,149 @@
+"""Proofs of the shipped pair as the tests keep them: Hermitian halves, rounded as far as the check allows, compressed.
+
+Any scalings that pass the check prove the level. So each strip keeps the fewest bits of its scalings with which the
+checker still accepts it; loop, claim and nodes are kept as they are. So far this is done for APE; the other four files
+hold all bits of the proofs that the command wrote. To store proofs anew::
+
+    los-testbed design certify --output FOLDER
+    .venv/bin/python tests/support/stored_proofs.py FOLDER
+"""
+
+from __future__ import annotations
+
+import io
+import lzma
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.proofs.sampled_loop import LoopProof, Strip
+from lftkit.proofs.sampled_loop.checker import check_strip
+
+FOLDER = Path(__file__).parents[1] / "fixtures" / "proofs"
+SUFFIX = ".npz.xz"
+BITS = (7, 9, 11, 13, 16, 23)
+"""Bits of the fraction that are tried, fewest first; single precision has 23."""
+
+Matrices = NDArray[np.complex64]
+Arrays = dict[str, Any]
+
+
+def rounded(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
+    """Single precision with this many bits of the fraction, to nearest."""
+    dropped = np.uint32(23 - bits)
+    words = np.ascontiguousarray(values, dtype=np.float32).view(np.uint32)
+    half = np.uint32((1 << int(dropped)) >> 1)
+    return np.asarray((((words + half) >> dropped) << dropped).view(np.float32))
+
+
+def rounded_matrices(matrices: NDArray[Any], bits: int) -> NDArray[np.complex128]:
+    """Real and imaginary parts :func:`rounded`: Hermitian matrices stay so."""
+    return np.asarray(rounded(matrices.real, bits) + 1j * rounded(matrices.imag, bits), dtype=complex)
+
+
+def rounded_strip(proof: LoopProof, strip: Strip) -> tuple[Strip, int]:
+    """The strip with the fewest bits that the checker accepts, and how many."""
+    for bits in BITS:
+        coarse = replace(
+            strip,
+            D=tuple(rounded_matrices(matrices, bits) for matrices in strip.D),
+            G=tuple(rounded_matrices(matrices, bits) for matrices in strip.G),
+        )
+        if isinstance(check_strip((proof.model, coarse, proof.level)), int):
+            return coarse, bits
+    raise ValueError("a strip must be accepted with all its bits, got one that is refused")
+
+
+def halves(matrices: Matrices) -> NDArray[np.float32]:
+    """Upper triangles of Hermitian matrices, shape (k, m, m): real parts, then imaginary parts, shape (k, m^2)."""
+    rows, columns = np.triu_indices(matrices.shape[1])
+    above = rows < columns
+    return np.hstack([matrices.real[:, rows, columns], matrices.imag[:, rows[above], columns[above]]])
+
+
+def whole(parts: NDArray[np.float32]) -> Matrices:
+    """Matrices of :func:`halves`."""
+    m = round(np.sqrt(parts.shape[1]))
+    rows, columns = np.triu_indices(m)
+    above = rows < columns
+    upper = parts[:, : len(rows)].astype(np.complex64)
+    upper[:, above] += np.complex64(1j) * parts[:, len(rows) :]
+    matrices = np.zeros((len(parts), m, m), np.complex64)
+    matrices[:, columns, rows] = upper.conj()
+    matrices[:, rows, columns] = upper
+    return matrices
+
+
+def planes(parts: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Differences of the words from node to node, one plane for each byte: what a compressor finds."""
+    words = np.ascontiguousarray(parts.T).view(np.uint32)
+    words = np.hstack([words[:, :1], words[:, 1:] - words[:, :-1]])
+    return np.ascontiguousarray(np.moveaxis(words.view(np.uint8).reshape(*words.shape, 4), -1, 0))
+
+
+def unplaned(stored: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Values of :func:`planes`."""
+    words = np.ascontiguousarray(np.moveaxis(stored, 0, -1)).view(np.uint32)[..., 0]
+    return np.ascontiguousarray(np.cumsum(words, axis=1, dtype=np.uint32).view(np.float32).T)
+
+
+def is_scaling(name: str, array: NDArray[Any]) -> bool:
+    """Whether an array of a proof's file holds D or G of a parameter in single precision."""
+    return name[0] in "DG" and name[1:].isdecimal() and array.dtype == np.complex64
+
+
+def pack(source: Path, target: Path) -> Iterator[int]:
+    """Store a proof; yields the bits of each strip."""
+    proof = LoopProof.from_file(source)
+    strips = []
+    for strip in proof.strips:
+        coarse, bits = rounded_strip(proof, strip)
+        strips.append(coarse)
+        yield bits
+    plain = io.BytesIO()
+    coarse_file = target.with_suffix(".tmp")
+    replace(proof, strips=tuple(strips)).to_file(coarse_file)
+    with np.load(coarse_file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    coarse_file.unlink()
+    np.savez(
+        plain,
+        **{
+            f"{name} halves" if is_scaling(name, array) else name: planes(halves(array))
+            if is_scaling(name, array)
+            else array
+            for name, array in arrays.items()
+        },
+    )
+    target.write_bytes(lzma.compress(plain.getvalue(), preset=9))
+
+
+def unpack(stored: Path, target: Path) -> Path:
+    """Write a stored proof as the file that ``los-testbed design certify`` writes; returns its path."""
+    with np.load(io.BytesIO(lzma.decompress(stored.read_bytes())), allow_pickle=False) as archive:
+        arrays: Arrays = {
+            name.removesuffix(" halves"): whole(unplaned(archive[name])) if name.endswith(" halves") else archive[name]
+            for name in archive.files
+        }
+    with target.open("wb") as file:
+        np.savez(file, **arrays)
+    return target
+
+
+def main(folder: Path) -> None:
+    """Store the proofs of a folder among the fixtures."""
+    for source in sorted(folder.glob("*.npz")):
+        target = FOLDER / f"{source.stem}{SUFFIX}"
+        bits = list(pack(source, target))
+        counts = {b: bits.count(b) for b in BITS if b in bits}
+        sizes = f"{source.stat().st_size} bytes -> {target.stat().st_size}"
+        sys.stdout.write(f"{source.name}: {sizes}; strips by bits: {counts}\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
