@@ -299,11 +299,14 @@ class SmoothObjective:
     def metric(self, x: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
         """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains.
 
-        Directions that change next to nothing get at most the length ``1 / sqrt(floor)``.
+        Directions that change next to nothing get at most the length ``1 / sqrt(floor)``. The identity where a response
+        is infinite, which is so for a pole of the loop at a frequency of the grid.
         """
         structure = self._problem.structure
         K = structure.gain_matrix(x)
         entries = self._entries(x, K, self.power)
+        if not all(np.all(np.isfinite(entry.values)) for entry in entries):
+            return Metric(np.eye(len(x)), np.eye(len(x)))
         J = jacobian(structure, x)
         total = self._gauss_newton(x, K, entries, J) + self._spread_of_slopes(x, K, entries)
         hard = self._split(entries)[1]
