@@ -162,20 +162,25 @@ class PlantResponses:
     def closed(
         self, arrays: Arrays, K: Controller, which: tuple[int, ...]
     ) -> tuple[dict[int, ComplexArray], ComplexArray, ComplexArray]:
-        """Closed-loop responses of the requirements `which`, ``S = I - K P22`` and ``M = S^-1 K``."""
+        """Closed-loop responses of the requirements `which`, ``S = I - K P22`` and ``M = S^-1 K``.
+
+        Infinite or NaN at a frequency that is a pole of the loop.
+        """
         S = np.eye(K.response.shape[1]) - K.response @ arrays.P22
-        M = solve(S, K.response)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            M = solve(S, K.response)
         return self.responses(arrays, M, which), S, M
 
     def responses(self, arrays: Arrays, M: ComplexArray, which: tuple[int, ...]) -> dict[int, ComplexArray]:
         """Closed-loop responses of the requirements `which` with ``M = S^-1 K``."""
         forward: dict[int, ComplexArray] = {}
         out = {}
-        for i in which:
-            group = self.groups[i]
-            if group not in forward:
-                forward[group] = M @ arrays.P21[i]
-            out[i] = arrays.P11[i] + arrays.P12[i] @ forward[group]
+        with np.errstate(invalid="ignore"):
+            for i in which:
+                group = self.groups[i]
+                if group not in forward:
+                    forward[group] = M @ arrays.P21[i]
+                out[i] = arrays.P11[i] + arrays.P12[i] @ forward[group]
         return out
 
 
