@@ -27,7 +27,8 @@ from threadpoolctl import threadpool_limits
 from lftkit.tuning.descent.smooth_phase import Point, smooth_phase
 from lftkit.tuning.problem import Problem
 from los_design.synthesis.options import DesignOptions
-from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_design.synthesis.state_space_requirements import implemented_requirements
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
@@ -48,7 +49,7 @@ def problem_and_start() -> tuple[Problem, NDArray[np.float64]]:
     order = np.random.default_rng(0).permutation(len(corners))
     points = [*points, *(corners[k] for k in order)][:MODELS]
     models = [plant(p).renamed(f"m{i}") for i, p in enumerate(points)]
-    requirements = observer_requirements(parameters, implemented=True)
+    requirements = implemented_requirements(parameters, "fsm")
     start = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
     return Problem(models, requirements, structure, loop_delay=options.delay), start
 

@@ -40,10 +40,11 @@ def structure(sample: int, modes: int) -> tuple[np.ndarray, ...]:
 
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
-    from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant, actuator_requirements
+    from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant
     from lftkit import StateSpace
     from lftkit.tuning.certificate import delayed_controller, weighted_loop
     from los_design.synthesis.options import DesignOptions
+    from los_design.synthesis.state_space_requirements import implemented_requirements
     from los_design.synthesis.store import continuous, load_designs
     from titop_plant.simulation.build import telescope
     from titop_plant.telescope.parameters import load_parameters
@@ -55,7 +56,7 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     data = continuous(k_pma).data_at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
     law = delayed_controller(StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
-    requirement = next(r for r in actuator_requirements(parameters, implemented=True) if r.name == "fast")
+    requirement = next(r for r in implemented_requirements(parameters, "fsm+pma") if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, requirement).matrices for values in points]
 

@@ -3,7 +3,6 @@
 Plant: telescope with the mirror loop closed. The controller is of order 4, from the platform's six accelerometer
 signals behind their washout to the six actuator forces.
 
-===================  ====  ====================================================================================
 requirement          kind  value 1 means
 ===================  ====  ====================================================================================
 APE                  soft  normalised disturbances make the APE limit of line of sight (H-infinity)
@@ -19,6 +18,9 @@ sensitivity, forces  hard  the same at the forces together; as implemented
 ===================  ====  ====================================================================================
 
 As implemented APE is hard: the mirror alone keeps it, and the actuators cannot change it.
+=======
+What is asked of it is :func:`los_loop.figures_of_merit.paper_figures` of the stage ``fsm+pma``, or the figures of the
+implemented loop; :mod:`los_design.synthesis.state_space_requirements` brings them to the ports of this plant.
 
 Source: the paper, equation of the PMA synthesis.
 """
@@ -32,14 +34,12 @@ import numpy as np
 
 from lftkit import Connection, Port, StateSpace, UncertainSystem, connect, static_gain
 from lftkit.systems.delay import delayed_port
-from lftkit.tuning import H2Gain, HinfGain, Requirement, state_space
+from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
-from titop_plant.interface import COMMAND_PORTS, K_PMA_INPUTS, PLATFORM
+from titop_plant.interface import ACCELEROMETERS, COMMAND_PORTS, K_PMA_INPUTS, MEASURED, PLATFORM
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import MAX_SENSITIVITY, TUNED_FORCE_SENSITIVITY, band_error_weight, error_budget
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
 MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
 ORDER = 4
@@ -48,8 +48,17 @@ ADDED_COMMAND, ADDED_FORCE = (Port(f"added_{p.name}", p.size, p.unit) for p in C
 APPLIED_COMMAND, APPLIED_FORCE = (f"applied_{p.name}" for p in COMMAND_PORTS)
 """Where the sensitivities are taken: inputs that are added to the commands, and the sums, which drive the plant."""
 PADE_ORDER = 3
-FORCE_SHARE = 0.5
-"""Part of the actuators' authority that the design may ask for."""
+PLATFORM_NOISE, MIRRORS_NOISE = "platform_noise", "mirror_noise"
+NOISE_PORTS = {
+    **{name: MIRRORS_NOISE if name in ACCELEROMETERS else OPTICAL_NOISE.name for name in MEASURED},
+    **dict.fromkeys(MEASUREMENTS, PLATFORM_NOISE),
+}
+"""Input of the noise of each measured port."""
+SENSITIVITY_PORTS = {
+    MIRROR_COMMAND.name: (ADDED_COMMAND.name, APPLIED_COMMAND),
+    FORCE.name: (ADDED_FORCE.name, APPLIED_FORCE),
+}
+"""Input and output of the sensitivity at a command."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,7 @@ def actuator_plant(
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
     platform = PLATFORM.stop - PLATFORM.start
-    n_base, n_mirrors = Port("platform_noise", platform), Port("mirror_noise", ACCELEROMETER_NOISE.size - platform)
+    n_base, n_mirrors = Port(PLATFORM_NOISE, platform), Port(MIRRORS_NOISE, ACCELEROMETER_NOISE.size - platform)
     mirror = MIRROR_COMMAND
     late = delayed_port(mirror, loop_delay, PADE_ORDER)
     estimate = observer.output_port("los_estimate")
@@ -144,50 +153,6 @@ def _with_added_force(plant: UncertainSystem) -> UncertainSystem:
             FORCE.name: f"own.{FORCE.name}",
             APPLIED_FORCE: applied,
         },
-    )
-
-
-def actuator_requirements(parameters: Parameters, *, implemented: bool) -> tuple[Requirement, ...]:
-    """Requirements of K_PMA (see the module's table); of the paper's problem in the order of its gammas."""
-    weights = parameters["weights"]
-    expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")
-    relative = relative_error_weight(weights["rpe_window"]).data_at({}).renamed("W_RPE")
-    ape, los = weights["ape_limit"], ("los_controlled",)
-    pointing = HinfGain(DISTURBANCES, los, ape, weight_in=expected, hard=implemented, name="APE")
-    force = HinfGain(
-        DISTURBANCES,
-        (FORCE.name,),
-        FORCE_SHARE * parameters["pma"]["authority"],
-        weight_in=expected,
-        hard=True,
-        name="force",
-    )
-    if not implemented:
-        fine = weights["rpe_limit_fine"]
-        return (
-            pointing,
-            HinfGain(DISTURBANCES, los, fine, weight_in=expected, weight_out=relative, name="RPE"),
-            H2Gain(("platform_noise",), los, ape, name="noise -> APE"),
-            force,
-        )
-    budget = error_budget(parameters)
-    slow, fast = (band_error_weight(parameters, band) for band in ("slow", "fast"))
-    everything = ("platform_noise", "mirror_noise", OPTICAL_NOISE.name)
-    authority = parameters["fsm"]["authority"]
-    return (
-        pointing,
-        HinfGain(DISTURBANCES, los, budget.fast, weight_in=expected, weight_out=fast, name="fast"),
-        HinfGain(DISTURBANCES, los, budget.tone, weight_in=expected, weight_out=slow, hard=True, name="slow"),
-        H2Gain(everything, los, budget.total_noise, weight_out=relative, hard=True, name="noise -> RPE"),
-        force,
-        HinfGain(DISTURBANCES, (MIRROR_COMMAND.name,), authority, weight_in=expected, hard=True, name="mirror"),
-        *(
-            HinfGain((added.name,), (applied,), bound, hard=True, name=f"sensitivity, {name}")
-            for name, added, applied, bound in (
-                ("mirror", ADDED_COMMAND, APPLIED_COMMAND, MAX_SENSITIVITY),
-                ("forces", ADDED_FORCE, APPLIED_FORCE, TUNED_FORCE_SENSITIVITY),
-            )
-        ),
     )
 
 

@@ -1,9 +1,8 @@
-"""The design problem of K_FSM: requirements of the paper, and those of the implemented loop.
+"""The design problem of K_FSM: its generalised plant, controller structure and start.
 
 Plant: telescope, sensors with their filters, mirror driven by ``-estimate / los_sensitivity``. The observer is a
 controller of order 4 from the 22 measurements to the estimated line of sight.
 
-============  ====  ==========================================================================================
 requirement   kind  value 1 means
 ============  ====  ==========================================================================================
 APE           soft  normalised disturbances make the APE limit of line of sight (H-infinity)
@@ -13,10 +12,12 @@ noise -> RPE  soft  sensor noise makes the share of the budget, through the weig
 mirror        hard  disturbances ask for 5.3 mrad of mirror (H-infinity)
 sensitivity   hard  the sensitivity at the mirror's command has a peak of 2; as implemented
 ============  ====  ==========================================================================================
+=======
+What is asked of it is :func:`los_loop.figures_of_merit.paper_figures` of the stage ``fsm``, or the figures of the
+implemented loop; :mod:`los_design.synthesis.state_space_requirements` brings them to the ports of this plant.
 
 Source: the paper, equation of the FSM synthesis. As implemented: 1.5 ms of loop delay (one tick and the hold), a camera
-whose frames are held, the budget of :mod:`titop_plant.telescope.budget` and a stability margin. Without the noise
-requirement the tuned observer amplifies the accelerometers' noise; without the margin the optimum has none.
+whose frames are held.
 """
 
 from __future__ import annotations
@@ -27,16 +28,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import Port, StateSpace, UncertainSystem, connect, static_gain, transform
-from lftkit.tuning import H2Gain, HinfGain, Requirement, state_space
+from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
-from titop_plant.interface import CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
+from titop_plant.interface import ACCELEROMETERS, CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
 from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import TUNED_SENSITIVITY, band_error_weight, error_budget
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
 NOISE = (ACCELEROMETER_NOISE.name, OPTICAL_NOISE.name)
 ORDER = 4
@@ -44,6 +43,10 @@ ORDER = 4
 ADDED = Port("added_estimate", ESTIMATE.size, ESTIMATE.unit)
 APPLIED = "applied_estimate"
 """Where the sensitivity is taken: an input that is added to the estimate, and their sum, which drives the mirror."""
+NOISE_PORTS = {name: NOISE[0] if name in ACCELEROMETERS else NOISE[1] for name in MEASURED}
+"""Input of the noise of each measured port."""
+SENSITIVITY_PORTS = {COMMAND_PORTS[0].name: (ADDED.name, APPLIED)}
+"""Input and output of the sensitivity at a command."""
 
 
 @dataclass(frozen=True)
@@ -104,55 +107,6 @@ def observer_plant(
         },
     )
     return ObserverPlant(system)
-
-
-def observer_requirements(
-    parameters: Parameters, *, implemented: bool, relaxation: float = 0.0
-) -> tuple[Requirement, ...]:
-    """Requirements of K_FSM (see the module's table).
-
-    Parameters
-    ----------
-    parameters : mapping
-    implemented : bool
-        Problem of the implemented loop; otherwise that of the paper.
-    relaxation : float
-        Between 0, the shares of the budget, and 1, the limit of the mirror alone for each of them (geometrically in
-        between): the tuner gets from the Kalman observer to the budget in steps.
-    """
-    weights = parameters["weights"]
-    expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa")
-    relative = relative_error_weight(weights["rpe_window"]).data_at({}).renamed("W_RPE")
-    ape, rpe, los = weights["ape_limit"], weights["rpe_limit"], "los_controlled"
-    common = (
-        HinfGain(DISTURBANCES, (los,), ape, weight_in=expected, name="APE"),
-        HinfGain(
-            DISTURBANCES, ("fsm_command",), parameters["fsm"]["authority"], weight_in=expected, hard=True, name="mirror"
-        ),
-    )
-    if not implemented:
-        paper = HinfGain(DISTURBANCES, (los,), rpe, weight_in=expected, weight_out=relative, name="RPE")
-        return common[0], paper, common[1]
-    budget = error_budget(parameters)
-    slow, fast, noise = (
-        share * (rpe / share) ** relaxation for share in (budget.slow, budget.fast_mirror, budget.noise)
-    )
-    return (
-        *common,
-        *(
-            HinfGain(
-                DISTURBANCES,
-                (los,),
-                bound,
-                weight_in=expected,
-                weight_out=band_error_weight(parameters, band),
-                name=band,
-            )
-            for band, bound in (("slow", slow), ("fast", fast))
-        ),
-        H2Gain(NOISE, (los,), noise, weight_out=relative, name="noise -> RPE"),
-        HinfGain((ADDED.name,), (APPLIED,), TUNED_SENSITIVITY, hard=True, name="sensitivity"),
-    )
 
 
 def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold: bool = False) -> AffineStructure:

@@ -16,15 +16,19 @@ camera value between frames is its fundamental, the mean of the delays of one fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from lftkit import SampledSystem
+from lftkit import SampledSystem, StateSpace
 from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
+from los_loop.figures_of_merit import gain_figures
 from los_loop.open_loop import OpenLoop, closed_lft
+from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.spec import ADDED, APPLIED, DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -37,70 +41,57 @@ from titop_plant.interface import (
     TRUTH,
     DesignBasis,
 )
-from titop_plant.simulation.disturbances import CHANNELS
-from titop_plant.telescope.budget import BAND_EDGE, MAX_SENSITIVITY
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-LOS, MIRROR_OUT, FORCE_OUT = slice(0, 2), slice(2, 4), slice(4, 10)
-DISTURBANCE_IN, MIRROR_IN, FORCE_IN = slice(0, 22), slice(22, 24), slice(24, 30)
-HIGHEST = 3000.0
-"""Highest frequency of a search [rad/s]: just below half of the sampling rate."""
+LOWEST, HIGHEST = 1e-2, 3000.0
+"""Frequencies of a search [rad/s]; the highest is just below half of the sampling rate."""
 STEP = 1e-6
 """Of log frequency, to both sides, for the slope of a gain."""
 
 
 @dataclass(frozen=True)
 class LoopMetric:
-    """A gain of the implemented loop that has a limit.
+    """A figure of merit at the values of a telescope and in a stage (:mod:`los_loop.figures_of_merit`).
 
     Parameters
     ----------
     name : str
     rows, columns : slice
-        Of the outputs (line of sight, commands) and inputs (disturbances, added commands).
+        Of the outputs and inputs of the loop's response (:mod:`los_loop.spec`).
     limit : float
         Gain that counts as 1.
     band : (float, float)
         Frequencies [rad/s] at which it counts.
     relative : bool
         Whether the weight of the relative error is applied.
-    disturbed : bool
-        Whether the inputs are normalised disturbances.
     """
 
     name: str
     rows: slice
     columns: slice
     limit: float
-    band: tuple[float, float] = (1e-2, HIGHEST)
+    band: tuple[float, float]
     relative: bool = False
-    disturbed: bool = True
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether the inputs are normalised disturbances."""
+        return self.columns == INPUTS[DISTURBANCE]
 
 
-def loop_metrics(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """Metrics of a stage by name: APE, slow and fast tones, mirror, force, sensitivities at mirror and forces.
-
-    The limit of slow and fast tones is that of the RPE without the proof-mass actuators, or with them; that of a
-    sensitivity is 2.
-    """
-    weights = parameters["weights"]
-    rpe = weights["rpe_limit_fine"] if stage in FORCE_STAGES else weights["rpe_limit"]
-    los = LoopMetric("APE", LOS, DISTURBANCE_IN, weights["ape_limit"])
-    found = [
-        los,
-        replace(los, name="slow", limit=rpe, band=(1e-2, BAND_EDGE), relative=True),
-        replace(los, name="fast", limit=rpe, band=(BAND_EDGE, HIGHEST), relative=True),
-    ]
-    if stage in MIRROR_STAGES:
-        found.append(LoopMetric("mirror", MIRROR_OUT, DISTURBANCE_IN, parameters["fsm"]["authority"]))
-        found.append(LoopMetric("sensitivity, mirror", MIRROR_OUT, MIRROR_IN, MAX_SENSITIVITY, disturbed=False))
-    if stage in FORCE_STAGES:
-        found.append(LoopMetric("force", FORCE_OUT, DISTURBANCE_IN, parameters["pma"]["authority"]))
-        found.append(LoopMetric("sensitivity, forces", FORCE_OUT, FORCE_IN, MAX_SENSITIVITY, disturbed=False))
-    return {metric.name: metric for metric in found}
+def loop_metrics(
+    parameters: Parameters, stage: str, within: tuple[float, float] = (LOWEST, HIGHEST)
+) -> dict[str, LoopMetric]:
+    """Gains that a stage must keep, by name, in their bands within some frequencies [rad/s]."""
+    return {
+        row.name: LoopMetric(
+            row.name, row.rows, row.columns, float(row.limit(parameters, stage)), row.within(*within), row.relative
+        )
+        for row in gain_figures(stage)
+    }
 
 
 @dataclass(frozen=True)
@@ -184,7 +175,7 @@ class ImplementedLoop:
         command = solve(returned[None], given[None])[0]
         applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
         whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
-        rows = np.r_[y : y + 2, len(into) : len(into) + COMMANDS]
+        rows = np.r_[y : y + TRUTH, len(into) : len(into) + COMMANDS]
         return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:], lft, K)
 
     def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
@@ -221,14 +212,14 @@ class ImplementedLoop:
 
         `left`, `right`: singular vector of the metric (left: conjugate), and signals at outputs and inputs of Delta.
         """
-        added, measured = slice(CHANNELS, CHANNELS + COMMANDS), slice(len(closed.M), len(closed.M) + MEASUREMENTS)
-        inputs: ComplexArray = np.zeros(CHANNELS + COMMANDS, complex)
-        outputs: ComplexArray = np.zeros(TRUTH + COMMANDS, complex)
+        measured = slice(len(closed.M), len(closed.M) + MEASUREMENTS)
+        inputs: ComplexArray = np.zeros(ADDED.stop, complex)
+        outputs: ComplexArray = np.zeros(APPLIED.stop, complex)
         inputs[metric.columns], outputs[metric.rows] = right[0], left[0]
-        commands = closed.T12[TRUTH:] @ right[1] + closed.T11[TRUTH:] @ inputs
-        by_commands = outputs @ closed.T11[:, added] + left[1] @ closed.T21[:, added]
-        row = np.concatenate([left[1], by_commands @ closed.control, outputs[LOS]])
-        column = np.concatenate([right[1], inputs[:CHANNELS], commands])
+        commands = closed.T12[APPLIED] @ right[1] + closed.T11[APPLIED] @ inputs
+        by_commands = outputs @ closed.T11[:, ADDED] + left[1] @ closed.T21[:, ADDED]
+        row = np.concatenate([left[1], by_commands @ closed.control, outputs[OUTPUTS[LINE_OF_SIGHT]]])
+        column = np.concatenate([right[1], inputs[INPUTS[DISTURBANCE]], commands])
         both = closed.omega * np.exp([STEP, -STEP])
         plant = self.open.between(both, row, column)
         control = by_commands @ self.controls(both) @ (closed.open[measured] @ column)
@@ -247,10 +238,22 @@ class ImplementedLoop:
         T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
         return closed_lft(closed.M, T12, T21, T11, delta)
 
+    def all_responses(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
+        """Responses of all outputs to all inputs at N points (N, 7) of the unit cube: shape (N, 10, 30)."""
+        return closed_lft(closed.M, closed.T12, closed.T21, closed.T11, self.delta(points))
+
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
-        whole = LoopMetric("sensitivity", slice(2, 10), slice(22, 30), 1.0, disturbed=False)
-        return self.responses(closed, whole, self.delta(points))
+        return closed_lft(
+            closed.M, closed.T12[APPLIED], closed.T21[:, ADDED], closed.T11[APPLIED, ADDED], self.delta(points)
+        )
+
+    def sampled_at(self, values: Mapping[str, float]) -> tuple[StateSpace, SampledLoop]:
+        """The continuous plant at parameter values, and the exact periodic loop around it."""
+        plant, sensitivity = self.system.data_at(values), float(self.parameters["fsm"]["los_sensitivity"])
+        return plant, sampled_loop(
+            plant, *self.pair, loop=self.stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
+        )
 
     def scale(self, metric: LoopMetric, omega: float) -> float:
         """Weight of the relative error, where it applies, over the limit."""

@@ -22,14 +22,17 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.systems.sampling import sampled
+from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, sampled_loop
-from titop_plant.interface import COMMANDS, DT, MEASUREMENTS
+from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, MIRROR_STAGES
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+LOS = OUTPUTS[LINE_OF_SIGHT]
 SIDEBANDS = 4
 """Sidebands of the camera's frame rate that are included on each side."""
 
@@ -105,17 +108,18 @@ def sampled_loop_metrics(
         inf = np.inf
         return SampledLoopMetrics(inf, inf, inf, inf, inf, inf, inf, radius, omega_rpe=np.nan)
     omega, response, relative = weighted_response(closed, plant, parameters)
-    table = parameters["weights"]
-    los = largest_gains(response[:, :2])
-    mirror = np.linalg.norm(response[:, 2:4], ord=2, axis=(1, 2))
-    force = np.linalg.norm(response[:, 4:], ord=2, axis=(1, 2))
+    mirrors, both = MIRROR_STAGES
+    ape, rpe, mirror, force = (figure(name) for name in ("APE", "RPE", "mirror", "force"))
+    los = float(largest_gains(response[:, ape.rows]).max())
+    angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
+    worst = float(relative.max())
     rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
-        float(los.max()) / table["ape_limit"],
-        float(relative.max()) / table["rpe_limit"],
-        float(relative.max()) / table["rpe_limit_fine"],
-        float(mirror.max()) / parameters["fsm"]["authority"],
-        float(force.max()) / parameters["pma"]["authority"],
+        los / ape.limit(parameters, both),
+        worst / rpe.limit(parameters, mirrors),
+        worst / rpe.limit(parameters, both),
+        angle / mirror.limit(parameters, both),
+        push / force.limit(parameters, both),
         *rms,
         radius,
         float(omega[relative.argmax()]),
@@ -142,7 +146,7 @@ def weighted_gains(
     size = weight_amplitudes(parameters, omega)[:, None, :]
     window = parameters["weights"]["rpe_window"]
     weight = rpe_weight(omega, window)[:, None, None]
-    stack = [weight * tone.fundamental[:, :2] * size]
+    stack = [weight * tone.fundamental[:, LOS] * size]
     if tone.camera is not None:
         power = np.zeros((omega.size, 2, 2), complex)
         for shift, gain in tone.sidebands:
@@ -195,8 +199,8 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
     A, N = loop.hold[:size, :size], loop.noise_hold[:size]
     if ticks == 1:
         A, N = loop.frame[:size, :size], loop.noise_frame[:size]
-    outputs = np.zeros((10, size))
-    outputs[:2], outputs[2:, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+    outputs = np.zeros((APPLIED.stop, size))
+    outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
     enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
     mu, W = eigenpairs(A)
     right, left = linalg.inv(W), np.vstack([outputs, read]) @ W
@@ -206,9 +210,9 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
     through = plant.D[:MEASUREMENTS, COMMANDS:]
     forced = _forced(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
     if ticks == 1:
-        return ToneResponse(forced[:, :10], None, [])
-    forced[:, 10:] += loop.noise_frame[size:] @ through
-    entry, ends = right @ enter, np.vstack([left[:2], left[10:]])
+        return ToneResponse(forced[:, : APPLIED.stop], None, [])
+    forced[:, APPLIED.stop :] += loop.noise_frame[size:] @ through
+    entry, ends = right @ enter, np.vstack([left[LOS], left[APPLIED.stop :]])
     loop_gain, sidebands = np.zeros((omega.size, 2, 2), complex), []
     count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
     for k in range(-(count // 2), count - count // 2):
@@ -219,9 +223,10 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
         loop_gain += gain[:, 2:]
         if k:
             sidebands.append((shift, gain[:, :2]))
-    camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, 10:])
+    camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, APPLIED.stop :])
     hold = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
-    return ToneResponse(forced[:, :10] + rows[:, :10] @ entry @ (hold * camera), camera, sidebands)
+    whole = slice(0, APPLIED.stop)
+    return ToneResponse(forced[:, whole] + rows[:, whole] @ entry @ (hold * camera), camera, sidebands)
 
 
 def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:

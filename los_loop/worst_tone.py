@@ -25,18 +25,18 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import StateSpace
+from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import loop_grid, tone_response
-from titop_plant.interface import FORCE_STAGES
+from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
-from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-INDICES = ("RPE", "APE", "slow", "fast")
+INDICES = error_names()
 """What a tone can be worst for."""
 
 PEAKS, ZOOMS, ZOOM_POINTS = 6, 3, 25
@@ -49,8 +49,8 @@ class WorstTone:
 
     Parameters
     ----------
-    index : {"RPE", "APE", "slow", "fast"}
-        What the tone is worst for.
+    index : str
+        What the tone is worst for, of :data:`INDICES`.
     omega : float
         rad/s.
     amplitude : ndarray, shape (22,), complex
@@ -139,14 +139,6 @@ class WorstTone:
         return tone
 
 
-def index_limit(parameters: Parameters, index: str, loop: str) -> float:
-    """Limit of an index in a stage [rad]: that of the APE, or of the RPE with or without the proof-mass actuators."""
-    table = parameters["weights"]
-    if index == "APE":
-        return float(table["ape_limit"])
-    return float(table["rpe_limit_fine" if loop in FORCE_STAGES else "rpe_limit"])
-
-
 def worst_tone(
     loop: SampledLoop, plant: StateSpace, parameters: Parameters, *, index: str, stage: str, closed: bool = True
 ) -> WorstTone:
@@ -159,7 +151,8 @@ def worst_tone(
         The continuous plant of the loop.
     parameters : mapping
         Tables ``weights`` and ``sadm``.
-    index : {"RPE", "APE", "slow", "fast"}
+    index : str
+        Of :data:`INDICES`.
     stage : str
         Of it depends the limit only.
     closed : bool
@@ -175,17 +168,18 @@ def worst_tone(
     radius = loop.spectral_radius()
     if closed and not radius < 1.0:
         raise ValueError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
-    omega = _band(loop_grid(plant, loop.hold[:-2, :-2]), index)
-    gains = _gains(loop, plant, parameters, omega, index)
+    row = figure(index)
+    omega = _band(loop_grid(plant, loop.hold[:-2, :-2]), row)
+    gains = _gains(loop, plant, parameters, omega, row)
     for peaks in (PEAKS, *[1] * ZOOMS):
         omega = _around(omega, gains, peaks)
-        gains = _gains(loop, plant, parameters, omega, index)
+        gains = _gains(loop, plant, parameters, omega, row)
     w = omega[gains.argmax()]
-    matrix, response = _weighted(loop, plant, parameters, np.array([w]), index)
+    matrix, response = _weighted(loop, plant, parameters, np.array([w]), row)
     gain, right = _leading(matrix[0])
     size = weight_amplitudes(parameters, w)[0]
     amplitude = size * right
-    return WorstTone(index, float(w), amplitude, gain, index_limit(parameters, index, stage), response[0] @ amplitude)
+    return WorstTone(index, float(w), amplitude, gain, float(row.limit(parameters, stage)), response[0] @ amplitude)
 
 
 def _around(omega: FloatArray, gains: FloatArray, peaks: int) -> FloatArray:
@@ -205,27 +199,27 @@ def _leading(matrix: ComplexArray) -> tuple[float, ComplexArray]:
     return float(values[0]), np.asarray(vector * (np.abs(largest) / largest))
 
 
-def _band(omega: FloatArray, index: str) -> FloatArray:
-    if index == "slow":
-        return np.append(omega[omega < BAND_EDGE], BAND_EDGE)
-    if index == "fast":
-        return np.append(BAND_EDGE, omega[omega > BAND_EDGE])
-    return omega
+def _band(omega: FloatArray, row: FigureOfMerit) -> FloatArray:
+    """Frequencies in the band of a figure, with its edges."""
+    edges = [edge for edge in row.band if 0.0 < edge < np.inf]
+    return np.asarray(np.unique(np.append(omega[(omega > row.band[0]) & (omega < row.band[1])], edges)))
 
 
-def _gains(loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, index: str) -> FloatArray:
-    matrix, _ = _weighted(loop, plant, parameters, omega, index)
+def _gains(
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
+) -> FloatArray:
+    matrix, _ = _weighted(loop, plant, parameters, omega, row)
     return np.asarray(np.linalg.norm(matrix, ord=2, axis=(1, 2)))
 
 
 def _weighted(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, index: str
+    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
 ) -> tuple[ComplexArray, ComplexArray]:
     """Weighted response (k, rows, 22), its largest singular value is the gain; line of sight by phasors (k, 2, 22)."""
     tone = tone_response(loop, plant, omega)
     size = weight_amplitudes(parameters, omega)[:, None, :]
-    los = tone.fundamental[:, :2]
-    if index == "APE":
+    los = tone.fundamental[:, OUTPUTS[LINE_OF_SIGHT]]
+    if not row.relative:
         return los * size, los
     window = parameters["weights"]["rpe_window"]
     rows = [rpe_weight(omega, window)[:, None, None] * los * size]
@@ -237,4 +231,4 @@ def _weighted(
     return np.concatenate(rows, axis=1), los
 
 
-__all__ = ["BAND_EDGE", "INDICES", "WorstTone", "index_limit", "worst_tone"]
+__all__ = ["INDICES", "WorstTone", "worst_tone"]

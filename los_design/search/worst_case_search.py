@@ -25,10 +25,8 @@ from numpy.typing import NDArray
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.sampled_loop import sampled_loop
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.sampled_loop_norms import weighted_gains
-from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.budget import BAND_EDGE
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +36,7 @@ Pair = tuple[float, FloatArray]
 Found = tuple[float, float, FloatArray]
 """Value of a metric, frequency [rad/s] and point of the unit cube."""
 BANDS = (
-    1e-2,
+    LOWEST,
     0.2,
     1.0,
     4.0,
@@ -185,9 +183,8 @@ class Search:
         """For each metric the three best points at each frequency."""
         names, drawn = item
         tables: dict[str, list[Found]] = {name: [] for name in names}
-        whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
         for omega, points in drawn:
-            responses = self.loop.responses(self.loop.at(omega), whole, self.loop.delta(points))
+            responses = self.loop.all_responses(self.loop.at(omega), points)
             for name in names:
                 metric = self.metrics[name]
                 if metric.band[0] <= omega < metric.band[1]:
@@ -295,10 +292,7 @@ class Search:
         loop, values = self.loop, self.loop.values(point)
         gamma, left, right = loop.singular_vectors(loop.at(omega), metric, point)
         if metric.disturbed and exactly:
-            plant = loop.system.data_at(values)
-            sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
-            stage = "isolator" if loop.stage == "none" else loop.stage
-            closed = sampled_loop(plant, *loop.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
+            plant, closed = loop.sampled_at(values)
             response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
             gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
             gamma = gain / metric.limit

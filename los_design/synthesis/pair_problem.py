@@ -5,8 +5,8 @@ accelerometers, with one tick of delay; a camera value that is held between fram
 frame period. So the tuned loop is that of :class:`los_loop.implemented_loop.ImplementedLoop`, and what is tuned is
 what :class:`los_design.search.worst_case_search.Search` measures.
 
-The gains are those of :func:`los_loop.implemented_loop.loop_metrics` for the two stages, with the shares of the
-budget as limits. Those of the mirror alone have the suffix ``, alone``.
+What is asked is :mod:`los_loop.figures_of_merit`, for the two stages, with what is tuned for as limits. The names of
+the mirror alone have the suffix ``, alone``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fsm_pma_controller.problem import FORCE_SHARE
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit.tuning.frequency_domain import (
     ControllerBlock,
@@ -29,25 +28,24 @@ from lftkit.tuning.frequency_domain import (
     ResponseProblem,
 )
 from los_estimator.problem import ORDER as OBSERVER_ORDER
+from los_loop.figures_of_merit import FigureOfMerit, gain_figures, noise_figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import (
     ACCELERATIONS,
     CAMERA,
+    COLUMNS,
+    COMMANDED,
     COMMANDS,
     DT,
     FORCES,
     FRAME_TICKS,
     MEASUREMENTS,
     MIRROR,
+    MIRROR_STAGES,
     PLATFORM,
 )
-from titop_plant.telescope.budget import (
-    BAND_EDGE,
-    TUNED_FORCE_SENSITIVITY,
-    TUNED_SENSITIVITY,
-    error_budget,
-)
+from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -55,6 +53,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 OBSERVER, ACTUATORS = 0, 1
 ALONE, BOTH = (OBSERVER,), (OBSERVER, ACTUATORS)
+STAGE_NAMES = dict(zip((ALONE, BOTH), MIRROR_STAGES))
+COMMAND_COLUMNS = {name: COLUMNS[name] for name in COMMANDED}
 ALONE_SUFFIX = ", alone"
 LOWEST = 1e-4
 """Lowest frequency of the samples [rad/s]: poles that cross the origin show there."""
@@ -69,9 +69,6 @@ NOISE_FREQUENCIES = ((1e-2, 0.5, 60), (0.5, 20.0, 500), (20.0, 1000.0, 700), (10
 
 LEAST_DECAY = 5e-4
 """Of the controllers' own poles [rad/s]: they are stable without the loop, and no transient lasts for hours."""
-
-TUNED = 0.985
-"""Part of the limits of APE, mirror and force that is tuned for."""
 
 
 def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
@@ -118,45 +115,31 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
     )
 
 
+def tuned_figures(stage: tuple[int, ...]) -> tuple[FigureOfMerit, ...]:
+    """Gains of a stage in the order of the tuner: relative errors first, the upper band first."""
+    return tuple(sorted(gain_figures(STAGE_NAMES[stage]), key=lambda row: (not row.relative, -row.band[0])))
+
+
 def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
     """What a gain of 1 stands for in a stage: shares of the budget [rad], and limits with what tuning leaves."""
-    budget = error_budget(parameters)
-    both = stage == BOTH
-    found = {
-        "fast": budget.fast if both else budget.fast_mirror,
-        "slow": budget.tone if both else budget.slow,
-        "APE": TUNED * parameters["weights"]["ape_limit"],
-        "mirror": TUNED * parameters["fsm"]["authority"],
-        "sensitivity, mirror": TUNED_SENSITIVITY,
-    }
-    if both:
-        found["force"] = TUNED * FORCE_SHARE * parameters["pma"]["authority"]
-        found["sensitivity, forces"] = TUNED_FORCE_SENSITIVITY
-    return found
+    return {row.name: row.tuned_for(parameters, STAGE_NAMES[stage]) for row in tuned_figures(stage)}
 
 
 def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
     """What is asked of the stages; 1 is the entry of :func:`limits`."""
     window = parameters["weights"]["rpe_window"]
-    bands = {"slow": (LOWEST, BAND_EDGE), "fast": (BAND_EDGE, HIGHEST)}
-    places = {
-        "mirror": (MIRROR, None),
-        "force": (FORCES, None),
-        "sensitivity, mirror": (MIRROR, MIRROR),
-        "sensitivity, forces": (FORCES, FORCES),
-    }
 
-    def gain(stage: tuple[int, ...], name: str, limit: float) -> ResponseGain:
-        low, high = bands.get(name, (LOWEST, HIGHEST))
+    def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
+        limit, (low, high) = row.tuned_for(parameters, STAGE_NAMES[stage]), row.within(LOWEST, HIGHEST)
 
         def scale(omega: FloatArray) -> FloatArray:
-            weight = rpe_weight(omega, window) if name in bands else np.ones(len(omega))
+            weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
             return np.asarray(np.where((omega >= low) & (omega < high), weight / limit, 0.0))
 
-        outputs, inputs = places.get(name, (None, None))
-        return ResponseGain(named(name, stage), stage, outputs, inputs, scale, hard=name in places)
+        outputs, inputs = COMMAND_COLUMNS.get(row.output), COMMAND_COLUMNS.get(row.inputs[0])
+        return ResponseGain(named(row.name, stage), stage, outputs, inputs, scale, hard=row.hard)
 
-    return tuple(gain(stage, name, limit) for stage in stages for name, limit in limits(parameters, stage).items())
+    return tuple(gain(stage, row) for stage in stages for row in tuned_figures(stage))
 
 
 def named(name: str, stage: tuple[int, ...]) -> str:
@@ -171,18 +154,27 @@ def noise_frequencies() -> FloatArray:
 
 
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
-    """Relative error by sensor noise at the nominal point; it depends on the parameters by less than 1e-4."""
+    """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
-    budget, table, omega = error_budget(parameters), parameters["sensors"], nominal.omega
+    table, omega = parameters["sensors"], nominal.omega
     amplitude = np.r_[
         np.tile(table["accelerometer_noise"], 3),
         np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
         np.full(2, table["strain_gauge_noise"]),
     ]
-    step = np.gradient(omega) * (DT / np.pi) * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
-    density = np.broadcast_to(amplitude, (len(omega), MEASUREMENTS))
-    shares = {ALONE: budget.noise, BOTH: budget.total_noise}
-    return tuple(ResponseNoise(named("noise -> RPE", s), s, nominal, density, step, shares[s]) for s in stages)
+
+    def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
+        heard = np.zeros(MEASUREMENTS)
+        for name in row.inputs:
+            heard[COLUMNS[name]] = amplitude[COLUMNS[name]]
+        density = np.broadcast_to(heard, (len(omega), MEASUREMENTS))
+        step = np.gradient(omega) * (DT / np.pi)
+        if row.relative:
+            step = step * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
+        limit = row.tuned_for(parameters, STAGE_NAMES[stage])
+        return ResponseNoise(named(row.name, stage), stage, nominal, density, step, limit)
+
+    return tuple(noise(stage, row) for stage in stages for row in noise_figures(STAGE_NAMES[stage]))
 
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:

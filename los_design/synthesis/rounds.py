@@ -23,7 +23,7 @@ from lftkit.support.workers import Workers
 from lftkit.tuning.frequency_domain import Descent, DescentOptions, DescentState, ResponseProblem, descend
 from los_design.search.worst_case_search import Search, SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
-from los_design.synthesis.pair_problem import BOTH, Samples, limits, named, pair_problem
+from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, Samples, limits, named, pair_problem
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Kept, Outcome, RoundState
 from los_loop.implemented_loop import ImplementedLoop
@@ -42,7 +42,6 @@ NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
 HALVINGS = 7
 """Of the way to an unstable point."""
-STAGE_NAMES = {(0,): "fsm", (0, 1): "fsm+pma"}
 
 
 @dataclass(frozen=True)
@@ -316,7 +315,7 @@ def _search(
 
 
 def _stage(point: WorstPoint) -> tuple[int, ...]:
-    return BOTH if point.stage == STAGE_NAMES[BOTH] else (0,)
+    return BOTH if point.stage == STAGE_NAMES[BOTH] else ALONE
 
 
 def _value(task: Task, name: str, point: WorstPoint) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure
 from fsm_pma_controller.skyhook import sampled_controller
 from lftkit import SampledSystem, StateSpace, state_space
 from lftkit.support.workers import Workers
@@ -25,15 +25,25 @@ from lftkit.tuning.frequency_domain import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.pair_problem import ACTUATORS, ALONE, ALONE_SUFFIX, BOTH, OBSERVER, Samples, blocks
+from los_design.synthesis.pair_problem import (
+    ACTUATORS,
+    ALONE,
+    ALONE_SUFFIX,
+    BOTH,
+    OBSERVER,
+    STAGE_NAMES,
+    Samples,
+    blocks,
+)
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Outcome
-from los_design.synthesis.rounds import STAGE_NAMES, Effort, Task, design_in_rounds
+from los_design.synthesis.rounds import Effort, Task, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import random_start, screened
+from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_estimator.kalman import sampled_observer
-from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.structures.kinematics import FloatArray
@@ -89,7 +99,7 @@ def design_observer(
     structure = observer_structure(plant)
     starts = [kalman_start(structure, telescope, parameters)]
     active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
-    requirements = observer_requirements(parameters, implemented=False)
+    requirements = paper_requirements(parameters, STAGE_NAMES[ALONE])
     result = _run(plant, requirements, structure, starts, active, parameters, options)
     return _sampled("k-fsm", result.controller.matrices, parameters, options, _provenance("k-fsm", result, options))
 
@@ -123,7 +133,7 @@ def design_actuators(
     plant = actuator_plant(telescope, parameters, continuous(observer))
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
-    requirements = actuator_requirements(parameters, implemented=False)
+    requirements = paper_requirements(parameters, STAGE_NAMES[BOTH])
     active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
     result = _run(plant, requirements, structure, starts, active, parameters, options)
     return _sampled("k-pma", result.controller.matrices, parameters, options, _provenance("k-pma", result, options))

@@ -32,7 +32,8 @@ from lftkit.proofs.state_space.checker import ProofError
 from lftkit.support.workers import Workers
 from lftkit.systems.ports import FloatArray
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import DISTURBANCE_IN, HIGHEST, ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
 from titop_plant.simulation.disturbances import CHANNELS
@@ -128,8 +129,9 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
         for a in np.tile(weights["wheel_imbalance"], 4)
     ]
     drives = [[loop.parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
-    commands = metric.rows.start >= 2
-    first = metric.rows.start - (2 if commands else 0)
+    los = OUTPUTS[LINE_OF_SIGHT]
+    commands = metric.rows != los
+    first = metric.rows.start - (los.stop if commands else 0)
     order = [names[channel] for channel in kept]
     return LoopModel(
         DT,
@@ -185,14 +187,8 @@ def box_of(loop: ImplementedLoop) -> Box:
 
 def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
     """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
-    chosen = {}
-    for name, metric in loop_metrics(parameters, stage).items():
-        if metric.columns != DISTURBANCE_IN:
-            continue
-        low, high = metric.band
-        band = (0.0 if low <= LOWEST else low, NYQUIST if high >= HIGHEST else high)
-        chosen[name] = replace(metric, band=band)
-    return chosen
+    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
+    return {name: metric for name, metric in found.items() if metric.disturbed}
 
 
 def parts_of(band: Interval) -> list[Interval]:

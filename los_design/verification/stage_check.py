@@ -21,9 +21,10 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import HIGHEST, ImplementedLoop, LoopMetric
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, changed_loops, doubtful
-from los_loop.sampled_loop import SampledLoop, radius_of, sampled_loop, slow_modes
+from los_loop.sampled_loop import radius_of, slow_modes
+from los_loop.spec import ADDED, APPLIED
 from titop_plant.interface import FRAME_TICKS
 
 FloatArray = NDArray[np.float64]
@@ -82,7 +83,7 @@ class Bracket:
 
 def grid() -> FloatArray:
     """Frequencies [rad/s] of a check: fine where the structure's modes are."""
-    slow = np.geomspace(1e-2, FINE_FROM, int(np.log(FINE_FROM / 1e-2) / SLOW_STEP))
+    slow = np.geomspace(LOWEST, FINE_FROM, int(np.log(FINE_FROM / LOWEST) / SLOW_STEP))
     fine = np.geomspace(FINE_FROM, FINE_TO, int(np.log(FINE_TO / FINE_FROM) / FAST_STEP))
     above = np.geomspace(FINE_TO, HIGHEST, int(np.log(HIGHEST / FINE_TO) / SLOW_STEP))
     return np.asarray(np.unique(np.concatenate([slow, fine, above])), dtype=float)
@@ -151,7 +152,7 @@ def _look(search: Search, chunk: _Chunk) -> _Part:
     """Stability, largest values and changed loops of a chunk of points."""
     found, modes = [], list[FloatArray]()
     for values in chunk.points:
-        multipliers = _loop(search, values).multipliers()
+        multipliers = search.loop.sampled_at(values)[1].multipliers()
         found.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
         modes.append(slow_modes(multipliers, FRAME_TICKS, FINE_FROM, NARROW))
     stable = np.array(found)
@@ -168,21 +169,11 @@ def _look(search: Search, chunk: _Chunk) -> _Part:
     return _Part(stable, brackets, unstable, envelope)
 
 
-def _loop(search: Search, values: Values) -> SampledLoop:
-    """The exact periodic loop at a parameter point."""
-    loop = search.loop
-    sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
-    stage = "isolator" if loop.stage == "none" else loop.stage
-    return sampled_loop(
-        loop.system.data_at(values), *loop.pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
-    )
-
-
 def _lost(search: Search, values: Values, doubt: NDArray[np.bool_]) -> list[str]:
     """Those changes of gain and delay in doubt that make the loop unstable at a point."""
     if not doubt.any():
         return []
-    changed = zip(doubt, changed_loops(_loop(search, values), search.loop.stage))
+    changed = zip(doubt, changed_loops(search.loop.sampled_at(values)[1], search.loop.stage))
     return [name for doubted, (name, make) in changed if doubted and not make().spectral_radius() < 1.0]
 
 
@@ -198,11 +189,10 @@ def _largest(
     value: dict[str, FloatArray] = {name: np.zeros(len(cube)) for name in metrics}
     place: dict[str, NDArray[np.intp]] = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
     envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
-    whole = LoopMetric("all", slice(0, 10), slice(0, 30), 1.0)
     for k, w in enumerate(omega):
         closed = loop.at(float(w))
-        T = loop.responses(closed, whole, loop.delta(cube))
-        doubt |= doubtful(T[:, 2:, 22:], float(w), loop.stage)
+        T = loop.all_responses(closed, cube)
+        doubt |= doubtful(T[:, APPLIED, ADDED], float(w), loop.stage)
         for name, metric in metrics.items():
             if metric.band[0] <= w <= metric.band[1]:
                 gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsm_pma_controller.problem import FORCE_SHARE, actuator_plant, actuator_requirements
+from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, StateSpace, UncertainSystem
 from lftkit.support.workers import Workers
 from lftkit.tuning import certify
+from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.verification.stage_check import StageCheck, check_stage, grid
-from los_estimator.problem import observer_plant, observer_requirements
+from los_estimator.problem import observer_plant
+from los_loop.figures_of_merit import figure, gain_figures, paper_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margin, rounded
 from los_loop.open_loop import OpenLoop
@@ -30,8 +32,6 @@ from titop_plant.telescope.parameters import Parameters, parameter_corners
 ARCSEC = np.pi / 648000.0
 MAS = 1e-3 * ARCSEC
 DELAY_POINTS, DELAY_FREQUENCIES = 40, 400
-FSM_NAMES = ("APE", "RPE", "mirror", "sensitivity, mirror")
-PMA_NAMES = ("APE", "RPE", "mirror", "sensitivity, mirror", "sensitivity, forces")
 Values = Mapping[str, float]
 FloatArray = NDArray[np.float64]
 PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
@@ -86,7 +86,7 @@ class ImplementedCheck:
         return self.stable == self.count and math.isfinite(self.platform_noise)
 
     def gamma(self, stage: str, requirement: str) -> float:
-        """Worst gamma of a requirement; ``RPE`` is the worse of slow and fast tones."""
+        """Worst gamma of a figure; ``RPE`` is the worse of slow and fast tones."""
         check = self.alone if stage == "fsm" else self.both
         if not check.stable.all():
             return math.inf
@@ -101,14 +101,12 @@ class ImplementedCheck:
     @property
     def pma(self) -> list[float]:
         """Gammas with both controllers in the paper's order: APE, RPE, noise to APE, force."""
-        noise = self.platform_noise / self.parameters["weights"]["ape_limit"]
+        noise = self.platform_noise / figure("noise -> APE").limit(self.parameters, "fsm+pma")
         return [self.gamma("fsm+pma", "APE"), self.gamma("fsm+pma", "RPE"), noise, self.gamma("fsm+pma", "force")]
 
     def tone(self, stage: str, requirement: str) -> float:
         """Worst amplitude of slow or fast tones [mas]."""
-        weights = self.parameters["weights"]
-        limit = weights["rpe_limit"] if stage == "fsm" else weights["rpe_limit_fine"]
-        return self.gamma(stage, requirement) * float(limit) / MAS
+        return self.gamma(stage, requirement) * figure(requirement).limit(self.parameters, stage) / MAS
 
     def total(self, stage: str) -> float:
         """Relative error that 99.7 % of the windows keep beside the worst tone [mas]."""
@@ -120,7 +118,7 @@ class ImplementedCheck:
 
         Reported, not required: the limit of the absolute error is asked of tones alone, as in the paper.
         """
-        limit = float(self.parameters["weights"]["ape_limit"]) / ARCSEC
+        limit = figure("APE").limit(self.parameters, stage) / ARCSEC
         tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0] / ARCSEC
         return combined_level(tone, noise) if math.isfinite(tone + noise) else math.inf
 
@@ -136,8 +134,8 @@ class ImplementedCheck:
 
         Frequencies at which both are below a tenth of the limit of both do not count.
         """
-        omega, weights = grid(), self.parameters["weights"]
-        ratio = float(weights["rpe_limit"]) / float(weights["rpe_limit_fine"])
+        omega, limit = grid(), figure("RPE").limit
+        ratio = limit(self.parameters, "fsm") / limit(self.parameters, "fsm+pma")
         one, two = (
             np.maximum(check.envelope["slow"], check.envelope["fast"]) * factor
             for check, factor in ((self.alone, ratio), (self.both, 1.0))
@@ -294,14 +292,12 @@ def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedC
 def broken_requirements(check: ImplementedCheck) -> list[str]:
     """One line for each requirement of the implemented loop that a pair of designs breaks; empty if all are met."""
     lines = [
-        f"{stage}: {name} {gamma:.3f} of its limit, must be at most 1"
-        for stage, names in (("fsm", FSM_NAMES), ("fsm+pma", PMA_NAMES))
-        for name in names
-        if not (gamma := check.gamma(stage, name)) <= 1.0
+        f"{stage}: {row.name} {gamma:.3f} of its limit, must be at most {row.allowed:g}"
+        for stage in MIRROR_STAGES
+        for row in gain_figures(stage)
+        if not (gamma := check.gamma(stage, row.name)) <= row.allowed
     ]
-    if not check.gamma("fsm+pma", "force") <= FORCE_SHARE:
-        lines.append(f"fsm+pma: force {check.gamma('fsm+pma', 'force'):.3f} of the authority, must be at most 0.5")
-    fine = float(check.parameters["weights"]["rpe_limit_fine"]) / MAS
+    fine = figure("RPE").limit(check.parameters, "fsm+pma") / MAS
     if not check.total("fsm+pma") <= fine:
         lines.append(f"fsm+pma: tones and noise {check.total('fsm+pma'):.1f} mas, must be at most {fine:g} mas")
     return lines + check.lost_margins()
@@ -314,17 +310,14 @@ def check_paper(
     observer, actuators = continuous(k_fsm), continuous(k_pma)
     first = observer_plant(telescope, parameters)
     second = actuator_plant(telescope, parameters, observer)
-    forces = _certified(
-        second,
-        actuators,
-        tuple(port.name for port in K_PMA_INPUTS),
-        actuator_requirements(parameters, implemented=False),
-        at,
-    )
-    forces[3] *= FORCE_SHARE  # over the whole authority, as the paper counts
+    measured = tuple(port.name for port in K_PMA_INPUTS)
+    alone, both = (paper_requirements(parameters, stage) for stage in MIRROR_STAGES)
+    forces = _certified(second, actuators, measured, both, at)
+    # over the whole authority, as the paper counts
+    shares = [row.allowed for row in paper_figures(MIRROR_STAGES[-1])]
     return {
-        "fsm": _certified(first, observer, MEASURED, observer_requirements(parameters, implemented=False), at),
-        "pma": forces,
+        "fsm": _certified(first, observer, MEASURED, alone, at),
+        "pma": [gamma * share for gamma, share in zip(forces, shares, strict=True)],
     }
 
 

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import create_autospec
 
-import numpy as np
 import pytest
 from support.uncertain_examples import two_mass_benchmark
 
@@ -72,13 +71,12 @@ def the_mass_and_spring(_: Path, __: pytest.MonkeyPatch) -> Names:
     return {**names, "pid": pid, "tune_robust": tune_robust}
 
 
-def requirements_of_the_observer(_: Path, __: pytest.MonkeyPatch) -> Names:
-    from lftkit import StateSpace
-    from lftkit.tuning import HinfGain
-    from los_estimator.problem import DISTURBANCES
+def figures_of_the_loop(_: Path, __: pytest.MonkeyPatch) -> Names:
+    from los_loop.figures_of_merit import FigureOfMerit
+    from titop_plant.interface import FORCE_STAGES
+    from titop_plant.telescope.budget import BAND_EDGE
 
-    unit = StateSpace.static(np.eye(1), [("a", 1)], [("b", 1)])
-    return {"HinfGain": HinfGain, "DISTURBANCES": DISTURBANCES, "expected": unit, "relative": unit}
+    return {"FigureOfMerit": FigureOfMerit, "FORCE_STAGES": FORCE_STAGES, "BAND_EDGE": BAND_EDGE}
 
 
 def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
@@ -101,7 +99,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "control_design.md": a_design_that_is_only_called,
     "robust_design.md": the_mass_and_spring,
     "telescope.md": files_of_nastran,
-    "CONTRIBUTING.md": requirements_of_the_observer,
+    "CONTRIBUTING.md": figures_of_the_loop,
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "robust_design.md"}

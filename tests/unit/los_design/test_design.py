@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
 
-from fsm_pma_controller.problem import actuator_plant, actuator_requirements, actuator_structure
+from fsm_pma_controller.problem import actuator_plant, actuator_structure
 from lftkit import SampledSystem
-from lftkit.tuning import H2Gain
 from lftkit.tuning.problem import Problem
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.starts import random_start
+from los_design.synthesis.state_space_requirements import implemented_requirements, requirement
 from los_design.synthesis.store import continuous, design_file, load_designs
-from los_estimator.problem import NOISE, kalman_start, observer_plant, observer_requirements, observer_structure
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop_norms import sampled_loop_metrics
-from titop_plant.interface import LOOP_DELAY
+from titop_plant.interface import LOOP_DELAY, MEASURED
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
@@ -33,8 +35,10 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
     """Accelerometer noise: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a preliminary model."""
     assembled = telescope()
     plant = observer_plant(assembled, parameters)
-    requirements = observer_requirements(parameters, implemented=True, relaxation=1.0)  # 100 mas of noise
-    requirements += (H2Gain(NOISE, ("los_controlled",), parameters["weights"]["ape_limit"], name="noise -> APE"),)
+    names, weights = ("noise -> RPE", "noise -> APE", "mirror"), parameters["weights"]
+    bounds = weights["rpe_limit"], weights["ape_limit"], parameters["fsm"]["authority"]
+    rows = [replace(figure(name), inputs=MEASURED) if "noise" in name else figure(name) for name in names]
+    requirements = [requirement(row, parameters, "fsm", bound) for row, bound in zip(rows, bounds)]
     structure = observer_structure(plant)
     problem = Problem([plant({})], requirements, structure)
     start = kalman_start(structure, assembled, parameters)
@@ -47,9 +51,7 @@ def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
 def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
     assembled = telescope()
     plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
-    requirements = [
-        r for r in observer_requirements(parameters, implemented=True) if r.name in ("fast", "noise -> RPE")
-    ]
+    requirements = [r for r in implemented_requirements(parameters, "fsm") if r.name in ("fast", "noise -> RPE")]
     structure = observer_structure(plant, camera_hold=True)
     problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
     x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
@@ -73,7 +75,7 @@ def test_a_random_start_is_stable_and_has_a_small_gain(parameters) -> None:
     assert np.linalg.eigvals(start.A).real.max() < 0.0
     structure = actuator_structure(plant)
     problem = Problem(
-        [plant({})], actuator_requirements(parameters, implemented=True), structure, loop_delay=IMPLEMENTED.delay
+        [plant({})], implemented_requirements(parameters, "fsm+pma"), structure, loop_delay=IMPLEMENTED.delay
     )
     assert problem.abscissa(structure.parameters_of(start)) < 0.0
 

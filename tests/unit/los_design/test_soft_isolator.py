@@ -8,7 +8,8 @@ import pytest
 
 from lftkit.tuning.problem import Problem, worst_values
 from lftkit.tuning.tuner import TuningOptions, tune
-from los_estimator.problem import kalman_start, observer_plant, observer_requirements, observer_structure
+from los_design.synthesis.state_space_requirements import paper_requirements
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
 
@@ -20,7 +21,7 @@ def test_the_kalman_start_is_left_or_the_status_does_not_promise_an_optimum() ->
     telescope = build_telescope(parameters)
     plant = observer_plant(telescope, parameters)
     structure = observer_structure(plant)
-    requirements = observer_requirements(parameters, implemented=False)
+    requirements = paper_requirements(parameters, "fsm")
     model = plant({name: p.nominal for name, p in uncertain_parameters(parameters).items()})
     start = kalman_start(structure, telescope, parameters)
     problem = Problem([model], requirements, structure)

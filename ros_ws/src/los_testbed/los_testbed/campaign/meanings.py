@@ -51,4 +51,4 @@ def meaning(column: str) -> str:
         return f"relative error, rms of a window, {share:g} % of the windows [{unit}]"
     if sign:
         return f"share of the {'windows' if stem.endswith('window') else 'instants'} above {limit.replace('_', ' ')}"
-    return MEANINGS[column]
+    return MEANINGS.get(column, column.replace("_", " "))

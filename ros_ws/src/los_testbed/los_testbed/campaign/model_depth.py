@@ -13,6 +13,7 @@ Everything is read from the responses of :class:`los_testbed.campaign.model_loop
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,13 +24,13 @@ from scipy.interpolate import CubicSpline
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
-from los_loop.implemented_loop import DISTURBANCE_IN, FORCE_IN, FORCE_OUT, LOS, MIRROR_IN, MIRROR_OUT
-from los_loop.sampled_loop import sampled_loop
+from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
 from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
 from los_testbed.campaign.model_loop import ModelLoop
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES
-from titop_plant.telescope.budget import BAND_EDGE, combined_level
+from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, STAGES
+from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -51,22 +52,31 @@ _TONES = np.concatenate([np.linspace(0.0, 6.0, 41), np.linspace(6.5, 20.0, 28)])
 NEAR_PEAK = 0.8
 """Share of the largest gain above which gains are exact; below, an upper bound stands in."""
 
-MODEL_METRICS = (
-    "ape_gain",
-    "slow_tone_mas",
-    "fast_tone_mas",
-    "rpe_fine_gain",
-    "mirror_gain",
-    "force_gain",
-    "noise_ape_arcsec_rms",
-    "noise_rpe_mas_rms",
-    "total_mas",
-    "sensitivity_mirror",
-    "sensitivity_forces",
-    "rpe_peak_rad_s",
-)
-"""Gains over the limits (errors, authorities); worst slow and fast tone of unit norm; noise; what 99.7 % of
-the windows keep with the worst tone and the noise; peak sensitivities; frequency of the worst tone."""
+
+def gain_column(row: FigureOfMerit) -> str:
+    """Column of a gain: relative errors are in mas, sensitivities as they are, others over their limits.
+
+    Examples
+    --------
+    >>> [gain_column(row) for row in gain_figures("fsm+pma")][2:5]
+    ['fast_tone_mas', 'mirror_gain', 'sensitivity_mirror']
+    """
+    stem = re.sub("[^a-z0-9]+", "_", row.name.lower())
+    return stem if row.is_sensitivity else f"{stem}_tone_mas" if row.is_error and row.relative else f"{stem}_gain"
+
+
+def model_metrics() -> tuple[str, ...]:
+    """Columns: the gains of the last stage's figures; noise; what 99.7 % of the windows keep with the worst tone."""
+    rows = gain_figures(STAGES[-1])
+    errors = [gain_column(row) for row in rows if row.is_error]
+    others = [gain_column(row) for row in rows if not (row.is_error or row.is_sensitivity)]
+    peaks = [gain_column(row) for row in rows if row.is_sensitivity]
+    noise = "noise_ape_arcsec_rms", "noise_rpe_mas_rms"
+    return (*errors, "rpe_fine_gain", *others, *noise, "total_mas", *peaks, "rpe_peak_rad_s")
+
+
+MODEL_METRICS = model_metrics()
+"""The columns with the figures of merit as they stand."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,7 @@ class ModelDepth:
         return cls(model, system, parameters, (k_fsm, k_pma), stage, seen, sigma, density, noise)
 
     def metrics(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Metrics by the names of :data:`MODEL_METRICS`; infinite where the loop is unstable.
+        """Metrics by the names of :func:`model_metrics`; infinite where the loop is unstable.
 
         Parameters
         ----------
@@ -133,38 +143,37 @@ class ModelDepth:
         index = self.model.looked_at(W)
         T = self.model.at(W, index)
         if self.stage in MIRROR_STAGES and not self._stable(T, values):
-            return {**dict.fromkeys(MODEL_METRICS, float("inf")), "rpe_peak_rad_s": float("nan")}
+            return {**dict.fromkeys(model_metrics(), float("inf")), "rpe_peak_rad_s": float("nan")}
         plain, noise = self._noise(T, index, values)
-        peaks = self._peaks(W, index, T)
-        slow, fast = peaks["slow"], peaks["fast"]
-        worst, at = max(slow, fast)
+        rows, peaks = gain_figures(STAGES[-1]), self._peaks(W, index, T)
+        worst, at = max(peaks[row.name] for row in rows if row.is_error and row.relative)
         worst, noise = worst / RAD_PER_MAS, noise / RAD_PER_MAS
-        weights = self.parameters["weights"]
-        found = (
-            peaks["los"][0] / weights["ape_limit"],
-            slow[0] / RAD_PER_MAS,
-            fast[0] / RAD_PER_MAS,
-            worst * RAD_PER_MAS / weights["rpe_limit_fine"],
-            peaks["mirror"][0] / self.parameters["fsm"]["authority"],
-            peaks["force"][0] / self.parameters["pma"]["authority"],
-            plain / RAD_PER_ARCSEC,
-            noise,
-            self.level(worst, noise),
-            peaks["sensitivity_mirror"][0] if self.stage in MIRROR_STAGES else 0.0,
-            peaks["sensitivity_forces"][0] if self.stage in FORCE_STAGES else 0.0,
-            at,
-        )
-        return dict(zip(MODEL_METRICS, map(float, found)))
+        found = {
+            **{gain_column(row): self._shown(row, peaks[row.name][0]) for row in rows},
+            "rpe_fine_gain": worst * RAD_PER_MAS / figure("RPE").limit(self.parameters, STAGES[-1]),
+            "noise_ape_arcsec_rms": plain / RAD_PER_ARCSEC,
+            "noise_rpe_mas_rms": noise,
+            "total_mas": self.level(worst, noise),
+            "rpe_peak_rad_s": at,
+        }
+        return {name: float(found[name]) for name in model_metrics()}
+
+    def _shown(self, row: FigureOfMerit, peak: float) -> float:
+        """A gain as its column has it; a sensitivity of a loop that is not closed is zero."""
+        if row.is_sensitivity:
+            return peak if self.stage in row.stages else 0.0
+        return peak / (RAD_PER_MAS if row.is_error and row.relative else row.limit(self.parameters, self.stage))
 
     def _gains(self, T: ComplexArray, index: IndexArray) -> dict[str, FloatArray]:
-        """Gain of each metric at points of the grid, zero outside of its band."""
-        los = largest_gains(T[:, LOS, DISTURBANCE_IN])
-        relative, slow = los * self.seen[index], self.model.omega[index] < BAND_EDGE
-        found = {"los": los, "slow": np.where(slow, relative, 0.0), "fast": np.where(slow, 0.0, relative)}
-        found["mirror"] = largest_gains(T[:, MIRROR_OUT, DISTURBANCE_IN])
-        found["force"] = gains_above(T[:, FORCE_OUT, DISTURBANCE_IN], NEAR_PEAK)
-        found["sensitivity_mirror"] = largest_gains(T[:, MIRROR_OUT, MIRROR_IN])
-        found["sensitivity_forces"] = gains_above(T[:, FORCE_OUT, FORCE_IN], NEAR_PEAK)
+        """Gain of each figure at points of the grid, zero outside of its band."""
+        omega, found, plain = self.model.omega[index], {}, dict[tuple[str, ...], FloatArray]()
+        for row in gain_figures(STAGES[-1]):
+            place = (row.output, *row.inputs)
+            if place not in plain:
+                part = T[:, row.rows, row.columns]
+                plain[place] = largest_gains(part) if part.shape[1] <= 2 else gains_above(part, NEAR_PEAK)
+            gain = plain[place] * self.seen[index] if row.relative else plain[place]
+            found[row.name] = np.where((omega >= row.band[0]) & (omega < row.band[1]), gain, 0.0)
         return found
 
     def _peaks(self, W: FloatArray, index: IndexArray, T: ComplexArray) -> dict[str, tuple[float, float]]:
@@ -190,20 +199,12 @@ class ModelDepth:
         return noise * float(_levels()(tone / noise))
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
-        angle = -np.angle(determinants(T[:, 2:, MIRROR_IN.start :]))
+        angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
         turn = np.diff(angle, prepend=0.0)
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         if np.abs(turn).max() < TURN and abs(turn.sum()) < np.pi:
             return True
-        sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
-        closed = sampled_loop(
-            self.system.data_at(values),
-            *self.controllers,
-            loop=self.stage,
-            frame_ticks=FRAME_TICKS,
-            los_sensitivity=sensitivity,
-        )
-        return closed.spectral_radius() < 1.0
+        return self.model.loop.sampled_at(values)[1].spectral_radius() < 1.0
 
     def _noise(self, T: ComplexArray, index: IndexArray, values: Mapping[str, float]) -> tuple[float, float]:
         if not np.isfinite(self.noise).all():  # the nominal loop is unstable
@@ -227,13 +228,12 @@ def _exact_noise(
     stage: str,
     values: Mapping[str, float],
 ) -> tuple[float, float]:
-    loop = "isolator" if stage == "none" else stage
-    return noise_metrics(system.data_at(values), *controllers, parameters, loop=loop, frame_ticks=FRAME_TICKS)
+    return noise_metrics(system.data_at(values), *controllers, parameters, loop=stage, frame_ticks=FRAME_TICKS)
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:
     """Sum of the squared responses of the line of sight to the noise of each sensor."""
-    response = (T[:, LOS, MIRROR_IN.start :] @ K) * sigma
+    response = (T[:, OUTPUTS[LINE_OF_SIGHT], ADDED] @ K) * sigma
     return np.asarray(np.sum(response.real**2 + response.imag**2, axis=(1, 2)))
 
 

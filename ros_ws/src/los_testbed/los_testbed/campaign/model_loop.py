@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import solve
-from los_loop.implemented_loop import HIGHEST, ImplementedLoop
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
@@ -33,7 +33,6 @@ ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.intp]
 linalg: Any = scipy.linalg
 
-LOWEST = 1e-2
 COARSE = 1.1
 """Ratio of neighbouring frequencies away from the modes."""
 
