@@ -190,7 +190,7 @@ def test_temporal_counts_the_worst_run() -> None:
 
 
 def test_a_worse_verdict_counts_before_a_larger_share() -> None:
-    """A long run that is refuted at 35 % beside a short one with 50 %; one at 0 % beside a compliant one at 10 %."""
+    """A long run refuted at 35 % beside a short one with 50 %; a short one at 0 % beside a compliant at 10 %."""
     rng = np.random.default_rng(8)
     refuted, shorter = run(np.where(rng.random(800) < 0.35, 0.6, 0.1)), run([0.1, 0.9])
     assert judge(LOOSE, [shorter, refuted], 0.0).status == "not compliant"
