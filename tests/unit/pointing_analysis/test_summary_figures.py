@@ -217,3 +217,53 @@ def test_figures_that_stand_without_a_limit(tmp_path: Path) -> None:
         "|RPE(20 ms)|, 99.7 %",
     ]
     assert names(summarise(series(None, NOISE, unit="rad", rate=512.0))) == ["APE max", "APE 99.7 %"]
+
+
+def test_quantiles_of_many_windows_are_not_their_largest() -> None:
+    """Of 500 windows two may be above the 99.7 % quantile, but for one."""
+    many = RAD_PER_MAS * np.random.default_rng(9).standard_normal((10_000, 2))
+    found, w = Performance.of(many, DT), metrics.windows(many, DT, 0.02)
+    sizes = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
+    assert found.rpe_windows_p997 == pytest.approx(upper_rank(sizes, 0.997)) and found.rpe_windows_p997 < sizes.max()
+    assert found.ape_p997 == pytest.approx(upper_rank(np.hypot(*many.T), 0.997) / RAD_PER_ARCSEC)
+    known = Knowledge.of(many, DT)
+    assert known.ake_p997_arcsec == pytest.approx(found.ape_p997) and known.ake_p997_arcsec < found.ape_max
+
+
+class Beside:
+    """A recording with a second topic."""
+
+    def __init__(self, made: Any, **topics: Any) -> None:
+        self._made, self._topics = made, {"truth/los": made["truth/los"], **topics}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._made, name)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        return tuple(sorted(self._topics))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._topics
+
+    def __getitem__(self, name: str) -> Any:
+        return self._topics[name]
+
+
+def test_a_topic_ends_where_the_truth_was_to_end() -> None:
+    """Three samples of the truth are lost at its end: what has as many lacks them, too."""
+    made = series(None, NOISE, unit="rad", rate=1000.0)
+    truth = made["truth/los"]
+    short = Beside(replace(made, topic=replace(truth, lost_after=3)), **{"m1/accel": replace(truth, name="m1/accel")})
+    found = summarise(short, transient=0.0)
+    assert found.lost_by_topic == {"truth/los": 3, "m1/accel": 3}
+    assert found.problems[-1] == "m1/accel: 3 samples missing at the start or the end of the run"
+    assert summarise(Beside(made, **{"m1/accel": replace(truth, name="m1/accel")}), transient=0.0).samples_lost == 0
+
+
+def test_a_topic_of_one_message_says_nothing_of_its_rate(tmp_path: Path) -> None:
+    stamps = 10**9 + 10**6 * np.arange(3000)
+    signals = {"truth/los": NOISE, "m1/accel": np.zeros((1, 6))}
+    given = {"truth/los": stamps, "m1/accel": stamps[:1]}
+    found = summarise(Run.open(write_bag(tmp_path / "a", signals, stamps=given, parameters={"transient_s": 0})))
+    assert found.samples_lost == 0 and found.problems == ()
