@@ -102,6 +102,8 @@ def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
     assert ends.samples_lost == 3 and "m1/accel: 3 samples missing at the start" in ends.problems[0]
     one = summarise(bag(tmp_path / "one", lost=(2999,), transient_s=0))  # the command to the last tick may come late
     assert one.samples_lost == 0 and one.problems == ()
+    late = summarise(bag(tmp_path / "late", lost=(2995, 2996, 2997, 2998), transient_s=0))  # a gap, not an end
+    assert late.problems == ("m1/accel: 4 samples missing in 1 gaps",) and late.samples_lost == 4
     both = summarise(bag(tmp_path / "both", lost=(0, 1, 700), transient_s=0))
     assert both.lost_by_topic == {"m1/accel": 3} and len(both.problems) == 2
 
