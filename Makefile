@@ -43,6 +43,7 @@ run: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
 
 test: lint
@@ -120,5 +121,5 @@ lock:
 	    --override .venv-lock/override.txt pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info
 	rm -rf ros_ws/build ros_ws/install ros_ws/log

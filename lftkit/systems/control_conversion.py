@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lftkit.systems.ports import FloatArray, Port
+from lftkit.arrays import Matrices
+from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, order_for_ports, ports_of_labels
 
 if TYPE_CHECKING:
     import control
-
-    from lftkit.systems.state_space import Matrices
 
 
 def ports_and_matrices(
@@ -58,7 +57,7 @@ def continuous_only(system: Any) -> None:
 
 
 def control_system(
-    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    matrices: Matrices,
     inputs: Sequence[Port],
     outputs: Sequence[Port],
     dt: float | None,

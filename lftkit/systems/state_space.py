@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray, IntArray, Matrices
 from lftkit.systems.control_conversion import continuous_only, control_system, ports_and_matrices
-from lftkit.systems.ports import FloatArray, Port, as_ports, port_indices, read_only, total_size
+from lftkit.systems.ports import Port, as_ports, port_indices, read_only, total_size
 
 if TYPE_CHECKING:
     import control
-
-Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -76,11 +75,11 @@ class StateSpace:
         """(A, B, C, D)."""
         return self.A, self.B, self.C, self.D
 
-    def input_indices(self, names: Iterable[str]) -> NDArray[np.intp]:
+    def input_indices(self, names: Iterable[str]) -> IntArray:
         """Columns of the ports `names`, in the given order."""
         return port_indices(self.inputs, names, "input", self.name)
 
-    def output_indices(self, names: Iterable[str]) -> NDArray[np.intp]:
+    def output_indices(self, names: Iterable[str]) -> IntArray:
         """Rows of the ports `names`, in the given order."""
         return port_indices(self.outputs, names, "output", self.name)
 

@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from lftkit.systems.ports import Port
-    from lftkit.systems.uncertain_system import UncertainSystem
+    from lftkit.uncertainty.parameters import RealParameter
 
 Row = tuple[str, ...]
 
 
-def one_line(system: UncertainSystem) -> str:
+class Summarised(Protocol):
+    """What a summary needs of a system: ports, parameters, number of states, occurrences of each parameter."""
+
+    @property
+    def inputs(self) -> tuple[Port, ...]: ...
+    @property
+    def outputs(self) -> tuple[Port, ...]: ...
+    @property
+    def parameters(self) -> tuple[RealParameter, ...]: ...
+    @property
+    def order(self) -> int: ...
+    def occurrences(self) -> dict[str, int]: ...
+
+
+def one_line(system: Summarised) -> str:
     """Order and counts: what stands in a session or a debugger.
 
     Examples
@@ -29,7 +43,7 @@ def one_line(system: UncertainSystem) -> str:
     return f"UncertainSystem(order {system.order}, {', '.join(counts)}, {f'parameters {used}' if used else 'certain'})"
 
 
-def text(system: UncertainSystem) -> str:
+def text(system: Summarised) -> str:
     """Ports with sizes and units, parameters with nominal value, range, unit and occurrences in Delta."""
     lines = [f"order {system.order}"]
     for ports, kind in _sides(system):
@@ -40,7 +54,7 @@ def text(system: UncertainSystem) -> str:
     return "\n".join([*lines, *_columns(rows)])
 
 
-def html(system: UncertainSystem) -> str:
+def html(system: Summarised) -> str:
     """The same as HTML: one line, ports and parameters in tables that fold out."""
     parts = [f"<strong>order {system.order}</strong>"]
     for ports, kind in _sides(system):
@@ -52,7 +66,7 @@ def html(system: UncertainSystem) -> str:
     return f"<div>{''.join(parts)}</div>"
 
 
-def _sides(system: UncertainSystem) -> tuple[tuple[tuple[Port, ...], str], ...]:
+def _sides(system: Summarised) -> tuple[tuple[tuple[Port, ...], str], ...]:
     return (system.inputs, "input"), (system.outputs, "output")
 
 
@@ -64,7 +78,7 @@ def _port_rows(ports: Sequence[Port]) -> list[Row]:
     return [(p.name, str(p.size), p.unit) for p in ports]
 
 
-def _parameter_rows(system: UncertainSystem) -> list[Row]:
+def _parameter_rows(system: Summarised) -> list[Row]:
     count = system.occurrences()
     return [
         (p.name, f"{p.nominal:.6g}", f"{p.lower:.6g} .. {p.upper:.6g}", p.unit, str(count[p.name]))

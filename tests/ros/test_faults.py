@@ -31,7 +31,7 @@ from ros_runs import (
     lost_samples,
     span_of,
 )
-from unjudged import judged
+from support.unjudged import judged
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare

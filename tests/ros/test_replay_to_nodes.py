@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 from los_testbed.run.node_launch import environment, node_command, parameter_file
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
-from unjudged import judged
+from support.unjudged import judged
 
 from pointing_analysis.read.run import Run
 

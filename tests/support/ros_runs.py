@@ -11,7 +11,7 @@ import numpy as np
 from los_testbed.config import RunConfig
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
-from unjudged import judged
+from support.unjudged import judged
 
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
