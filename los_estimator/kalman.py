@@ -38,6 +38,7 @@ from titop_plant.structures.kinematics import FloatArray, tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_samples
 
 CAMERA_NOISE_FACTOR = 1e5
 """The paper's K_LOS: the camera's noise in the model over that of the sensor."""
@@ -95,7 +96,7 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
     """
     C_a = acceleration_sensitivity(parameters, payload)
     sensors = parameters["sensors"]
-    noise = np.tile(sensors["accelerometer_noise"], 3)
+    noise = noise_of_samples(parameters)[ACCELERATIONS]
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT
     R = (CAMERA_NOISE_FACTOR * sensors["camera_noise"]) ** 2 * DT * np.eye(2)

@@ -11,6 +11,15 @@ from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASU
 FloatArray = NDArray[np.float64]
 
 
+def hold_camera(measurement: FloatArray, held: FloatArray) -> None:
+    """Replace the camera value `held` (2,) [rad] by that of a measurement (22,) where both of its axes are finite."""
+    x, y = measurement[CAMERA.start], measurement[CAMERA.start + 1]
+    # x - x is 0 for a finite number only: cheaper than np.isfinite on two elements
+    if x - x == 0.0 and y - y == 0.0:
+        held[0] = x
+        held[1] = y
+
+
 class LosEstimator:
     """Observer K_FSM: 22 measurements to the estimated line of sight.
 
@@ -84,11 +93,7 @@ class LosEstimator:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
         u = self._u
         u[:] = measurement
-        x, y = measurement[CAMERA.start], measurement[CAMERA.start + 1]
-        # x - x is 0 for a finite number only: cheaper than np.isfinite on two elements
-        if x - x == 0.0 and y - y == 0.0:
-            self._camera[0] = x
-            self._camera[1] = y
+        hold_camera(measurement, self._camera)
         u[CAMERA] = self._camera
         self.k_fsm.step(u, out)
 

@@ -28,18 +28,23 @@ from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
 from los_loop.figures_of_merit import gain_figures
 from los_loop.open_loop import OpenLoop, closed_lft
 from los_loop.sampled_loop import SampledLoop, sampled_loop
-from los_loop.spec import ADDED, APPLIED, DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import (
+    ADDED,
+    APPLIED,
+    DISTURBANCE,
+    HELD,
+    INPUTS,
+    LINE_OF_SIGHT,
+    OUTPUTS,
+    held_response,
+    laws,
+)
 from titop_plant.interface import (
-    CAMERA,
     COMMANDS,
     DT,
-    FORCE_STAGES,
     FRAME_TICKS,
     MEASUREMENTS,
-    MIRROR_STAGES,
-    PLATFORM,
     TRUTH,
-    DesignBasis,
 )
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
@@ -126,14 +131,7 @@ class ImplementedLoop:
         self.system, self.parameters, self.stage = open_loop.system, open_loop.parameters, stage
         self.names = open_loop.names
         self.pair = (k_fsm, k_pma)
-        self.stage_gains = self._stage_gains(k_fsm)
-
-    def _stage_gains(self, k_fsm: SampledSystem) -> tuple[float, float]:
-        mirror = 0.0
-        if self.stage in MIRROR_STAGES:
-            own = DesignBasis(los_sensitivity=float(self.parameters["fsm"]["los_sensitivity"]))
-            mirror = -1.0 / DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(own)
-        return mirror, 1.0 if self.stage in FORCE_STAGES else 0.0
+        self.laws = laws(k_fsm, k_pma, stage, float(self.parameters["fsm"]["los_sensitivity"]))
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -155,13 +153,10 @@ class ImplementedLoop:
         """What :meth:`control` gives at N frequencies [rad/s], shape (N, 8, 22)."""
         z = np.exp(1j * omega * DT)
         out = np.zeros((len(omega), COMMANDS, MEASUREMENTS), complex)
-        k_fsm, k_pma = self.pair
-        mirror, forces = self.stage_gains
-        if mirror:
-            out[:, :2] = mirror * _sampled_responses(k_fsm, z)
-            out[:, :2, CAMERA] *= np.mean(z[:, None] ** -np.arange(FRAME_TICKS), axis=1)[:, None, None]
-        if forces:
-            out[:, 2:, PLATFORM] = _sampled_responses(k_pma, z)
+        for law in self.laws:
+            if law.gain:
+                out[:, law.command, law.measured] = law.gain * _sampled_responses(law.system, z)
+        out[:, :, HELD] *= held_response(z, FRAME_TICKS)[:, None, None]
         return np.asarray(out / z[:, None, None])
 
     def at(self, omega: float) -> ClosedAt:

@@ -7,7 +7,6 @@ product of the N one-tick matrices.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import SampledSystem, StateSpace
-from titop_plant.interface import CAMERA, COMMANDS, DT, FORCE_STAGES, MEASUREMENTS, MIRROR_STAGES, PLATFORM, DesignBasis
+from los_loop.spec import HELD, laws, state_parts
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import sample
 from titop_plant.simulation.disturbances import no_tones
 
@@ -112,39 +112,32 @@ def sampled_loop(
     """
     n = plant.A.shape[0]
     step = sample(plant, no_tones(), 1).step
-    mirror = 0.0
-    if loop in MIRROR_STAGES:
-        basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
-        mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
-    actuators = 1.0 if loop in FORCE_STAGES else 0.0
-    f, p = k_fsm.order, k_pma.order
-    offsets = np.cumsum([0, n, COMMANDS, f, p, 2])
-    X, V, F, P, H = (slice(a, b) for a, b in itertools.pairwise(offsets))
-    size = int(offsets[-1])
+    both = laws(k_fsm, k_pma, loop, los_sensitivity)
+    X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)
+    size = H.stop
     Y = np.zeros((MEASUREMENTS, size))
     Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
 
     def tick(with_frame: bool) -> tuple[FloatArray, FloatArray]:
         measured, noise = Y.copy(), np.eye(MEASUREMENTS)
         if not with_frame:
-            measured[CAMERA], noise[CAMERA] = 0.0, 0.0
-            measured[CAMERA, H] = np.eye(2)
+            measured[HELD], noise[HELD] = 0.0, 0.0
+            measured[HELD, H] = np.eye(HELD.size)
         sensed = np.hstack([measured, noise])
         out = np.zeros((size, size + MEASUREMENTS))
         out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
-        out[F] = k_fsm.B @ sensed
-        out[F, F] += k_fsm.A
-        out[P] = k_pma.B @ sensed[PLATFORM]
-        out[P, P] += k_pma.A
-        out[H] = sensed[CAMERA]
-        out[V.start : V.start + 2] = mirror * (k_fsm.D @ sensed)
-        out[V.start : V.start + 2, F] += mirror * k_fsm.C
-        out[V.start + 2 : V.stop] = actuators * (k_pma.D @ sensed[PLATFORM])
-        out[V.start + 2 : V.stop, P] += actuators * k_pma.C
+        out[H] = sensed[HELD]
+        command = out[V]
+        for law, states in zip(both, own):
+            K = law.system
+            out[states] = K.B @ sensed[law.measured]
+            out[states, states] += K.A
+            command[law.command] = law.gain * (K.D @ sensed[law.measured])
+            command[law.command, states] += law.gain * K.C
         return out[:, :size], out[:, size:]
 
     frame, noise_frame = tick(True)
     hold, noise_hold = tick(False)
-    truth = np.zeros((2, size))
+    truth = np.zeros((TRUTH, size))
     truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
     return SampledLoop(frame, hold, noise_frame, noise_hold, truth, frame_ticks, n)

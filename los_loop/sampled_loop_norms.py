@@ -11,7 +11,6 @@ infinite.**
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +23,11 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.systems.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, sampled_loop
-from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS
-from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, MIRROR_STAGES
+from los_loop.spec import APPLIED, HELD, LINE_OF_SIGHT, OUTPUTS, held_response
+from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_samples
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 FloatArray = NDArray[np.float64]
@@ -195,7 +195,7 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
     Sidebands beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With a frame period of
     at most ``2 SIDEBANDS + 1`` ticks all of them are included and the response is exact.
     """
-    n, size, ticks = loop.plant_order, loop.hold.shape[0] - 2, loop.frame_ticks
+    n, size, ticks = loop.plant_order, loop.hold.shape[0] - HELD.size, loop.frame_ticks
     A, N = loop.hold[:size, :size], loop.noise_hold[:size]
     if ticks == 1:
         A, N = loop.frame[:size, :size], loop.noise_frame[:size]
@@ -218,13 +218,13 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
     for k in range(-(count // 2), count - count // 2):
         shift = 2.0 * np.pi * k / (ticks * DT)
         zk = np.exp(1j * (omega + shift) * DT)
-        hold = np.mean(zk[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+        hold = held_response(zk, ticks)[:, None, None]
         gain = (ends[None] / (zk[:, None, None] - mu)) @ entry * hold
         loop_gain += gain[:, 2:]
         if k:
             sidebands.append((shift, gain[:, :2]))
     camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, APPLIED.stop :])
-    hold = np.mean(z[:, None] ** -np.arange(ticks), axis=1)[:, None, None]
+    hold = held_response(z, ticks)[:, None, None]
     whole = slice(0, APPLIED.stop)
     return ToneResponse(forced[:, whole] + rows[:, whole] @ entry @ (hold * camera), camera, sidebands)
 
@@ -260,14 +260,9 @@ def noise_metrics(
 
 def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
     """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
-    table: Any = parameters["sensors"]
-    sigma = np.r_[
-        np.tile(table["accelerometer_noise"], 3),
-        np.full(2, table["camera_noise"]),
-        np.full(2, table["strain_gauge_noise"]),
-    ]
+    sigma = noise_of_samples(parameters)
     if sensors == "platform":
-        sigma[6:] = 0.0
+        sigma[PLATFORM.stop :] = 0.0
     w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
     n, m = loop.hold.shape[0], w.order
 

@@ -1,4 +1,7 @@
-"""What the loop consists of: the ports of its response.
+"""What the loop consists of: controllers between ports, the hold of the camera, the parts of its state, its response.
+
+Sensors are those of :mod:`titop_plant.telescope.sensors`. Commands act one tick after the measurement; a value of the
+camera is held for :data:`titop_plant.interface.FRAME_TICKS` ticks.
 
 ======== ================ ==== ======================================================
 port     name             size content
@@ -14,12 +17,31 @@ output   pma_force        6    applied by the actuators [N]
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit import SampledSystem
 from lftkit.systems.ports import Port, port_slices
-from titop_plant.interface import COMMAND_PORTS, TRUTH_PORTS
+from titop_plant.interface import (
+    COLUMNS,
+    COMMAND_PORTS,
+    COMMANDED,
+    COMMANDS,
+    FORCE_STAGES,
+    K_FSM_INPUTS,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MIRROR_STAGES,
+    TRUTH_PORTS,
+    DesignBasis,
+)
 from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.telescope.sensors import FRAMED
 
 DISTURBANCE = "disturbance"
 """Name of the 22 normalised disturbances together."""
@@ -34,4 +56,103 @@ ADDED = slice(INPUTS[DISTURBANCE].stop, INPUTS[COMMAND_PORTS[-1].name].stop)
 APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].stop)
 """Columns and rows of all commands."""
 
-__all__ = ["ADDED", "APPLIED", "DISTURBANCE", "INPUTS", "LINE_OF_SIGHT", "OUTPUTS"]
+HELD: NDArray[np.intp] = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in FRAMED])
+"""Columns of the measurement that are held between camera frames."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller in the loop: from columns of the measurement to columns of the command.
+
+    Parameters
+    ----------
+    system : SampledSystem
+    gain : float
+        From its output to the command; 0 where its loop is open.
+    measured, command : slice
+    """
+
+    system: SampledSystem
+    gain: float
+    measured: slice
+    command: slice
+
+
+def laws(
+    k_fsm: SampledSystem, k_pma: SampledSystem, stage: str, los_sensitivity: float | None = None
+) -> tuple[Law, Law]:
+    """Both controllers in a stage. **The mirror turns against the estimate, by its inverse sensitivity.**
+
+    Parameters
+    ----------
+    k_fsm, k_pma : SampledSystem
+    stage : {"none", "isolator", "fsm", "fsm+pma"}
+    los_sensitivity : float, optional
+        Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
+        one it was made.
+
+    Raises
+    ------
+    ValueError
+        The mirror's loop is closed and nothing says a sensitivity.
+    """
+    mirror = 0.0
+    if stage in MIRROR_STAGES:
+        basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
+        mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
+    angle, force = COMMANDED[0], K_PMA_OUTPUTS[0].name
+    return (
+        Law(k_fsm, mirror, columns(K_FSM_INPUTS), COLUMNS[angle]),
+        Law(k_pma, 1.0 if stage in FORCE_STAGES else 0.0, columns(K_PMA_INPUTS), COLUMNS[force]),
+    )
+
+
+def columns(ports: Sequence[Port]) -> slice:
+    """Columns of neighbouring ports in their vector.
+
+    Examples
+    --------
+    >>> columns(K_FSM_INPUTS), columns(K_PMA_INPUTS)
+    (slice(0, 22, None), slice(0, 6, None))
+    """
+    return slice(COLUMNS[ports[0].name].start, COLUMNS[ports[-1].name].stop)
+
+
+def held_response(z: NDArray[np.complex128], frame_ticks: int) -> NDArray[np.complex128]:
+    """Fundamental of a value that is held between frames, at ``z = exp(i w dt)`` (N,): mean of the delays of a period.
+
+    Examples
+    --------
+    A slow signal passes; one of the frame rate is held at the same value for ever:
+
+    >>> z = np.exp(2j * np.pi * np.array([1e-6, 1.0]) / 20.0)
+    >>> np.round(np.abs(held_response(z, 20)), 6).tolist()
+    [1.0, 0.0]
+    """
+    return np.asarray(np.mean(z[:, None] ** -np.arange(frame_ticks), axis=1), dtype=np.complex128)
+
+
+def state_parts(plant: int, k_fsm: int, k_pma: int) -> tuple[slice, slice, slice, slice, slice]:
+    """Parts of the state of the sampled loop for orders of plant and controllers.
+
+    In this order: plant, command in force, K_FSM, K_PMA, values that are held.
+    """
+    ends = np.cumsum([0, plant, COMMANDS, k_fsm, k_pma, HELD.size]).tolist()
+    parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
+    return parts[0], parts[1], parts[2], parts[3], parts[4]
+
+
+__all__ = [
+    "ADDED",
+    "APPLIED",
+    "DISTURBANCE",
+    "HELD",
+    "INPUTS",
+    "LINE_OF_SIGHT",
+    "OUTPUTS",
+    "Law",
+    "columns",
+    "held_response",
+    "laws",
+    "state_parts",
+]

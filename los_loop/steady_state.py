@@ -8,7 +8,6 @@ a constant bias is one solve for each tone (:meth:`los_loop.tone_model.LoopModel
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from los_loop.sampled_loop import SampledLoop
+from los_loop.spec import state_parts
 from los_loop.tone_model import LoopModel
 from titop_plant.interface import COMMANDS
 
@@ -92,8 +92,7 @@ def steady_start(model: LoopModel, bias: FloatArray, orders: tuple[int, int]) ->
     if not (model.loop.hold[n : n + COMMANDS].any() or model.loop.frame[n : n + COMMANDS].any()):
         by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
     state = model.phasors().imag.sum(axis=1) + by_bias
-    ends = np.cumsum([0, n, COMMANDS, *orders, 2])
-    x, v, f, p, c = (state[a:b] for a, b in itertools.pairwise(ends))
+    x, v, f, p, c = (state[part] for part in state_parts(n, *orders))
     return LoopStart(plant=x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c)
 
 

@@ -11,7 +11,7 @@ the mirror alone have the suffix ``, alone``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit.systems.ports import Port
 from lftkit.tuning.frequency_domain import (
     ControllerBlock,
     GrowingSamples,
@@ -32,7 +33,6 @@ from los_loop.figures_of_merit import FigureOfMerit, gain_figures, noise_figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import (
-    ACCELERATIONS,
     CAMERA,
     COLUMNS,
     COMMANDED,
@@ -40,6 +40,8 @@ from titop_plant.interface import (
     DT,
     FORCES,
     FRAME_TICKS,
+    K_FSM_INPUTS,
+    K_PMA_INPUTS,
     MEASUREMENTS,
     MIRROR,
     MIRROR_STAGES,
@@ -47,6 +49,7 @@ from titop_plant.interface import (
 )
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_ticks, sensors
 from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
@@ -73,24 +76,27 @@ LEAST_DECAY = 5e-4
 
 def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
     """The two controllers; those in `tuned` have free entries (no direct path from the camera to the estimate)."""
-    washout = float(parameters["sensors"]["washout"])
     mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
 
     def bilinear(omega: FloatArray) -> ComplexArray:
         z = np.exp(1j * omega * DT)
         return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
 
-    def high_pass(omega: FloatArray) -> ComplexArray:
-        return np.asarray(bilinear(omega) / (bilinear(omega) + washout))
+    def filters(ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
+        chosen = [sensor for sensor in sensors(parameters) if sensor.port in ports]
 
-    def sensors(omega: FloatArray) -> ComplexArray:
-        factors = np.ones((len(omega), MEASUREMENTS), complex)
-        factors[:, ACCELERATIONS] = high_pass(omega)[:, None]
-        factors[:, CAMERA] = np.mean(np.exp(-1j * omega[:, None] * DT * np.arange(FRAME_TICKS)), axis=1)[:, None]
-        return factors
+        def at(omega: FloatArray) -> ComplexArray:
+            factors: list[ComplexArray] = []
+            for sensor in chosen:
+                factor: ComplexArray = np.ones(len(omega), complex)
+                if sensor.washout:
+                    factor = bilinear(omega) / (bilinear(omega) + sensor.washout)
+                if sensor.framed:
+                    factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * np.arange(FRAME_TICKS)), axis=1)
+                factors += [factor] * sensor.port.size
+            return np.stack(factors, axis=1)
 
-    def platform(omega: FloatArray) -> ComplexArray:
-        return np.asarray(np.repeat(high_pass(omega)[:, None], PLATFORM.stop - PLATFORM.start, axis=1))
+        return at
 
     def delay(omega: FloatArray) -> ComplexArray:
         return np.asarray(np.exp(-1j * omega * DT))
@@ -106,12 +112,14 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
             slice(0, MEASUREMENTS),
             MIRROR,
             bilinear,
-            sensors,
+            filters(K_FSM_INPUTS),
             lambda omega: mirror * delay(omega),
             free,
             LEAST_DECAY,
         ),
-        ControllerBlock("K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, platform, delay, laws, LEAST_DECAY),
+        ControllerBlock(
+            "K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, filters(K_PMA_INPUTS), delay, laws, LEAST_DECAY
+        ),
     )
 
 
@@ -156,12 +164,7 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
-    table, omega = parameters["sensors"], nominal.omega
-    amplitude = np.r_[
-        np.tile(table["accelerometer_noise"], 3),
-        np.full(2, table["camera_noise"] * np.sqrt(FRAME_TICKS)),
-        np.full(2, table["strain_gauge_noise"]),
-    ]
+    omega, amplitude = nominal.omega, noise_of_ticks(parameters, FRAME_TICKS)
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
         heard = np.zeros(MEASUREMENTS)

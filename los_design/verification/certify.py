@@ -33,9 +33,9 @@ from lftkit.support.workers import Workers
 from lftkit.systems.ports import FloatArray
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import HELD, LINE_OF_SIGHT, OUTPUTS
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import CAMERA, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, PLATFORM
+from titop_plant.interface import COMMANDS, DT, FRAME_TICKS, MEASUREMENTS
 from titop_plant.simulation.disturbances import CHANNELS
 from titop_plant.telescope.parameters import Parameters
 
@@ -122,7 +122,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
     K_poles, K_B, K_C, K_D = _controllers(loop)
     frame = np.ones(MEASUREMENTS, dtype=np.int64)
-    frame[CAMERA] = FRAME_TICKS
+    frame[HELD] = FRAME_TICKS
     weights = loop.parameters["weights"]
     wheels = [
         [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
@@ -159,15 +159,13 @@ def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, Com
     D = np.zeros((COMMANDS, MEASUREMENTS))
     poles: list[ComplexArray] = [np.zeros(0, complex)]
     into, out = [], []
-    for gain, system, rows, columns in (
-        (loop.stage_gains[0], loop.pair[0], slice(0, 2), slice(0, MEASUREMENTS)),
-        (loop.stage_gains[1], loop.pair[1], slice(2, COMMANDS), PLATFORM),
-    ):
-        if not gain:
+    for law in loop.laws:
+        if not law.gain:
             continue
-        p, b, c = modal(system.A, system.B, system.C) if system.order else (np.zeros(0, complex), system.B, system.C)
+        K, gain = law.system, law.gain
+        p, b, c = modal(K.A, K.B, K.C) if K.order else (np.zeros(0, complex), K.B, K.C)
         B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
-        B[:, columns], C[rows], D[rows, columns] = b, gain * c, gain * system.D
+        B[:, law.measured], C[law.command], D[law.command, law.measured] = b, gain * c, gain * K.D
         poles.append(p)
         into.append(B)
         out.append(C)

@@ -32,6 +32,7 @@ from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.sensors import constant_error, noise_of_samples
 
 SPEED_ROUNDS = 4
 
@@ -256,16 +257,14 @@ def sensor_bias(config: PlantConfig) -> FloatArray:
 
 
 def _bias(config: PlantConfig, parameters: Parameters) -> FloatArray:
-    bias = np.r_[np.tile(parameters["sensors"]["accelerometer_bias"], 3), np.zeros(4)]
+    bias = constant_error(parameters)
     return np.asarray(bias if config.noise else np.zeros_like(bias))
 
 
 def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
-    table = parameters["sensors"]
-    three = np.tile(table["accelerometer_noise"], 3)
-    sigma = np.r_[three, np.full(2, table["camera_noise"]), np.full(2, table["strain_gauge_noise"])]
     on, bias = 1.0 if config.noise else 0.0, _bias(config, parameters)
-    return SensorModel(on * sigma, bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
+    sigma = on * noise_of_samples(parameters)
+    return SensorModel(sigma, bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
 
 
 def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:

@@ -31,6 +31,7 @@ from lftkit.systems.delay import delayed_port
 from lftkit.systems.filters import high_pass
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_samples, sensors
 
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
 ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
@@ -124,14 +125,15 @@ def control_plant(
         inputs=(*DISTURBANCES, *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
-    sensors, root = parameters["sensors"], np.sqrt(DT)
+    sigma, root = noise_of_samples(parameters), np.sqrt(DT)
+    corners = {sensor.port.name: sensor.washout for sensor in sensors(parameters)}
     noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
     ports = [seen.output_port(name) for name in ACCELEROMETERS]
     systems = {
         "plant": seen,
-        "noise": static_gain(np.diag(np.tile(sensors["accelerometer_noise"], 3)) * root, [noise], ports),
+        "noise": static_gain(np.diag(sigma[ACCELERATIONS]) * root, [noise], ports),
         "optical": static_gain(
-            np.diag([sensors["camera_noise"]] * 2 + [sensors["strain_gauge_noise"]] * 2) * root,
+            np.diag(sigma[ACCELERATIONS.stop :]) * root,
             [optical],
             [seen.output_port("camera_los"), seen.output_port("fsm_angle")],
         ),
@@ -143,7 +145,7 @@ def control_plant(
     ]
     outputs: dict[str, str | tuple[str, ...]] = {"los_controlled": "plant.los_controlled"}
     for port in ports:
-        systems[f"washout_{port.name}"] = high_pass(port, sensors["washout"])
+        systems[f"washout_{port.name}"] = high_pass(port, corners[port.name])
         wires.append(((f"plant.{port.name}", f"noise.{port.name}"), f"washout_{port.name}.{port.name}"))
         outputs[port.name] = f"washout_{port.name}.{port.name}"
     systems["hold"] = camera_hold(camera_period)

@@ -8,7 +8,7 @@ from simple_telescope import write_controllers
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled_system import SampledSystem
-from los_estimator.runtime import LosEstimator
+from los_estimator.runtime import LosEstimator, hold_camera
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -129,3 +129,34 @@ def test_a_stage_is_one_of_four(tmp_path):
     k = SampledSystem.from_file(write_controllers(tmp_path)["k_pma"])
     with pytest.raises(ValueError, match="loop must be one of none, isolator, fsm, fsm\\+pma, got 'pma'"):
         FsmPmaController(k, "pma", **LIMITS)
+
+
+@pytest.mark.parametrize("stage", ["none", "isolator", "fsm", "fsm+pma"])
+def test_the_command_of_several_loops_is_that_of_each(stage: str) -> None:
+    """Estimates and forces on both sides of the limits, row by row and all at once."""
+    law = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, 1e-3)
+    controller = FsmPmaController(law, stage, los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
+    rng = np.random.default_rng(0)
+    los, force = 4e-4 * rng.standard_normal((50, 2)), 40.0 * rng.standard_normal((50, 6))
+    together = np.full((50, 8), np.nan)
+    controller.command(los, force, together)
+    alone = np.full((50, 8), np.nan)
+    for row in range(50):
+        controller.command(los[row], force[row], alone[row])
+    assert np.array_equal(together, alone)
+    mirror = np.clip(-los / 0.1, -2e-3, 2e-3) if "fsm" in stage else np.zeros((50, 2))
+    assert together[:, :2] == pytest.approx(mirror, rel=1e-15)
+    assert np.array_equal(together[:, 2:], np.clip(force, -30.0, 30.0) if "pma" in stage else np.zeros((50, 6)))
+
+
+def test_a_camera_value_is_held_unless_both_axes_are_finite() -> None:
+    held, measurement = np.array([1.0, 2.0]), np.zeros(22)
+    for frame, expected in (
+        ((3.0, np.nan), [1.0, 2.0]),
+        ((np.inf, 4.0), [1.0, 2.0]),
+        ((np.nan, np.nan), [1.0, 2.0]),
+        ((3.0, -4.0), [3.0, -4.0]),
+    ):
+        measurement[18:20] = frame
+        hold_camera(measurement, held)
+        assert held.tolist() == expected

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem
+from los_estimator.runtime import hold_camera
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import BLOCK, SIGNALS, LoopDivergedError
 from titop_plant.interface import (
@@ -20,8 +21,6 @@ from titop_plant.interface import (
     FORCE_STAGES,
     FORCES,
     MEASUREMENTS,
-    MIRROR,
-    MIRROR_STAGES,
     PLATFORM,
     TRUTH,
 )
@@ -137,8 +136,7 @@ def simulate_members(
     camera, command = np.array([loop.camera for loop in loops]), np.array([loop.command for loop in loops])
     seen, force = np.empty((count, MEASUREMENTS)), np.empty((count, FORCES.stop - FORCES.start))
     accelerations, los = np.empty((count, PLATFORM.stop - PLATFORM.start)), np.empty((count, ESTIMATES))
-    limit, gain = controller.limits, -1.0 / controller.los_sensitivity
-    mirror_closed, forces_closed = controller.loop in MIRROR_STAGES, controller.loop in FORCE_STAGES
+    forces_closed = controller.loop in FORCE_STAGES
     sizes = MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS
     blocks = [np.zeros((count, min(ticks, BLOCK), width)) for width in sizes]
     ends: list[LoopDivergedError | None] = [None] * count
@@ -149,21 +147,15 @@ def simulate_members(
             at_frame = plant.tick % plant.frame_ticks == 0
             plant.step(command, measurement, truth)
             if at_frame:
-                frames = measurement[:, CAMERA]
-                fresh = np.isfinite(frames).all(axis=1)
-                camera[fresh] = frames[fresh]
+                for values, held in zip(measurement, camera):
+                    hold_camera(values, held)
             seen[:] = measurement
             seen[:, CAMERA] = camera
             observer.step(seen, los)
-            command[:] = 0.0
-            if mirror_closed:
-                np.multiply(los, gain, out=command[:, MIRROR])
             if forces_closed:
                 accelerations[:] = measurement[:, PLATFORM]
                 law.step(accelerations, force)
-                command[:, FORCES] = force
-            np.minimum(command, limit, out=command)
-            np.maximum(command, -limit, out=command)
+            controller.command(los, force, command)
             for block, values in zip(blocks, (measurement, truth, los, command)):
                 block[:, row] = values
         for k, loop in enumerate(loops):

@@ -32,6 +32,7 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_ticks
 from titop_plant.telescope.weights import rpe_weight
 
 FloatArray = NDArray[np.float64]
@@ -116,9 +117,7 @@ class ModelDepth:
     ) -> ModelDepth:
         """Prepare what the members of a family share."""
         model = ModelLoop.of(system, parameters, k_fsm, k_pma, stage)
-        table = parameters["sensors"]
-        camera = np.full(2, table["camera_noise"]) * np.sqrt(FRAME_TICKS)
-        sigma = np.r_[np.tile(table["accelerometer_noise"], 3), camera, np.full(2, table["strain_gauge_noise"])]
+        sigma = noise_of_ticks(parameters, FRAME_TICKS)
         seen = rpe_weight(model.omega, parameters["weights"]["rpe_window"])
         noise = _exact_noise(system, parameters, (k_fsm, k_pma), stage, {})
         everywhere = np.arange(model.omega.size)

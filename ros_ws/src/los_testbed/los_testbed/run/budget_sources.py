@@ -25,6 +25,7 @@ from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
+from titop_plant.telescope.sensors import noise_of_samples
 
 Floats = NDArray[np.float64]
 GAUGES = slice(CAMERA.stop, MEASUREMENTS)
@@ -88,12 +89,7 @@ def _tones(path: tuple[str, ...], model: LoopModel, unit: float) -> list[Source]
 
 
 def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: float) -> list[Source]:
-    sensors: Any = load_parameters(config.parameters or REFERENCE)["sensors"]
-    sigma = np.r_[
-        np.tile(sensors["accelerometer_noise"], 3),
-        np.full(2, sensors["camera_noise"]),
-        np.full(2, sensors["strain_gauge_noise"]),
-    ]
+    sigma = noise_of_samples(load_parameters(config.parameters or REFERENCE))
     found = []
     for name, rows in GROUPS.items():
         chosen = np.zeros_like(sigma)
