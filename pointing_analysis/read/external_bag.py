@@ -1,36 +1,32 @@
 """Line of sight in a bag of any program: any message type with two or three numbers, read by its definition.
 
 The bag is MCAP (a file, or a rosbag2 folder); the definitions are those in the bag, plain CDR. The time of a sample is
-the stamp of its header; without a header, or where it is zero, the time at which the message was recorded.
+the stamp of its header; without a header, or where it is zero, the time at which the message was recorded. The bag is
+read through the same pass as one of the testbed (`pointing_analysis.read.mcap.bag_pass`), so that damage costs only
+what it has destroyed.
 """
 
 from __future__ import annotations
 
-import struct
-from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Literal
 
 import numpy as np
-import zstandard
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
-from pointing_analysis.read.mcap.bag_files import is_single_file
-from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.mcap.bag_files import bag_files
+from pointing_analysis.read.mcap.bag_pass import BagPass
+from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
 from pointing_analysis.read.messages import ros_definitions
+from pointing_analysis.read.messages.cdr import byte_order
 from pointing_analysis.read.series import Series, make_series
 
 TimeSource = Literal["auto", "header", "log"]
 TIME_SOURCES = ("auto", "header", "log")
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LISTED = 8
-MAX_RECORD = 1 << 30
-SUFFIXES = (".mcap", ".mcap.zst", ".mcap.zstd")
+Samples = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -67,90 +63,92 @@ class Candidate:
 
 @dataclass
 class _Topic:
-    schema: Schema
-    encoding: str
-    data: list[bytes]
-    logged: list[int]
-    published: list[int]
+    """A topic as far as the pass has come: what of it could be used, times of its messages, numbers of the field."""
 
+    channel: Channel
+    types: ros_definitions.Definitions = field(default_factory=dict)
+    vectors: tuple[ros_definitions.Vector, ...] = ()
+    refusal: str = ""
+    logged: list[NDArray[np.int64]] = field(default_factory=list)
+    published: list[NDArray[np.int64]] = field(default_factory=list)
+    samples: list[Samples] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
 
-def mcap_files(path: Path) -> list[Path]:
-    """MCAP files of a bag.
+    def candidates(self) -> list[Candidate]:
+        """What could be the line of sight."""
+        logged = np.concatenate(self.logged)
+        steps = np.diff(np.sort(logged))
+        middle = float(np.median(steps)) if steps.size else 0.0
+        rate = 1e9 / middle if middle > 0 else float("nan")
+        name, schema = self.channel.topic, self.channel.schema
+        return [Candidate(name, schema, v.path, v.components, v.stamped, logged.size, rate) for v in self.vectors]
 
-    Raises
-    ------
-    BagError
-        No such bag, or no MCAP file in the folder.
-    """
-    if is_single_file(path):
-        return [path]
-    files = sorted(f for f in path.iterdir() if f.name.endswith(SUFFIXES) and f.is_file())
-    if not files:
-        sqlite = any(path.glob("*.db3"))
-        what = "sqlite3 (convert it with `ros2 bag convert`)" if sqlite else "no .mcap file"
-        raise BagError(f"{path}: the bag must be MCAP, got {what}")
-    return files
+    def names(self, los: str) -> list[ros_definitions.Vector]:
+        """Fields that an option ``--los`` means."""
+        topic = self.channel.topic
+        exact = [v for v in self.vectors if los == (f"{topic}.{v.path}" if v.path else topic)]
+        return exact or (list(self.vectors) if los == topic else [])
 
-
-def _records(file: Path, problems: list[str]) -> Iterator[Any]:
-    """Records of a file as far as it can be read."""
-    with file.open("rb") as raw:
-        stream: BinaryIO = raw
-        if file.name.endswith((".zst", ".zstd")):
-            stream = zstandard.ZstdDecompressor().stream_reader(raw)  # type: ignore[assignment]
-        try:
-            yield from StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD).records
-        except (McapError, struct.error, zstandard.ZstdError, RuntimeError, UnicodeDecodeError) as error:
-            problems.append(f"{file.name}: read up to a damaged place ({type(error).__name__}: {error})")
-
-
-def _scan(path: Path, los: str = "") -> tuple[dict[str, _Topic], list[str]]:
-    """Topics of a bag; all messages of those that `los` can mean, of the others the first one and the times."""
-    problems: list[str] = []
-    topics: dict[str, _Topic] = {}
-    for file in mcap_files(path):
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        for record in _records(file, problems):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message):
-                channel = channels.get(record.channel_id)
-                if channel is None:
+    def decode(self, block: Block, rows: NDArray[np.int64], vector: ros_definitions.Vector) -> Samples:
+        """Numbers (n, 2) and header stamps (n,) of messages, and which of them could be read."""
+        values = np.full((rows.size, 2), np.nan)
+        stamps, fitting = np.zeros(rows.size, np.int64), np.zeros(rows.size, bool)
+        for index, payloads in block.payloads(rows):
+            while index.size:
+                try:
+                    schema, first = self.channel.schema, payloads[0].tobytes()
+                    places = ros_definitions.locate(schema, self.types, vector.path, first)
+                except BagError as error:
+                    self.left_out[str(error)] += 1
+                    index, payloads = index[1:], payloads[1:]
                     continue
-                schema = schemas.get(channel.schema_id) or Schema(id=0, data=b"", encoding="", name="")
-                topic = topics.setdefault(channel.topic, _Topic(schema, channel.message_encoding, [], [], []))
-                if los == channel.topic or los.startswith(f"{channel.topic}.") or not topic.data:
-                    topic.data.append(record.data)
-                topic.logged.append(record.log_time)
-                topic.published.append(record.publish_time)
-    if not topics and problems:
-        raise BagError(f"{path}: {problems[0]}")
-    return topics, problems
+                found, fits = ros_definitions.numbers(payloads, places)
+                values[index[fits]], fitting[index[fits]] = found[fits], True
+                if vector.stamped:
+                    stamps[index[fits]] = ros_definitions.stamps(payloads[fits], places.order)
+                index, payloads = index[~fits], payloads[~fits]
+        return values, stamps, fitting
 
 
-def _definitions(topic: _Topic) -> ros_definitions.Definitions:
-    if topic.encoding != "cdr" or topic.schema.encoding != "ros2msg":
-        return {}
-    return ros_definitions.parse_definition(topic.schema.name, topic.schema.data.decode("utf-8", "replace"))
-
-
-def _candidates(name: str, topic: _Topic) -> list[Candidate]:
-    steps = np.diff(np.sort(np.array(topic.logged, dtype=np.int64)))
-    middle = float(np.median(steps)) if steps.size else 0.0
-    types = _definitions(topic)
-    found = []
-    for vector in ros_definitions.vectors(topic.schema.name, types):
+def _met(channel: Channel, first: bytes) -> _Topic:
+    """A topic by one of its messages."""
+    topic = _Topic(channel)
+    try:
+        topic.types = ros_definitions.channel_types(channel)
+        byte_order(channel.schema, first)
+    except BagError as error:
+        topic.refusal = str(error)
+        return topic
+    for vector in ros_definitions.vectors(channel.schema, topic.types):
         try:
-            ros_definitions.locate(topic.schema.name, types, vector.path, _plain(topic.data[0]))
+            ros_definitions.locate(channel.schema, topic.types, vector.path, first)
         except (BagError, KeyError):
             continue  # an array with fewer than two elements, or a definition that is not whole
-        rate = 1e9 / middle if middle > 0 else float("nan")
-        shape = (vector.path, vector.components, vector.stamped)
-        found.append(Candidate(name, topic.schema.name, *shape, len(topic.logged), rate))
-    return found
+        topic.vectors += (vector,)
+    return topic
+
+
+def _scan(path: Path, los: str = "", max_chunk: int = MAX_CHUNK) -> tuple[dict[str, _Topic], BagPass]:
+    """Topics of a bag with the times of their messages; the numbers of the one field that `los` means."""
+    reading = BagPass(path, bag_files(path), max_chunk)
+    topics: dict[str, _Topic] = {}
+    for info, block in reading.blocks():
+        for channel, rows in block.by_channel(info.channels):
+            topic = topics.get(channel.topic)
+            if topic is None:
+                first = [_met(channel, block.payload(row)) for row in rows[:LISTED].tolist()]
+                topic = topics[channel.topic] = max(first, key=lambda met: len(met.vectors))
+            if (channel.schema, channel.encoding) != (topic.channel.schema, topic.channel.encoding):
+                topic.left_out[f"messages must be {topic.channel.schema}, got {channel.schema}"] += rows.size
+                continue
+            topic.logged.append(block.heads["log"][rows].astype(np.int64))
+            named = topic.names(los)
+            if len(named) == 1:
+                topic.published.append(block.heads["publish"][rows].astype(np.int64))
+                topic.samples.append(topic.decode(block, rows, named[0]))
+    if not topics and reading.problems():
+        raise BagError(f"{path}: {reading.problems()[0]}")
+    return topics, reading
 
 
 def candidates(path: Path) -> tuple[Candidate, ...]:
@@ -159,21 +157,22 @@ def candidates(path: Path) -> tuple[Candidate, ...]:
     Raises
     ------
     BagError
-        Not a bag.
+        Not a bag, or none that could be read: the message says why of one topic.
     """
     topics, _ = _scan(path)
-    return tuple(c for name in sorted(topics) for c in _candidates(name, topics[name]))
-
-
-def _plain(data: bytes) -> bytes:
-    """Payload; that of a bag with message-wise compression unpacked."""
-    return zstandard.ZstdDecompressor().decompressobj().decompress(data) if data[:4] == ZSTD_MAGIC else data
+    found = tuple(c for name in sorted(topics) for c in topics[name].candidates())
+    refused = next((name for name in sorted(topics) if topics[name].refusal), None)
+    if refused is not None and not found:
+        raise BagError(f"{path}: {refused}: {topics[refused].refusal}")
+    return found
 
 
 def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
-    everything = [c for name in sorted(topics) for c in _candidates(name, topics[name])]
-    of_topic = [c for c in everything if c.topic == los]
-    named = [c for c in everything if c.name == los] or of_topic
+    for name, topic in topics.items():
+        if topic.refusal and (los == name or los.startswith(f"{name}.")):
+            raise BagError(f"{path}: {name}: {topic.refusal}")
+    everything = [c for name in sorted(topics) for c in topics[name].candidates()]
+    named = [c for c in everything if c.name == los] or [c for c in everything if c.topic == los]
     if len(named) == 1:
         return named[0]
     if named:
@@ -183,7 +182,15 @@ def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
     raise BagError(f"{path}: los must be one of {listed}{more}, got {los!r}")
 
 
-def read_external(path: Path, los: str, *, unit: str | None, rate: float | None = None, time: str = "auto") -> Series:
+def read_external(
+    path: Path,
+    los: str,
+    *,
+    unit: str | None,
+    rate: float | None = None,
+    time: str = "auto",
+    max_chunk: int = MAX_CHUNK,
+) -> Series:
     """Line of sight from a topic of any bag.
 
     Parameters
@@ -193,6 +200,7 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
     unit : of the numbers
     rate : sampling rate [Hz] to whose grid the times are moved; by default they are taken as they are
     time : ``header``, ``log`` (time of recording), or ``auto``: the header where it is there and set
+    max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
 
     Raises
     ------
@@ -203,14 +211,13 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
     """
     if time not in TIME_SOURCES:
         raise ValueError(f"time must be one of {', '.join(TIME_SOURCES)}, got {time!r}")
-    topics, problems = _scan(path, los)
-    cut = bool(problems)
+    topics, reading = _scan(path, los, max_chunk)
     chosen = _choose(path, los, topics)
-    topic = topics[chosen.topic]
-    values, header, fitting = _decode(chosen, topic)
-    if not fitting.all():
-        problems.append(f"{chosen.topic}: {int((~fitting).sum())} messages have fewer than two numbers: left out")
-    logged = np.array(topic.logged, dtype=np.int64)
+    topic, problems = topics[chosen.topic], reading.problems()
+    values, header, fitting = (np.concatenate(arrays) for arrays in zip(*topic.samples))
+    for reason, count in topic.left_out.most_common(LISTED):
+        problems.append(f"{chosen.topic}: {count} messages left out: {reason}")
+    logged, published = np.concatenate(topic.logged), np.concatenate(topic.published)
     by_header = chosen.stamped and time != "log" and bool(header[fitting].any())
     if time == "header" and not by_header:
         raise BagError(f"{path}: time must be log for {chosen.topic}, whose messages have no stamp, got 'header'")
@@ -224,41 +231,18 @@ def read_external(path: Path, los: str, *, unit: str | None, rate: float | None 
         "components": list(chosen.components[:2]),
         "time": "header" if by_header else "log",
     }
-    return make_series(
+    found = make_series(
         stamps[fitting],
         values[fitting],
         unit=unit,
         rate=rate,
-        published=np.array(topic.published)[fitting],
+        published=published[fitting],
         path=path,
         schema=chosen.schema,
         parameters=about,
         problems=problems,
-        open_end=cut,
     )
-
-
-def _decode(chosen: Candidate, topic: _Topic) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Numbers (n, 2) and header stamps (n,) of all messages, and which of them could be read."""
-    types = _definitions(topic)
-    payloads = [_plain(data) for data in topic.data]
-    values = np.full((len(payloads), 2), np.nan)
-    stamps, fitting = np.zeros(len(payloads), np.int64), np.zeros(len(payloads), bool)
-    waiting: dict[int, list[int]] = defaultdict(list)
-    for i, payload in enumerate(payloads):
-        waiting[len(payload)].append(i)
-    for size, same in waiting.items():
-        index = np.array(same)
-        rows: NDArray[np.uint8] = np.frombuffer(b"".join(payloads[i] for i in same), np.uint8).reshape(len(same), size)
-        while index.size:
-            try:
-                places = ros_definitions.locate(chosen.schema, types, chosen.field, rows[0].tobytes())
-            except BagError:
-                index, rows = index[1:], rows[1:]
-                continue
-            found, fits = ros_definitions.numbers(rows, places)
-            values[index[fits]], fitting[index[fits]] = found[fits], True
-            if chosen.stamped:
-                stamps[index[fits]] = ros_definitions.stamps(rows[fits], places.order)
-            index, rows = index[~fits], rows[~fits]
-    return values, stamps, fitting
+    loss = next((loss for loss in reading.losses() if loss.topic == chosen.topic), None)
+    before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)
+    judged = replace(found.topic, lost_before=before, lost_after=after, open_end=reading.cut)
+    return replace(found, topic=judged, losses=reading.losses())

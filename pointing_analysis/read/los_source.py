@@ -30,7 +30,7 @@ def open_los(
     unit : rad, mrad, urad, nrad, arcsec or mas; needed for all but a bag of the testbed
     rate : sampling rate [Hz]; by default from the times
     time : of a bag ``header``, ``log`` or ``auto``; of a table the name of the time column
-    max_chunk : largest chunk of a bag of the testbed that is unpacked [byte]
+    max_chunk : largest chunk of a bag that is unpacked [byte]
 
     Raises
     ------
@@ -41,7 +41,7 @@ def open_los(
     if file.suffix.lower() in SUFFIXES:
         return read_table(file, los, unit=unit, rate=rate, time=time)
     if los is not None:
-        return read_external(file, los, unit=unit, rate=rate, time=time or TIME_SOURCES[0])
+        return read_external(file, los, unit=unit, rate=rate, time=time or TIME_SOURCES[0], max_chunk=max_chunk)
     if unit is not None or rate is not None or time is not None:
         raise ValueError("los must be given with unit, rate or time for a bag, got none")
     return Run.open(file, max_chunk=max_chunk)

@@ -16,26 +16,18 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import zstandard
+from numpy.typing import NDArray
 
 from pointing_analysis.read.mcap.bag_files import bag_files
-from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
-from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_of
-from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel, FileInfo
-from pointing_analysis.read.mcap.walk import walk
+from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.bag_metadata import merged, value_of
+from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
+from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.messages.topic_columns import KNOWN, Column, decode_block
-from pointing_analysis.read.topic import NANO, Topic
+from pointing_analysis.read.topic import Topic
 
 MEMORY_LIMIT = 6_000_000_000
-
-
-def _repair_notes(table: Mapping[str, str]) -> list[str]:
-    """What the record of a repaired bag says, one sentence each."""
-    if not table:
-        return []
-    source = table.get("source", "another bag")
-    return [f"repaired from {source}", *(text for key, text in table.items() if key.startswith("note_"))]
 
 
 class Run:
@@ -60,12 +52,12 @@ class Run:
     ) -> None:
         self.path = path
         self._files = bag_files(path)
-        self._noted = dict.fromkeys(self._files.problems)  # an ordered set: some are only met when a topic is read
+        self._noted: dict[str, None] = {}  # an ordered set: some are only met when a topic is read
         self._window = (start, stop)
         self._limit, self._max_chunk = memory_limit, max_chunk
         self._losses: dict[str, TopicLoss] = {}
         self._topics: dict[str, Topic] = {}
-        self._infos: list[FileInfo] = []
+        self._read: BagPass  # the latest one that came to the end
         self._asked_namespace = namespace
         self.namespace = ""
         self._first_pass()
@@ -109,61 +101,32 @@ class Run:
     def _first_pass(self) -> None:
         """Read everything if it fits; else drop the arrays again and keep only what describes the bag."""
         columns, fits = self._pass(lambda name: True)
-        names = {c.topic for info in self._infos for c in info.channels.values()}
-        self.namespace = self._choose_namespace(names)
-        self._schemas = {
-            self.short(c.topic): c.schema
-            for info in self._infos
-            for c in info.channels.values()
-            if c.topic.startswith(self.namespace + "/")
-        }
-        found, problems = merged(self._infos)
-        repaired, _ = merged(self._infos, REPAIR_NAME)
-        self._noted.update(dict.fromkeys([*problems, *_repair_notes(repaired)]))
+        if not fits:
+            self._read = BagPass(self.path, self._files, self._max_chunk, self._window, heads_only=True)
+            for _ in self._read.blocks():
+                pass
+            self._noted.update(dict.fromkeys(self._read.problems()))
+        channels = [c for info in self._read.infos for c in info.channels.values()]
+        self.namespace = self._choose_namespace({c.topic for c in channels})
+        self._schemas = {self.short(c.topic): c.schema for c in channels if c.topic.startswith(self.namespace + "/")}
+        found, _ = merged(self._read.infos)
         self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in found.items()})
         if fits:
             for topic, column in columns.items():
                 if topic.startswith(self.namespace + "/"):
                     self._topics[self.short(topic)] = self._finished(column)
 
-    def _pass(self, selects: Callable[[str], bool] | None) -> tuple[dict[str, Column], bool]:
-        """One pass over the files; returns the columns and whether they stayed inside the memory limit.
-
-        Without `selects` only the first chunk of each file is unpacked: enough for topics, parameters and attachments.
-        """
-        self._infos = []
+    def _pass(self, selects: Callable[[str], bool]) -> tuple[dict[str, Column], bool]:
+        """One pass over the files; returns the columns and whether they stayed inside the memory limit."""
+        reading = BagPass(self.path, self._files, self._max_chunk, self._window)
         columns: dict[str, Column] = {}
-        origin: int | None = None
-        ledger = LossLedger()
-        for file in self._files.files:
-            info = FileInfo(max_chunk=self._max_chunk)
-            self._infos.append(info)
-            if origin is not None:
-                info.unpacks = self._in_window(origin)
-            for block in walk(file, info):
-                if origin is None:
-                    origin = int(block.heads["log"].min())
-                    info.unpacks = self._in_window(origin)
-                if selects is None:
-                    info.unpacks = lambda first, last: False
-                    continue
-                ledger.add(info, block)
-                self._take(block, info, columns, selects, origin)
-                if sum(c.nbytes for c in columns.values()) > self._limit:
-                    return self._pass(None)[0], False
-            self._noted.update(dict.fromkeys(info.problems))
-        if selects is not None and origin is not None:
-            self._note_losses(ledger)
+        for info, block in reading.blocks():
+            self._take(block, info, columns, selects, reading.seconds(block))
+            if sum(c.nbytes for c in columns.values()) > self._limit:
+                return {}, False
+        self._read, self._losses = reading, {loss.topic: loss for loss in reading.losses()}
+        self._noted.update(dict.fromkeys(reading.problems()))
         return columns, True
-
-    def _note_losses(self, ledger: LossLedger) -> None:
-        """What the bag lacks; of a part of a bag, what lies inside it."""
-        whole = self._window == (0.0, math.inf)
-        losses = ledger.losses(self._infos, self._files.counts) if whole else ledger.inner_losses(self._infos)
-        self._losses = {loss.topic: loss for loss in losses}
-        self._noted.update(dict.fromkeys(str(loss) for loss in losses))
-        if losses or any(info.damage or not info.finished for info in self._infos):
-            self._noted[f"`los-testbed bag repair {self.path}` makes a new bag of all that can be read"] = None
 
     def _finished(self, column: Column) -> Topic:
         """The topic of a column, with what is known to be lost before and after it."""
@@ -171,10 +134,8 @@ class Run:
         loss = self._losses.get(column.name)
         column.name = name
         topic = column.topic()
-        cut = not all(info.finished for info in self._infos)
-        cut |= merged(self._infos, REPAIR_NAME)[0].get("finished") == "false"
-        unfinished = self._window[1] == math.inf and cut
-        before, after = (loss.before, loss.after) if loss is not None else (0, 0)
+        unfinished = self._window[1] == math.inf and self._read.cut
+        before, after = loss.ends(topic.integrity.missing) if loss is not None else (0, 0)
         planned = self._planned(topic)
         if unfinished and planned is not None:
             after = max(planned - before - topic.span, 0)
@@ -187,42 +148,26 @@ class Run:
             return None
         return round(duration / topic.period) if 0 < duration < 1e9 else None
 
-    def _in_window(self, origin: int) -> Callable[[int, int], bool]:
-        """Whether a chunk between two recording times [ns] can hold something of the part that was asked for."""
-        start, stop = self._window
-        if start == 0 and not np.isfinite(stop):
-            return lambda first, last: True
-        low = origin + start * NANO
-        high = origin + stop * NANO if np.isfinite(stop) else math.inf
-        return lambda first, last: last >= low and first < high
-
     def _take(
         self,
         block: Block,
         info: FileInfo,
         columns: dict[str, Column],
         selects: Callable[[str], bool],
-        origin: int,
+        seconds: NDArray[np.float64],
     ) -> None:
         start, stop = self._window
-        inside = None
-        if start > 0 or np.isfinite(stop):
-            since = (block.heads["log"].astype(np.int64) - origin) / NANO
-            inside = (since >= start) & (since < stop)
-        numbers = block.heads["channel"]
-        for number in np.unique(numbers):
-            channel: Channel | None = info.channels.get(int(number))
-            if channel is None or channel.encoding != "cdr" or channel.schema not in COLUMNS:
+        for channel, rows in block.by_channel(info.channels):
+            if channel.encoding != "cdr" or channel.schema not in COLUMNS or not selects(channel.topic):
                 continue
-            if not selects(channel.topic):
-                continue
-            chosen = numbers == number if inside is None else (numbers == number) & inside
-            if not chosen.any():
+            if self._window != WHOLE:
+                rows = rows[(seconds[rows] >= start) & (seconds[rows] < stop)]
+            if not rows.size:
                 continue
             column = columns.setdefault(channel.topic, Column(channel.topic, channel.schema))
             try:
-                decode_block(column, block, chosen, self._files.message_wise)
-            except (BagError, zstandard.ZstdError) as error:
+                decode_block(column, block, rows)
+            except BagError as error:
                 raise BagError(f"{self.path}: {channel.topic}: {error}") from None
 
     def _choose_namespace(self, names: Iterable[str]) -> str:
@@ -288,7 +233,7 @@ class Run:
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files in the bag (controllers, plant parameters), by name."""
-        return MappingProxyType({k: v.data for info in self._infos for k, v in info.attachments.items()})
+        return MappingProxyType({k: v.data for info in self._read.infos for k, v in info.attachments.items()})
 
     @property
     def title(self) -> str:

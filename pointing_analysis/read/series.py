@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -55,6 +55,7 @@ class Series:
     parameters : what is known of the run; shown in the report
     problems : defects, one sentence each
     attachments : none
+    losses : what is known to be lost, by topic
     """
 
     topic: Topic
@@ -62,11 +63,7 @@ class Series:
     parameters: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     problems: tuple[str, ...] = ()
     attachments: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
-
-    @property
-    def losses(self) -> tuple[TopicLoss, ...]:
-        """Nothing is known of losses."""
-        return ()
+    losses: tuple[TopicLoss, ...] = ()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -208,7 +205,6 @@ def make_series(
     schema: str = "",
     parameters: Mapping[str, Any] = _NOTHING,
     problems: Sequence[str] = (),
-    open_end: bool = False,
 ) -> Series:
     """Line of sight from stamps and samples.
 
@@ -220,7 +216,6 @@ def make_series(
     rate : sampling rate [Hz] to whose grid the stamps are moved; by default they are taken as they are
     published : (n,) [ns]; by default the stamps
     path, schema, parameters, problems : what is known of the samples
-    open_end : whether the recording was cut off: an unknown number of samples is missing
 
     Raises
     ------
@@ -237,7 +232,6 @@ def make_series(
         stamps, kept, moved = gridded(stamps, rate)
         stamps, values, sent, notes = stamps[kept], values[kept], sent[kept], (*notes, *moved)
     topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent.copy())
-    topic = replace(topic, open_end=open_end)
     about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
     return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from pointing_analysis.files.atomic_output import MAX_NAME
 from pointing_analysis.files.structured_text import StructuredTextError, load_yaml, read_text
-from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.mcap.records import SQLITE, BagError
 
 _FILE = re.compile(r"\.mcap(\.zst|\.zstd)?$")
 NAME_ORDER = "files taken in name order"
@@ -23,13 +23,11 @@ class BagFiles:
     Attributes
     ----------
     files : MCAP files in the order of recording
-    message_wise : whether each message is compressed by itself
     counts : messages of each topic by metadata.yaml, where it says them
     problems : what is wrong with metadata.yaml
     """
 
     files: tuple[Path, ...]
-    message_wise: bool
     counts: Mapping[str, int]
     problems: tuple[str, ...]
 
@@ -62,10 +60,10 @@ def bag_files(path: Path) -> BagFiles:
     Raises
     ------
     BagError
-        No such bag, no MCAP file in it, or sqlite3.
+        No such bag, no MCAP file in it, sqlite3, or compressed otherwise than with zstd.
     """
     if is_single_file(path):
-        return BagFiles((path,), False, {}, ())
+        return BagFiles((path,), {}, ())
     on_disk = sorted((f for f in path.iterdir() if _FILE.search(f.name) and f.is_file()), key=_natural)
     info, problems = _description(path)
     named = _named(path, info, problems)
@@ -73,12 +71,14 @@ def bag_files(path: Path) -> BagFiles:
     if missing:
         problems.append(f"files named in metadata.yaml are missing: {', '.join(missing)}")
     files = [f for f in named if f.is_file()] or on_disk
-    if any(f.suffix == ".db3" for f in files):
-        raise BagError(f"{path}: the bag must be MCAP, got sqlite3 (convert it with `ros2 bag convert`)")
+    if any(".db3" in f.name for f in files or path.iterdir()):
+        raise BagError(f"{path}: the bag must be MCAP, got {SQLITE}")
+    compression = info.get("compression_format") or "zstd"
+    if compression != "zstd":
+        raise BagError(f"{path}: compression_format of the bag must be zstd, got {compression!r}")
     if not files:
         raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got none")
-    message_wise = str(info.get("compression_mode", "")).upper() == "MESSAGE"
-    return BagFiles(tuple(files), message_wise, _counts(info), tuple(problems))
+    return BagFiles(tuple(files), _counts(info), tuple(problems))
 
 
 def _description(path: Path) -> tuple[dict[str, Any], list[str]]:

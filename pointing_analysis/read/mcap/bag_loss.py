@@ -7,8 +7,10 @@ less: the counts of their summary, and the index records of the chunks that were
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,8 @@ from pointing_analysis.read.mcap.records import Block, FileInfo
 NANO = 1e9
 NUMBERED = "los-testbed"
 """Begin of the name of the library whose files number the messages of each topic."""
+ENDS = "ends"
+"""Entry in the record of a repair of a bag without such numbers: by topic, what it lost before and after the others."""
 MAX_PIECES = 10_000
 """Gaps that are told one by one."""
 
@@ -50,6 +54,7 @@ class TopicLoss:
     missing : messages that were recorded and cannot be read
     before, after : how many of the missing ones came before the first and after the last that can be read
     spans : where they are missing
+    unplaced : how many of the missing ones may have been anywhere
     """
 
     topic: str
@@ -58,6 +63,19 @@ class TopicLoss:
     before: int
     after: int
     spans: tuple[Span, ...]
+    unplaced: int = 0
+
+    def ends(self, missing_between: int) -> tuple[int, int]:
+        """Messages lost before the first and after the last one that can be read.
+
+        Those of unknown place are counted at the end, unless they are in gaps between the messages that are left.
+
+        Parameters
+        ----------
+        missing_between : samples missing between the first and the last stamp
+        """
+        placed = self.missing - self.before - self.after - self.unplaced
+        return self.before, self.after + max(self.unplaced - max(missing_between - placed, 0), 0)
 
     def __str__(self) -> str:
         places = "; ".join(str(span) for span in self.spans[:5])
@@ -68,10 +86,15 @@ class TopicLoss:
 
 @dataclass
 class _Numbers:
-    """Sequence numbers of one topic that were read: rows of first and last number, log times of the two [ns]."""
+    """Sequence numbers of one topic that were read: rows of first and last number, log times of the two [ns].
+
+    ``first`` and ``last`` are the log times of all of them.
+    """
 
     pieces: list[list[int]] = field(default_factory=list)
     count: int = 0
+    first: int = 1 << 64
+    last: int = -1
 
     @property
     def incomplete(self) -> bool:
@@ -80,6 +103,7 @@ class _Numbers:
 
     def add(self, sequence: NDArray[np.int64], log: NDArray[np.int64]) -> None:
         self.count += len(sequence)
+        self.first, self.last = min(self.first, int(log.min())), max(self.last, int(log.max()))
         if self.incomplete:
             return
         edges = np.flatnonzero(np.diff(sequence) != 1) + 1
@@ -93,14 +117,43 @@ class _Numbers:
 
 def _numbered(infos: Sequence[FileInfo]) -> bool:
     """Whether the messages are numbered: by the header, or, where that is lost, by manifests, which no other writes."""
-    return len(infos) == 1 and (infos[0].library.startswith(NUMBERED) or bool(infos[0].expected))
+    if len(infos) != 1 or ENDS in merged(infos, REPAIR_NAME)[0]:
+        return False
+    return infos[0].library.startswith(NUMBERED) or bool(infos[0].expected)
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value < 1 << 48
+
+
+def _of_repair(infos: Sequence[FileInfo], name: str) -> dict[str, Any]:
+    """A table by topic in the record of a repair."""
+    table = value_of(merged(infos, REPAIR_NAME)[0].get(name, "{}"))
+    return table if isinstance(table, dict) else {}
 
 
 def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
     """Messages of each topic that the bag had from which this one was repaired."""
-    expected = value_of(merged(infos, REPAIR_NAME)[0].get("expected", "{}"))
-    rows = expected.items() if isinstance(expected, dict) else ()
-    return {topic: count for topic, count in rows if isinstance(count, int) and 0 <= count < 1 << 48}
+    return {topic: count for topic, count in _of_repair(infos, "expected").items() if _is_count(count)}
+
+
+def _ends_before_repair(infos: Sequence[FileInfo], topic: str) -> tuple[int, int]:
+    """How many of those that the repaired bag lacks came before and after the others, as far as it was known."""
+    found = _of_repair(infos, ENDS).get(topic, (0, 0))
+    if not isinstance(found, (list, tuple)) or len(found) != 2 or not all(map(_is_count, found)):
+        return 0, 0
+    return found[0], found[1]
+
+
+def repair_entries(infos: Sequence[FileInfo], losses: Sequence[TopicLoss]) -> dict[str, str]:
+    """What the record of a repair says of losses, for those who read the new bag."""
+    found: dict[str, Mapping[str, object]] = {
+        "lost": {loss.topic: loss.missing for loss in losses},
+        "expected": {loss.topic: loss.missing + loss.recovered for loss in losses},
+    }
+    if not _numbered(infos):
+        found[ENDS] = {loss.topic: [loss.before, loss.after] for loss in losses}
+    return {name: json.dumps(table) for name, table in found.items()}
 
 
 class LossLedger:
@@ -183,7 +236,8 @@ class LossLedger:
         total = max(total, _before_repair(infos).get(topic, 0))
         if topic in self._topics and self._topics[topic].incomplete:
             count = self._topics[topic].count
-            return TopicLoss(topic, count, max(total - count, 0), 0, 0, ())
+            missing = max(total - count, 0)
+            return TopicLoss(topic, count, missing, 0, 0, (), missing)
         spans, number, time = [], 0, float("-inf")
         for first, last, log_first, log_last in pieces:
             if first > number + 1:
@@ -202,19 +256,23 @@ class LossLedger:
     def _by_counts(
         self, topic: str, infos: Sequence[FileInfo], counts: Mapping[str, int], origin: int
     ) -> TopicLoss | None:
-        recovered = self._topics[topic].count if topic in self._topics else 0
-        known = expected = indexed = 0
+        read = self._topics.get(topic, _Numbers())
+        known = expected = 0
         spans = []
         for info in infos:
             channels = [number for number, channel in info.channels.items() if channel.topic == topic]
             if info.statistics is not None:
                 known += 1
                 expected += sum(info.statistics.get(number, 0) for number in channels)
-            for chunk in info.lost_chunks:
-                for number in channels:
-                    times = chunk.times.get(number, np.empty(0, np.int64))
-                    if times.size:
-                        spans.append(Span((times[0] - origin) / NANO, (times[-1] - origin) / NANO, int(times.size)))
-                        indexed += int(times.size)
-        total = expected if known == len(infos) else max(counts.get(topic, 0), recovered + indexed)
-        return TopicLoss(topic, recovered, max(total - recovered, 0), 0, 0, tuple(spans))
+            times = [chunk.times[n] for chunk in info.lost_chunks for n in channels if n in chunk.times]
+            spans += [Span((t[0] - origin) / NANO, (t[-1] - origin) / NANO, int(t.size)) for t in times]
+        indexed = sum(span.messages for span in spans)
+        total = expected if known == len(infos) else max(counts.get(topic, 0), read.count + indexed)
+        missing = max(max(total, _before_repair(infos).get(topic, 0)) - read.count, 0)
+        before, after = _ends_before_repair(infos, topic)
+        first, last = (read.first - origin) / NANO, (read.last - origin) / NANO
+        before = min(before + sum(span.messages for span in spans if span.stop < first), missing)
+        after = min(after + sum(span.messages for span in spans if span.start > last), missing - before)
+        placed = sum(span.messages for span in spans if span.stop >= first and span.start <= last)
+        unplaced = max(missing - before - after - placed, 0)
+        return TopicLoss(topic, read.count, missing, before, after, tuple(spans), unplaced)

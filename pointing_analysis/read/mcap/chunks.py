@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis.read.mcap.manifest import Manifest, salvage
 from pointing_analysis.read.mcap.records import (
+    BODY,
     HEAD,
     INDEX_ENTRY,
     MESSAGE_HEAD,
@@ -32,7 +33,9 @@ from pointing_analysis.read.mcap.records import (
 )
 
 _HEAD = struct.Struct("<QQQI")
-_MAGIC = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
+ZSTD = b"\x28\xb5\x2f\xfd"
+_ZSTD_BYTES = np.frombuffer(ZSTD, np.uint8)
+_MAGIC = {ZSTD: "zstd", b"\x04\x22\x4d\x18": "lz4"}
 _PIECE = 1 << 17  # unpacked at a time where the size is not believed [byte]; a block of zstd
 _HEAD_BITS = 8 * 18  # longest head of a zstd frame, and of its first block [bit]
 KINDS = ("", "zstd", "lz4")
@@ -87,7 +90,7 @@ def take_apart(body: bytes, cut: bool) -> Packed | None:
     return None
 
 
-def _zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
+def unpack_zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
     """What can be unpacked, and whether that is all; never more than `limit` + 1 bytes."""
     try:
         size = zstandard.frame_content_size(data)
@@ -126,7 +129,7 @@ def _lz4(data: bytes, limit: int) -> tuple[bytes, bool]:
 def _expand(packed: Packed, limit: int) -> tuple[bytes, bool]:
     if not packed.kind:
         return packed.data, len(packed.data) >= packed.size
-    return _zstd(packed.data, limit) if packed.kind == "zstd" else _lz4(packed.data, limit)
+    return unpack_zstd(packed.data, limit) if packed.kind == "zstd" else _lz4(packed.data, limit)
 
 
 def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> Unpacked:
@@ -170,7 +173,7 @@ def _other_head(packed: Packed, manifest: Manifest | None, limit: int) -> tuple[
     for bit in range(min(_HEAD_BITS, 8 * len(packed.data))):
         data = bytearray(packed.data)
         data[bit // 8] ^= 1 << (bit % 8)
-        content, all_of_it = _zstd(bytes(data), limit)
+        content, all_of_it = unpack_zstd(bytes(data), limit)
         if all_of_it and content and _verified(content, packed, manifest):
             return content, True
     return b"", False
@@ -268,3 +271,42 @@ def _scan(info: FileInfo, data: bytes, part: tuple[int, int], place: tuple[str, 
                 read_side_record(info, op, data[at + RECORD.size : end], *place)
         at = end
     return offsets
+
+
+def unpack_messages(block: Block, limit: int) -> tuple[Block, int]:
+    """Unpack the payloads that are compressed one by one (``compression_mode: MESSAGE`` of rosbag2); others stay.
+
+    Plain CDR begins with a zero, so the magic number of zstd decides.
+
+    Parameters
+    ----------
+    block : messages as they are in the file
+    limit : most that the payloads may take together [byte]
+
+    Returns
+    -------
+    block : messages with plain payloads
+    left_out : messages that cannot be unpacked, or not within the limit
+    """
+    starts, sizes = block.offsets + HEAD, block.heads["length"].astype(np.int64) - BODY
+    # Of a payload of less than four bytes, the last four of head and payload.
+    marks = sliding_window_view(np.frombuffer(block.data, np.uint8), 4)[starts - np.maximum(4 - sizes, 0)]
+    packed = (sizes > 4) & (marks == _ZSTD_BYTES).all(axis=1)
+    if not packed.any():
+        return block, 0
+    payloads, kept, left = [], [], limit
+    for i, (start, size, zipped) in enumerate(zip(starts.tolist(), sizes.tolist(), packed.tolist())):
+        payload, whole = block.data[start : start + size], True
+        if zipped:
+            payload, whole = unpack_zstd(payload, left)
+        if len(payload) > left:
+            break
+        if whole:
+            left -= len(payload)
+            kept.append(i)
+            payloads.append(payload)
+    heads = block.heads[kept]
+    heads["length"] = BODY + np.array([len(payload) for payload in payloads], np.uint64)
+    ends = np.cumsum(heads["length"].astype(np.int64) + RECORD.size)
+    data = b"".join(head.tobytes() + payload for head, payload in zip(heads, payloads))
+    return Block(data, heads, ends - heads["length"].astype(np.int64) - RECORD.size), len(block.heads) - len(kept)

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -32,6 +33,10 @@ BODY = HEAD - RECORD.size  # 22: part of the length that is not payload
 MAX_CHUNK = 64_000_000
 """Largest chunk and largest other record that are read [byte]; declared sizes are compared with it before anything is
 allocated."""
+_CONVERT = "to convert it: pip install rosbags; rosbags-convert --src BAG --dst NEW --dst-storage mcap"
+SQLITE = f"sqlite3; {_CONVERT}"
+OTHER_FORMATS = {b"SQLite f": SQLITE, b"#ROSBAG ": f"a bag of ROS 1; {_CONVERT}"}
+"""What other files are, by their first eight bytes."""
 MAX_NOTES = 10_000
 """Damaged places of a file that are told one by one."""
 
@@ -42,7 +47,18 @@ class BagError(ValueError):
 
 @dataclass(frozen=True)
 class Channel:
-    """One topic in one file: its number in the file, name, message type, encoding, definition, further strings."""
+    """One topic in one file.
+
+    Attributes
+    ----------
+    id : its number in the file
+    topic : its name
+    schema : message type
+    encoding : of the messages, ``cdr`` in ROS 2
+    definition : text of the message type; empty if the file does not have it
+    metadata : further strings
+    definition_encoding : language of the definition, ``ros2msg``
+    """
 
     id: int
     topic: str
@@ -50,6 +66,7 @@ class Channel:
     encoding: str
     definition: bytes = b""
     metadata: tuple[tuple[str, str], ...] = ()
+    definition_encoding: str = "ros2msg"
 
 
 @dataclass(frozen=True)
@@ -91,7 +108,8 @@ class FileInfo:
 
     Attributes
     ----------
-    channels, schemas : by number
+    channels : by number
+    schemas : by number: name, language and text of the definition of a message type
     metadata : the metadata records of each name, in the order of the file
     attachments : by name
     problems : defects, one sentence each
@@ -105,7 +123,7 @@ class FileInfo:
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
-    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     metadata: dict[str, list[dict[str, str]]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -146,6 +164,28 @@ class Block:
     heads: NDArray[np.void]
     offsets: NDArray[np.int64]
 
+    def by_channel(self, channels: Mapping[int, Channel]) -> Iterator[tuple[Channel, NDArray[np.int64]]]:
+        """Channels of the messages, and the rows of each; messages of an unknown channel are left out."""
+        numbers = self.heads["channel"]
+        for number in np.unique(numbers).tolist():
+            if number in channels:
+                yield channels[number], np.flatnonzero(numbers == number)
+
+    def payload(self, row: int) -> bytes:
+        """Payload of one message."""
+        start = int(self.offsets[row]) + HEAD
+        return self.data[start : start + int(self.heads["length"][row]) - BODY]
+
+    def payloads(self, rows: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.uint8]]]:
+        """Payloads (m, size) of messages, those of equal size together, and their places (m,) in `rows`."""
+        data = np.frombuffer(self.data, np.uint8)
+        sizes = self.heads["length"][rows].astype(np.int64) - BODY
+        starts = self.offsets[rows] + HEAD
+        for size in np.unique(sizes).tolist():
+            same = np.flatnonzero(sizes == size)
+            empty = np.zeros((same.size, 0), np.uint8)
+            yield same, sliding_window_view(data, size)[starts[same]] if size else empty
+
 
 def text_at(data: bytes, at: int) -> tuple[str, int]:
     """Text with its length before it, and the offset behind it.
@@ -181,18 +221,18 @@ def _read_header(info: FileInfo, body: bytes) -> None:
 def _read_schema(info: FileInfo, body: bytes) -> None:
     (number,) = struct.unpack_from("<H", body)
     name, at = text_at(body, 2)
-    _, at = text_at(body, at)
+    language, at = text_at(body, at)
     (n,) = struct.unpack_from("<I", body, at)
-    info.schemas[number] = name, body[at + 4 : at + 4 + n]
+    info.schemas[number] = name, language, body[at + 4 : at + 4 + n]
 
 
 def _read_channel(info: FileInfo, body: bytes) -> None:
     number, schema = struct.unpack_from("<HH", body)
     topic, at = text_at(body, 4)
     encoding, at = text_at(body, at)
-    name, definition = info.schemas.get(schema, ("", b""))
+    name, language, definition = info.schemas.get(schema, ("", "", b""))
     metadata = tuple(table_at(body, at).items())
-    info.channels[number] = Channel(number, topic, name, encoding, definition, metadata)
+    info.channels[number] = Channel(number, topic, name, encoding, definition, metadata, language)
 
 
 def _read_metadata(info: FileInfo, body: bytes) -> None:

@@ -14,7 +14,16 @@ from typing import BinaryIO
 
 import zstandard
 
-from pointing_analysis.read.mcap.chunks import Unpacked, block_of, index_times, take_apart, unpack, whole_records
+from pointing_analysis.read.mcap.chunks import (
+    ZSTD,
+    Unpacked,
+    block_of,
+    index_times,
+    take_apart,
+    unpack,
+    unpack_messages,
+    whole_records,
+)
 from pointing_analysis.read.mcap.framing import Frame, Framing
 from pointing_analysis.read.mcap.manifest import Manifest, decode_manifest
 from pointing_analysis.read.mcap.records import (
@@ -30,6 +39,7 @@ from pointing_analysis.read.mcap.records import (
     OP_METADATA,
     OP_SCHEMA,
     OP_STATISTICS,
+    OTHER_FORMATS,
     RECORD,
     SIDE_RECORDS,
     BagError,
@@ -105,7 +115,7 @@ class _Walk:
 
     def _record(self, frame: Frame) -> Iterator[Block]:
         op = frame.op
-        if not op and b"\x28\xb5\x2f\xfd" in self.framing.peek(frame.at, min(96, frame.end - frame.at)):
+        if not op and ZSTD in self.framing.peek(frame.at, min(96, frame.end - frame.at)):
             op = OP_CHUNK  # compressed data under a head that is not readable
         if op == OP_CHUNK:
             first, last = self._times(frame)
@@ -256,6 +266,17 @@ def _from_start(stream: BinaryIO, info: FileInfo, where: str) -> Iterator[Block]
     if magic != MAGIC:
         # A wrong byte or two of eight are damage; anything else is another kind of file.
         if len(magic) < len(MAGIC) or sum(a != b for a, b in zip(magic, MAGIC)) > 2:
-            raise BagError(f"{where}: an MCAP file must begin with {MAGIC!r}, got {magic!r}")
+            raise BagError(
+                f"{where}: an MCAP file must begin with {MAGIC!r}, got {OTHER_FORMATS.get(magic, repr(magic))}"
+            )
         info.note(where, 0, "the magic number is damaged")
-    yield from _Walk(stream, info, where).blocks()
+    walk, left_out = _Walk(stream, info, where), 0
+    for packed in walk.blocks():
+        block, missing = unpack_messages(packed, min(info.max_chunk, walk.left))
+        walk.left -= len(block.data) if block is not packed else 0
+        left_out += missing
+        if block.heads.size:
+            yield block
+    if left_out:
+        what = f"cannot be unpacked, or not within the limit of {info.max_chunk / 1e6:g} MB (--max-chunk)"
+        info.problems.append(f"{where}: {left_out} compressed messages {what}: left out")

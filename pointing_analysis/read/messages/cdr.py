@@ -22,6 +22,20 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import ACCEL, COLUMNS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
+PLAIN_CDR = {0: ">", 1: "<"}
+"""Encapsulations that are read, with the order of their bytes."""
+OTHER_ENCAPSULATIONS = {
+    2: "PL_CDR (parameter list, big-endian)",
+    3: "PL_CDR (parameter list, little-endian)",
+    4: "XML",
+    6: "XCDR2 (plain, big-endian)",
+    7: "XCDR2 (plain, little-endian)",
+    8: "XCDR2 (delimited, big-endian)",
+    9: "XCDR2 (delimited, little-endian)",
+    10: "XCDR2 (parameter list, big-endian)",
+    11: "XCDR2 (parameter list, little-endian)",
+}
+"""Names of those that are not, for messages (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
 STAMP = struct.Struct("<iI")
 """Seconds and nanoseconds of a stamp; it follows the encapsulation header."""
 STAMP_OFFSET = len(ENCAPSULATION)
@@ -139,6 +153,23 @@ class Layout:
     order: str
 
 
+def byte_order(schema: str, payload: bytes) -> str:
+    """Order of the bytes of a message by its encapsulation header, ``<`` or ``>``.
+
+    Raises
+    ------
+    BagError
+        Another encapsulation than plain CDR, or a message of less than four bytes.
+    """
+    if len(payload) < len(ENCAPSULATION):
+        raise BagError(f"{schema} must be plain CDR, got {len(payload)} bytes")
+    kind = int.from_bytes(payload[:2], "big")
+    if kind not in PLAIN_CDR:
+        name = OTHER_ENCAPSULATIONS.get(kind, "an unknown encapsulation")
+        raise BagError(f"{schema} must be plain CDR, got {name} (first bytes {payload[:2].hex()})")
+    return PLAIN_CDR[kind]
+
+
 class _Cursor:
     """Reads length fields while keeping CDR's alignment, which counts from the end of the encapsulation header."""
 
@@ -179,9 +210,7 @@ def layout(schema: str, payload: bytes) -> Layout:
     """
     if schema not in COLUMNS:
         raise BagError(f"message type must be one of {', '.join(COLUMNS)}, got {schema!r}")
-    if len(payload) < 16 or payload[0] != 0 or payload[1] not in (0, 1):
-        raise BagError(f"{schema} must be plain CDR, got {len(payload)} bytes that begin with {payload[:4].hex()}")
-    cursor = _Cursor(payload, "<" if payload[1] else ">")
+    cursor = _Cursor(payload, byte_order(schema, payload))
     try:
         cursor.at = STAMP_OFFSET + STAMP.size
         cursor.string()
@@ -199,6 +228,11 @@ def layout(schema: str, payload: bytes) -> Layout:
     if start + 8 * count > len(payload):
         raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short")
     return Layout(len(payload), start, count, tuple(cursor.lengths), cursor.order)
+
+
+def same_order(rows: NDArray[np.uint8], order: str) -> NDArray[np.bool_]:
+    """Which messages (m, size) are plain CDR in this order of bytes."""
+    return np.asarray((rows[:, 0] == 0) & (rows[:, 1] == (order == "<")))
 
 
 def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
@@ -221,7 +255,7 @@ def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[NDArray[np.int64], ND
         view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(plan.order + kind)
         return view
 
-    fits = rows[:, 1] == (plan.order == "<")
+    fits = same_order(rows, plan.order)
     for at, value in plan.lengths:
         fits &= column(at, "u4")[:, 0] == value
     seconds = column(STAMP_OFFSET, "i4")[:, 0].astype(np.int64)

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.mcap.records import BagError, Channel
+from pointing_analysis.read.messages.cdr import byte_order, same_order
 
 SIZES = {
     "bool": 1,
@@ -72,6 +73,23 @@ class Vector:
 def short_name(schema: str) -> str:
     """Type name without ``msg``: ``geometry_msgs/msg/Point`` is ``geometry_msgs/Point``."""
     return schema.replace("/msg/", "/")
+
+
+def channel_types(channel: Channel) -> Definitions:
+    """Types of the messages of a channel.
+
+    Raises
+    ------
+    BagError
+        Messages that are not CDR, or without a definition in ``ros2msg``.
+    """
+    if channel.encoding != "cdr":
+        raise BagError(f"messages must be encoded as cdr, got {channel.encoding!r}")
+    if not channel.definition:
+        raise BagError(f"the bag must hold the definition of {channel.schema or 'the message type'}, got none")
+    if channel.definition_encoding != "ros2msg":
+        raise BagError(f"the definition of {channel.schema} must be ros2msg, got {channel.definition_encoding!r}")
+    return parse_definition(channel.schema, channel.definition.decode("utf-8", "replace"))
 
 
 def parse_definition(schema: str, text: str) -> Definitions:
@@ -218,9 +236,7 @@ def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places
     BagError
         Not plain CDR, a message that is cut short, or a field with less than two numbers.
     """
-    if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
-        raise BagError(f"{schema} must be plain CDR, got {len(payload)} bytes that begin with {payload[:4].hex()}")
-    reader = _Reader(payload, types, path, "<" if payload[1] else ">")
+    reader = _Reader(payload, types, path, byte_order(schema, payload))
     try:
         reader.message(short_name(schema), "")
     except struct.error:
@@ -239,7 +255,7 @@ def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[NDArray[np.float64
         view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(places.order + kind)[:, 0]
         return view
 
-    fits = rows[:, 1] == (places.order == "<")
+    fits = same_order(rows, places.order)
     for at, value in places.lengths:
         fits &= column(at, "u4") == value
     return np.column_stack([column(at, kind).astype(np.float64) for at, kind in places.numbers]), fits

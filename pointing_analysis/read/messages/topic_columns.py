@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-import zstandard
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pointing_analysis.read.mapped_arrays import GrowingArray
-from pointing_analysis.read.mcap.records import BODY, HEAD, BagError, Block
+from pointing_analysis.read.mcap.records import BagError, Block
 from pointing_analysis.read.messages import cdr
 from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
 from pointing_analysis.read.topic import Topic, make_topic
@@ -73,33 +71,17 @@ def _nothing(width: int) -> tuple[GrowingArray, ...]:
     return GrowingArray(None, np.int64), GrowingArray(width), GrowingArray(None, np.int64)
 
 
-def decode_block(column: Column, block: Block, chosen: NDArray[np.bool_], packed: bool) -> None:
-    """Decode the chosen messages of a block; equal sizes go through one numpy view."""
-    buffer = np.frombuffer(block.data, np.uint8)
-    heads, offsets = block.heads[chosen], block.offsets[chosen]
-    sizes = heads["length"].astype(np.int64) - BODY
-    sent = heads["publish"].astype(np.int64)
-    if packed:
-        unzip = zstandard.ZstdDecompressor()
-        payloads = [
-            unzip.decompressobj().decompress(block.data[o + HEAD : o + HEAD + n]) for o, n in zip(offsets, sizes)
-        ]
-        buffer = np.frombuffer(b"".join(payloads), np.uint8)
-        sizes = np.array([len(p) for p in payloads], dtype=np.int64)
-        starts = np.cumsum(sizes) - sizes
-    else:
-        starts = offsets + HEAD
-    for size in np.unique(sizes):
-        same = np.flatnonzero(sizes == size)
-        begin = starts[same]
-        plan = cdr.layout(column.schema, buffer[begin[0] : begin[0] + size].tobytes())
-        rows = sliding_window_view(buffer, int(size))[begin]
-        stamp, values, fits = cdr.decode(rows, plan)
+def decode_block(column: Column, block: Block, rows: NDArray[np.int64]) -> None:
+    """Decode messages of a block, by their rows in it; equal sizes go through one numpy view."""
+    sent = block.heads["publish"][rows].astype(np.int64)
+    for same, payloads in block.payloads(rows):
+        plan = cdr.layout(column.schema, payloads[0].tobytes())
+        stamp, values, fits = cdr.decode(payloads, plan)
         if fits.all():
             column.add(stamp, values, sent[same])
             continue
         column.add(stamp[fits], values[fits], sent[same][fits])
         odd = np.flatnonzero(~fits)
-        stamp, single = cdr.decode_any(column.schema, [rows[i].tobytes() for i in odd])
+        stamp, single = cdr.decode_any(column.schema, [payloads[i].tobytes() for i in odd])
         for i, row in enumerate(single):
             column.add(stamp[i : i + 1], row[None, :], sent[same[odd[i : i + 1]]])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from pointing_analysis.files.atomic_output import atomic_folder, check_space
 from pointing_analysis.read.mcap.bag_files import bag_files
-from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, repair_entries
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
 from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
@@ -148,8 +148,7 @@ def _record(file: Path, info: FileInfo, losses: Sequence[TopicLoss], result: Rep
         "source": file.name,
         "messages": str(result.messages),
         "finished": json.dumps(info.finished),
-        "lost": json.dumps({loss.topic: loss.missing for loss in losses}),
-        "expected": json.dumps({loss.topic: loss.missing + loss.recovered for loss in losses}),
+        **repair_entries([info], losses),
         **{f"note_{i:03d}": text for i, text in enumerate(notes[:200])},
     }
 
