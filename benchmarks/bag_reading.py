@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.run import Run
 
-Arrays = dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+Arrays = dict[str, tuple[NDArray[np.int64], FloatArray]]
 
 
 def synthetic(folder: Path, seconds: float) -> Path:

@@ -18,10 +18,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from lftkit.arrays import FloatArray
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lftkit.tuning.descent.smooth_phase import Point, smooth_phase
@@ -38,7 +39,7 @@ FRUITLESS = 1e-5  # relative decrease by a smooth phase after which the next one
 PERTURBATIONS = -3.0, -1.0  # decades of the relative size of a perturbation of the best point
 
 
-def problem_and_start() -> tuple[Problem, NDArray[np.float64]]:
+def problem_and_start() -> tuple[Problem, FloatArray]:
     """The problem and the Kalman observer's parameters."""
     parameters = load_parameters()
     telescope, options = build_telescope(parameters), DesignOptions()
@@ -92,7 +93,7 @@ def measure(seconds: float) -> dict[str, list[float]]:
     return rows
 
 
-def perturbed(problem: Problem, x: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def perturbed(problem: Problem, x: FloatArray, rng: np.random.Generator) -> FloatArray:
     """A point near `x` at which all models are stable."""
     while True:
         size = 10.0 ** rng.uniform(*PERTURBATIONS)

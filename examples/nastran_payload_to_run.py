@@ -17,12 +17,12 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from scipy.linalg import eigh
 
+from lftkit.arrays import FloatArray
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.structures import BeamFrame, read_nastran, write_modal_data
 from titop_plant.structures.beam_element import beam_axes
 from titop_plant.structures.beam_frame import assemble, rigid_body_modes
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.reference import payload_frame
 from titop_plant.telescope.parameters import load_parameters
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import UncertainSystem
+from lftkit.arrays import FloatArray
 from titop_plant.blocks.isolator import Isolator, isolator
 from titop_plant.structures import from_inertia
-from titop_plant.structures.kinematics import FloatArray
 
 LEG_STIFFNESS, LEG_DAMPING = 4e3, (2.0, 20.0)  # N/m; N s/m
 RADIUS_BELOW, RADIUS_ABOVE, HEIGHT = 0.35, 0.25, 0.25  # m; the joints stand in three pairs on each ring

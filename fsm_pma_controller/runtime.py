@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant.interface import (
     COMMANDS,
@@ -20,8 +20,6 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     STAGES,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 class ForceLaw(Protocol):

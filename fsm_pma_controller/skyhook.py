@@ -22,10 +22,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit import SampledSystem, UncertainSystem, state_space
+from lftkit.arrays import FloatArray
 from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
 from titop_plant.interface import DT, K_PMA_INPUTS, K_PMA_OUTPUTS, DesignBasis
-from titop_plant.structures.kinematics import FloatArray, tau
+from titop_plant.structures.kinematics import tau
 from titop_plant.telescope.components import actuator_components
 from titop_plant.telescope.parameters import Parameters
 

@@ -23,6 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, UncertainSystem, state_space
+from lftkit.arrays import FloatArray
 from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
 from titop_plant.interface import (
@@ -34,7 +35,7 @@ from titop_plant.interface import (
     MEASUREMENTS,
     DesignBasis,
 )
-from titop_plant.structures.kinematics import FloatArray, tau
+from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.parameters import Parameters

@@ -28,11 +28,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import Port, StateSpace, UncertainSystem, connect, static_gain, transform
+from lftkit.arrays import FloatArray
 from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import ACCELEROMETERS, CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters

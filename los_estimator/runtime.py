@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.sampled_system import SampledSystem
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
-
-FloatArray = NDArray[np.float64]
 
 
 def hold_camera(measurement: FloatArray, held: FloatArray) -> None:

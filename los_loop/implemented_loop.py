@@ -20,11 +20,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import SampledSystem, StateSpace
 from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
+from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import gain_figures
 from los_loop.open_loop import OpenLoop, closed_lft
 from los_loop.sampled_loop import SampledLoop, sampled_loop
@@ -49,8 +49,6 @@ from titop_plant.interface import (
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 LOWEST, HIGHEST = 1e-2, 3000.0
 """Frequencies of a search [rad/s]; the highest is just below half of the sampling rate."""
 STEP = 1e-6

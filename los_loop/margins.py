@@ -15,15 +15,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import eigenvalues, largest_gains
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, MIRROR
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 GAINS = (0.5, 2.0)
 """Factors of the loop gain that the loop must bear, all channels alike and one at a time."""
@@ -98,7 +96,7 @@ def change_names(stage: str) -> list[str]:
     return names
 
 
-def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> NDArray[np.bool_]:
+def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> BoolArray:
     """Whether a change could meet -1 at a frequency, for N sensitivities (N, 8, 8): shape (N, changes).
 
     A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from

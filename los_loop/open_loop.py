@@ -8,19 +8,16 @@ the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import UncertainSystem
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 class OpenLoop:

@@ -11,17 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import SampledSystem, StateSpace
+from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.spec import HELD, laws, state_parts
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import sample
 from titop_plant.simulation.disturbances import no_tones
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

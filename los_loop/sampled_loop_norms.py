@@ -13,13 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import SampledSystem, StateSpace
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, sampled_loop
@@ -30,8 +30,6 @@ from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 LOS = OUTPUTS[LINE_OF_SIGHT]
 SIDEBANDS = 4
 """Sidebands of the camera's frame rate that are included on each side."""

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit import SampledSystem
+from lftkit.arrays import ComplexArray, IntArray
 from lftkit.systems.ports import Port, port_slices
 from titop_plant.interface import (
     COLUMNS,
@@ -56,7 +56,7 @@ ADDED = slice(INPUTS[DISTURBANCE].stop, INPUTS[COMMAND_PORTS[-1].name].stop)
 APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].stop)
 """Columns and rows of all commands."""
 
-HELD: NDArray[np.intp] = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in FRAMED])
+HELD: IntArray = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in FRAMED])
 """Columns of the measurement that are held between camera frames."""
 
 
@@ -118,7 +118,7 @@ def columns(ports: Sequence[Port]) -> slice:
     return slice(COLUMNS[ports[0].name].start, COLUMNS[ports[-1].name].stop)
 
 
-def held_response(z: NDArray[np.complex128], frame_ticks: int) -> NDArray[np.complex128]:
+def held_response(z: ComplexArray, frame_ticks: int) -> ComplexArray:
     """Fundamental of a value that is held between frames, at ``z = exp(i w dt)`` (N,): mean of the delays of a period.
 
     Examples

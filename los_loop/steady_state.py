@@ -13,15 +13,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import state_parts
 from los_loop.tone_model import LoopModel
 from titop_plant.interface import COMMANDS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import StateSpace
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_loop.sampled_loop import SampledLoop, sampled_loop
@@ -40,8 +40,6 @@ from titop_plant.simulation.build import PlantConfig, command_limits, plant_and_
 from titop_plant.simulation.disturbances import Tones
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 WINDOW = 0.02
 
 

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import StateSpace
+from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import loop_grid, tone_response
@@ -32,9 +32,6 @@ from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 INDICES = error_names()
 """What a tone can be worst for."""

@@ -14,10 +14,8 @@ from numpy.linalg import eigvalsh as _eigvalsh
 from numpy.linalg import inv as _inv
 from numpy.linalg import solve as _solve
 from numpy.linalg import svd as _svd
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from lftkit.arrays import ComplexArray, FloatArray
 
 
 def solve(M: ComplexArray, X: ComplexArray) -> ComplexArray:

@@ -8,8 +8,7 @@ from lftkit.analysis.circle_norm import in_units, stability_limit
 from lftkit.analysis.circle_response import ANGLE, CircleModes, circle_modes
 from lftkit.analysis.eigenvectors import EPS, modes
 from lftkit.analysis.exact_circle_norm import Quotient
-from lftkit.systems.ports import FloatArray
-from lftkit.systems.state_space import Matrices
+from lftkit.arrays import FloatArray, Matrices
 
 TRUSTED = 1e-9  # relative error of the variance by rounding, at most
 AGREEMENT = 1e-6  # relative difference of the sums with B and with C, at most

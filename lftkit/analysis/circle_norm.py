@@ -11,17 +11,13 @@ from math import comb
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
 from lftkit.analysis.circle_response import ORDER, CircleResolvents, Expansion, circle_modes
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.exact_circle_norm import Quotient, exact_circle_norm
 from lftkit.analysis.peak_search import climb
-from lftkit.systems.ports import FloatArray
-from lftkit.systems.state_space import Matrices
-
-ComplexArray = NDArray[np.complex128]
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 MAX_INTERVALS = 40_000
 MAX_ROUNDS = 40

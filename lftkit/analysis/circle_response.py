@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import inverses
 from lftkit.analysis.compensated import matrix_product, two_product, two_sum
@@ -28,11 +27,9 @@ from lftkit.analysis.eigenvectors import (
     eigenvector_residual,
     modes,
 )
-from lftkit.systems.ports import FloatArray
-from lftkit.systems.state_space import Matrices
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 lapack: Any = scipy.linalg.lapack
-ComplexArray = NDArray[np.complex128]
 
 ORDER = 4  # of the expansions
 INSIDE = 0.75  # |t q| of a pole, at most

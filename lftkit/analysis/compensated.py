@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lftkit.systems.ports import FloatArray
+from lftkit.arrays import FloatArray
 
 _SPLITTER = 134217729.0  # 2^27 + 1 (Dekker 1971)
 

@@ -14,9 +14,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from lftkit.analysis.compensated import halves, matrix_product, two_sum
-from lftkit.systems.ports import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 
-ComplexArray = NDArray[np.complex128]
 sl: Any = scipy.linalg
 
 MAX_NEWTON_STEPS = 3
@@ -180,7 +179,7 @@ def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]
     return shift, step
 
 
-def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: NDArray[np.intp]) -> FloatArray:
+def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: IntArray) -> FloatArray:
     """``A W - W L`` with the block-diagonal L of `poles`, rounded once."""
     total, low = matrix_product(A, W)
     first, second = halves(W)

@@ -17,8 +17,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from lftkit.systems.ports import FloatArray
-from lftkit.systems.state_space import Matrices
+from lftkit.arrays import FloatArray, Matrices
 
 sl: Any = scipy.linalg
 Integers = NDArray[np.object_]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lftkit.systems.ports import FloatArray
+from lftkit.arrays import FloatArray
 
 LIGHT_DAMPING = 0.3  # poles of a smaller damping ratio get points of their own
 UNDAMPED = 1e-10  # damping ratio below which a pole counts as undamped

@@ -26,11 +26,11 @@ from lftkit.analysis.eigenvectors import (
     corrected_modes,
     modes,
 )
-from lftkit.systems.ports import FloatArray, port_slices
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray
+from lftkit.systems.ports import port_slices
 from lftkit.systems.state_space import StateSpace
 
 sl: Any = scipy.linalg
-ComplexArray = NDArray[np.complex128]
 
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
@@ -352,7 +352,7 @@ def _numerators(poles: ComplexArray, left: ComplexArray, right: ComplexArray) ->
     """Real numerators b of the real poles, b and a of the pairs, stacked, shape (n, p m)."""
     real, pairs = poles.imag == 0, poles.imag > 0
 
-    def residues(which: NDArray[np.bool_]) -> ComplexArray:
+    def residues(which: BoolArray) -> ComplexArray:
         return (left.T[which, :, None] * right[which, None, :]).reshape(-1, left.shape[0] * right.shape[1])
 
     of_pairs = residues(pairs)

@@ -16,14 +16,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 
 sl: Any = scipy.linalg
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 EPS = float(np.finfo(float).eps)
 MAX_INTERVALS = 40_000
@@ -150,7 +148,7 @@ def _cover(
 
 def _clearly_below(
     response: FrequencyResponse, residue: FloatArray, level: float, centre: FloatArray, half: FloatArray
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Intervals on which the norms of D and of all modal terms add up to less than the level: no phase needed."""
     poles = response.poles
     distance = np.sqrt((centre[:, None] - poles.imag) ** 2 + poles.real**2) - half[:, None]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle_h2 import discrete_h2
@@ -23,10 +23,10 @@ from lftkit.analysis.frequency_response import FrequencyResponse, refined_respon
 from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
 from lftkit.analysis.peak_search import climb
 from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
-from lftkit.systems.state_space import Matrices, checked_matrices
+from lftkit.arrays import FloatArray, Matrices
+from lftkit.systems.state_space import checked_matrices
 
 sl: Any = scipy.linalg
-FloatArray = NDArray[np.float64]
 
 MAX_ROUNDS = 40
 CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by

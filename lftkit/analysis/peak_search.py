@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-ComplexArray = NDArray[np.complex128]
+from lftkit.arrays import ComplexArray
+
 lapack: Any = scipy.linalg.lapack
 
 MAX_STEPS = 20

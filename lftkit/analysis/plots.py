@@ -17,7 +17,8 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
-from lftkit.systems.ports import FloatArray, Port, port_slices
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem
 

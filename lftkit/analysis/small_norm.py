@@ -12,17 +12,14 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, refined_response
 from lftkit.analysis.peak_search import climb
-from lftkit.systems.state_space import Matrices
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 lapack: Any = scipy.linalg.lapack
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 MAX_STATES = 40
 MAX_LEVELS = 8

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from lftkit.systems.ports import FloatArray, Port
-from lftkit.systems.state_space import Matrices, StateSpace
+from lftkit.arrays import FloatArray, Matrices
+from lftkit.systems.ports import Port
+from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem, state_space, static_gain
 
 sl: Any = scipy.linalg

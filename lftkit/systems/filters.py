@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.interconnection import connect
-from lftkit.systems.ports import FloatArray, Port
+from lftkit.systems.ports import Port
 from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem, state_space
 

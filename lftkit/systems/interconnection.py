@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.systems.ports import FloatArray, Port, port_indices, port_slices
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port, port_indices, port_slices
 from lftkit.systems.uncertain_system import UncertainSystem, _solve
 
 Source = str | tuple[str, ...]

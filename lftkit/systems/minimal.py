@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit.systems.ports import FloatArray
+from lftkit.arrays import FloatArray
 from lftkit.systems.uncertain_system import UncertainSystem
 from lftkit.uncertainty.parameters import parameter_table
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from lftkit.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def total_size(ports: Iterable[Port]) -> int:
     return sum(port.size for port in ports)
 
 
-def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str = "") -> NDArray[np.intp]:
+def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str = "") -> IntArray:
     """Indices of the signals of the ports `names`, in the given order, in the stacked vector of all `ports`.
 
     Raises

@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
-from lftkit.systems.ports import FloatArray, Port, total_size
+from lftkit.systems.ports import Port, total_size
 from lftkit.systems.state_space import StateSpace
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.bilinear import to_discrete
-from lftkit.systems.ports import FloatArray
 from lftkit.systems.sampled_system import SampledSystem
-from lftkit.systems.state_space import Matrices, StateSpace
+from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem
 
 sl: Any = scipy.linalg

@@ -9,14 +9,14 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import IntArray
 from lftkit.systems.ports import Port
 
 _INDEXED = re.compile(r"(?P<port>.+)\[(?P<index>0|[1-9][0-9]*)\]", re.DOTALL)
 _NUMBERED = re.compile(r".*\[[0-9]+\]", re.DOTALL)
 
-Grouped = tuple[tuple[Port, ...], NDArray[np.intp]]
+Grouped = tuple[tuple[Port, ...], IntArray]
 
 
 def ports_of_labels(labels: Sequence[str], units: Mapping[str, str] | None = None, kind: str = "signal") -> Grouped:
@@ -74,7 +74,7 @@ def ports_of_labels(labels: Sequence[str], units: Mapping[str, str] | None = Non
     return ports, np.array(order, dtype=np.intp)
 
 
-def order_for_ports(labels: Sequence[str], ports: Iterable[Port], kind: str = "signal") -> NDArray[np.intp]:
+def order_for_ports(labels: Sequence[str], ports: Iterable[Port], kind: str = "signal") -> IntArray:
     """Where the signals of given `ports` stand among the labels.
 
     Labels that name no signal of the ports, all of them, are taken by position.

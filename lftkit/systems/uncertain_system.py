@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.control_conversion import continuous_only, ports_and_matrices
-from lftkit.systems.ports import FloatArray, Port, port_indices
+from lftkit.systems.ports import Port, port_indices
 from lftkit.systems.state_space import StateSpace, real_array
 from lftkit.systems.system_summary import html, one_line, text
 from lftkit.uncertainty.parameters import RealParameter, checked_values, parameter_table

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
+from lftkit.arrays import FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade, close_loop
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-
-FloatArray = NDArray[np.float64]
 
 PADE_ORDER = 8
 

@@ -11,20 +11,17 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response
 from lftkit.analysis.norms import h2_norm
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.feedback import close_loop
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.certificate import delayed_controller, weighted_loop
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 class ClosedLoopEvaluator:

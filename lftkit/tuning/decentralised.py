@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.systems.ports import FloatArray, Port, total_size
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port, total_size
 from lftkit.tuning.structures import Structure
 
 

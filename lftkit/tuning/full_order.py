@@ -15,15 +15,14 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.structures import AffineStructure
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 MAX_ORDER = 40  # of the weighted plant
@@ -94,7 +93,7 @@ def _plants(problem: Problem) -> list[ExtendedPlant]:
     return [p for p in plants if 0 < len(p.A) <= MAX_ORDER]
 
 
-def _regularised(plant: ExtendedPlant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _regularised(plant: ExtendedPlant) -> Matrices:
     """B1, C1, D12 and D21 with a small noise on each measurement and a small weight on each command."""
     nu, ny = plant.B2.shape[1], len(plant.C2)
     effort = REGULARISED * (float(np.abs(plant.D12).max(initial=0.0)) or 1.0)
@@ -162,9 +161,7 @@ def _central(plant: ExtendedPlant, level: float) -> Estimator | None:
     return Estimator(plant.A + B1 @ F[:nw] + ZL @ seen, plant.B2 + ZL @ plant.D22, ZL, F[nw:])
 
 
-def _reduced(
-    full: Estimator, plant: ExtendedPlant, order: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+def _reduced(full: Estimator, plant: ExtendedPlant, order: int) -> Matrices | None:
     """A, B, C and D of the controller of this order."""
     if order == 0:
         empty = np.zeros((0, 0))

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import read_only
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.structures import AffineStructure
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
@@ -71,5 +70,5 @@ def _speeds(models: Sequence[StateSpace]) -> list[float]:
     return [float(s) for s in np.quantile(sizes, SPEEDS)]
 
 
-def _without(index: NDArray[np.intp], last: int) -> NDArray[np.intp]:
+def _without(index: IntArray, last: int) -> IntArray:
     return np.where(index > last, index - 1, index).astype(np.intp)

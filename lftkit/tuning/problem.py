@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.pieces import Piece
@@ -25,10 +25,6 @@ from lftkit.tuning.requirements import (
     check_names,
 )
 from lftkit.tuning.structures import Structure
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 
 MIN_DECAY = 1e-6
 
@@ -290,7 +286,7 @@ class Problem:
                 pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(poles_of.poles[number[c]]))))
         return pieces
 
-    def _counted(self, r: Requirement, poles: ComplexArray) -> NDArray[np.bool_]:
+    def _counted(self, r: Requirement, poles: ComplexArray) -> BoolArray:
         """Poles that a requirement speaks of: those of the delay's approximation do not count."""
         if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
             return np.ones(len(poles), dtype=bool)

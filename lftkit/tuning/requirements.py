@@ -10,13 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.norms import spectral_abscissa
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.state_space import StateSpace
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ class _Poles:
         if not self.name:
             object.__setattr__(self, "name", type(self).__name__)
 
-    def pieces(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray, NDArray[np.intp]]:
+    def pieces(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray, IntArray]:
         """Values, derivatives and pole numbers of all bounds.
 
         A value v of pole s changes by ``Re(conj(derivative) ds)``. Bounds: 2 + Re s / min_decay,

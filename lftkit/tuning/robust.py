@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.state_space import StateSpace
@@ -24,8 +25,6 @@ from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.structures import Structure
 from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_of, result_of, tune
 from lftkit.tuning.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.structures import total_size
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 

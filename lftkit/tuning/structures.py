@@ -14,12 +14,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.systems.ports import Port, read_only
 from lftkit.systems.state_space import StateSpace
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 
@@ -79,9 +79,9 @@ class AffineStructure:
     outputs: tuple[Port, ...]
     order: int
     base: FloatArray
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    parameters: NDArray[np.intp]
+    rows: IntArray
+    columns: IntArray
+    parameters: IntArray
     coefficients: FloatArray
     spread: float = 1.0
 
@@ -150,7 +150,7 @@ class AffineStructure:
 
 
 def _affine(
-    inputs: Sequence[Any], outputs: Sequence[Any], order: int, free: NDArray[np.bool_], spread: float = 1.0
+    inputs: Sequence[Any], outputs: Sequence[Any], order: int, free: BoolArray, spread: float = 1.0
 ) -> AffineStructure:
     ins = tuple(p if isinstance(p, Port) else Port(*p) for p in inputs)
     outs = tuple(p if isinstance(p, Port) else Port(*p) for p in outputs)

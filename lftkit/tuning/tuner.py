@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.state_space import StateSpace
@@ -30,8 +31,6 @@ from lftkit.tuning.problem import MIN_DECAY, Problem, worst_values
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures import AffineStructure, Structure, controller
-
-FloatArray = NDArray[np.float64]
 
 AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states

@@ -13,17 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from lftkit.analysis.frequency_response import PoleError
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.requirements import HinfGain, Requirement
 from lftkit.tuning.structures import gain_matrix_of
-
-FloatArray = NDArray[np.float64]
 
 Build = Callable[[Mapping[str, float]], StateSpace]
 Box = Mapping[str, tuple[float, float]]
@@ -199,7 +197,7 @@ class _Search:
 
     def _runners_up(
         self,
-        order: NDArray[np.intp],
+        order: IntArray,
         values: FloatArray,
         frequencies: list[float],
         omega: float,

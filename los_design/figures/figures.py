@@ -9,13 +9,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
+from lftkit.arrays import FloatArray
 from los_design.figures.plant_figures import STYLE
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import continuous, load_designs
@@ -33,7 +33,6 @@ from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.parameters import Parameters, load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
-FloatArray = NDArray[np.float64]
 STAGES = {
     "none": ("payload hard-mounted", "#444444"),
     "isolator": ("isolator", "#2a9d4a"),

@@ -18,8 +18,8 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from lftkit.arrays import FloatArray
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.disturbance_responses import (
     ALL,
     ARCSEC,

@@ -20,17 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.sampled_loop_norms import weighted_gains
 from titop_plant.telescope.budget import BAND_EDGE
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Pair = tuple[float, FloatArray]
 """Frequency [rad/s] and point of the unit cube."""
 Found = tuple[float, float, FloatArray]

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.simulation.disturbances import CHANNELS
 
-ComplexArray = NDArray[np.complex128]
 FILE = "worst_points.json"
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 

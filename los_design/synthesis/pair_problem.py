@@ -16,9 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import Port
 from lftkit.tuning.frequency_domain import (
     ControllerBlock,
@@ -52,8 +52,6 @@ from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks, sensors
 from titop_plant.telescope.weights import rpe_weight
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 OBSERVER, ACTUATORS = 0, 1
 ALONE, BOTH = (OBSERVER,), (OBSERVER, ACTUATORS)
 STAGE_NAMES = dict(zip((ALONE, BOTH), MIRROR_STAGES))

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.tuning.frequency_domain import Descent, DescentState
 from los_design.search.worst_points import WorstPoint
 from pointing_analysis.files.atomic_output import write_text
 
-FloatArray = NDArray[np.float64]
 Kept = tuple[Path, Mapping[str, Any]]
 """File of a state, and what it is made for."""
 

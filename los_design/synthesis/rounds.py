@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit import SampledSystem
+from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning.frequency_domain import Descent, DescentOptions, DescentState, ResponseProblem, descend
 from los_design.search.worst_case_search import Search, SearchOptions, apart
@@ -30,7 +30,6 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import sampled_loop
 from titop_plant.interface import FRAME_TICKS
 
-FloatArray = NDArray[np.float64]
 Report = Callable[[str], None]
 MAX_NEW = 16
 """Points that a round adds at most."""

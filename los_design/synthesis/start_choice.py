@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit import SampledSystem, StateSpace
+from lftkit.arrays import FloatArray
 from lftkit.tuning.frequency_domain import DescentOptions, ResponseProblem, descend, parameters_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
@@ -24,7 +24,6 @@ from los_estimator.problem import kalman_start, observer_plant, observer_structu
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
 
-FloatArray = NDArray[np.float64]
 Pair = Sequence[FloatArray]
 """Gain matrices ``[A, B; C, D]`` of K_FSM and K_PMA."""
 Report = Callable[[str], None]

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import SampledSystem, StateSpace, UncertainSystem
@@ -18,7 +17,6 @@ from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
-FloatArray = NDArray[np.float64]
 SCREEN_SAMPLES = 32
 SCREEN_BANDS = (50.0, 300.0, 430.0, 520.0, 800.0)
 START_POLES = (20.0, 400.0)

@@ -19,6 +19,7 @@ import numpy as np
 from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure
 from fsm_pma_controller.skyhook import sampled_controller
 from lftkit import SampledSystem, StateSpace, state_space
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
 from lftkit.tuning import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
 from lftkit.tuning.frequency_domain import gain_matrices
@@ -46,7 +47,6 @@ from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
@@ -239,7 +239,7 @@ def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
     return {"tuned_values": tuned, "worst_cases": worst}
 
 
-def _state_space(M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _state_space(M: FloatArray) -> Matrices:
     return M[:ORDER, :ORDER], M[:ORDER, ORDER:], M[ORDER:, :ORDER], M[ORDER:, ORDER:]
 
 

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, Strip, prove_level
 from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.build import modal
@@ -30,7 +30,6 @@ from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.proof import Interval, packed, unpacked
 from lftkit.proofs.state_space.checker import ProofError
 from lftkit.support.workers import Workers
-from lftkit.systems.ports import FloatArray
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import HELD, LINE_OF_SIGHT, OUTPUTS
@@ -39,7 +38,6 @@ from titop_plant.interface import COMMANDS, DT, FRAME_TICKS, MEASUREMENTS
 from titop_plant.simulation.disturbances import CHANNELS
 from titop_plant.telescope.parameters import Parameters
 
-ComplexArray = NDArray[np.complex128]
 Box = tuple[Interval, ...]
 ANGLE = "solar_array.tau"
 LOWEST = 1e-2

@@ -15,9 +15,9 @@ from functools import partial
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
@@ -27,7 +27,6 @@ from los_loop.sampled_loop import radius_of, slow_modes
 from los_loop.spec import ADDED, APPLIED
 from titop_plant.interface import FRAME_TICKS
 
-FloatArray = NDArray[np.float64]
 Values = Mapping[str, float]
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
@@ -66,7 +65,7 @@ class StageCheck:
 
     stage: str
     worst: dict[str, WorstPoint]
-    stable: NDArray[np.bool_]
+    stable: BoolArray
     unstable_changes: list[list[str]]
     envelope: dict[str, FloatArray]
 
@@ -142,7 +141,7 @@ class _Chunk:
 class _Part:
     """What :class:`StageCheck` holds, for a chunk, with brackets of the largest values of each metric."""
 
-    stable: NDArray[np.bool_]
+    stable: BoolArray
     brackets: dict[str, list[Bracket]]
     unstable_changes: list[list[str]]
     envelope: dict[str, FloatArray]
@@ -169,7 +168,7 @@ def _look(search: Search, chunk: _Chunk) -> _Part:
     return _Part(stable, brackets, unstable, envelope)
 
 
-def _lost(search: Search, values: Values, doubt: NDArray[np.bool_]) -> list[str]:
+def _lost(search: Search, values: Values, doubt: BoolArray) -> list[str]:
     """Those changes of gain and delay in doubt that make the loop unstable at a point."""
     if not doubt.any():
         return []
@@ -182,12 +181,12 @@ def _largest(
     metrics: Mapping[str, LoopMetric],
     omega: FloatArray,
     cube: FloatArray,
-    stable: NDArray[np.bool_],
-    doubt: NDArray[np.bool_],
-) -> tuple[dict[str, tuple[FloatArray, NDArray[np.intp]]], dict[str, FloatArray]]:
+    stable: BoolArray,
+    doubt: BoolArray,
+) -> tuple[dict[str, tuple[FloatArray, IntArray]], dict[str, FloatArray]]:
     """For each metric the largest value of every point with its place in the grid, and the envelope; marks `doubt`."""
     value: dict[str, FloatArray] = {name: np.zeros(len(cube)) for name in metrics}
-    place: dict[str, NDArray[np.intp]] = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
+    place: dict[str, IntArray] = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
     envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
     for k, w in enumerate(omega):
         closed = loop.at(float(w))
@@ -209,8 +208,8 @@ def _at_modes(
     metrics: Mapping[str, LoopMetric],
     modes: Sequence[FloatArray],
     cube: FloatArray,
-    stable: NDArray[np.bool_],
-    doubt: NDArray[np.bool_],
+    stable: BoolArray,
+    doubt: BoolArray,
 ) -> dict[str, list[Bracket]]:
     """For each metric its values at the slow modes of every stable point; marks `doubt`."""
     found: dict[str, list[Bracket]] = {name: [] for name in metrics}
@@ -226,7 +225,7 @@ def _at_modes(
 
 
 def _brackets(
-    metric: LoopMetric, omega: FloatArray, value: FloatArray, place: NDArray[np.intp], cube: FloatArray
+    metric: LoopMetric, omega: FloatArray, value: FloatArray, place: IntArray, cube: FloatArray
 ) -> list[Bracket]:
     """The largest value of each point on the grid, with the neighbouring frequencies."""
     found = []

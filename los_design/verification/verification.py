@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, StateSpace, UncertainSystem
+from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning import certify
 from los_design.synthesis.state_space_requirements import paper_requirements
@@ -33,7 +33,6 @@ ARCSEC = np.pi / 648000.0
 MAS = 1e-3 * ARCSEC
 DELAY_POINTS, DELAY_FREQUENCIES = 40, 400
 Values = Mapping[str, float]
-FloatArray = NDArray[np.float64]
 PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
 PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
 from pointing_analysis.files.structured_text import StructuredTextError, load_toml, read_text
@@ -24,7 +24,6 @@ from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.requirements.text import ANGLES, Requirement, RequirementError, parse
 
-Floats = NDArray[np.float64]
 Entry = Mapping[str, Any]
 Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]
 """Sources of the testbed's own closed loop: (path, table, unit [rad]) -> sources in that unit."""
@@ -207,17 +206,17 @@ class _Reader:
     def wrong(self, path: tuple[str, ...], what: str, got: object) -> BudgetError:
         return BudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
 
-    def vector(self, path: tuple[str, ...], name: str, value: Any) -> Floats:
+    def vector(self, path: tuple[str, ...], name: str, value: Any) -> FloatArray:
         """A value for each axis; one number stands for all of them."""
         given = np.asarray(value, dtype=float)
-        found: Floats = np.broadcast_to(given, (self.axes,)).copy() if given.ndim == 0 else given
+        found: FloatArray = np.broadcast_to(given, (self.axes,)).copy() if given.ndim == 0 else given
         if found.shape != (self.axes,) or not np.isfinite(found).all():
             raise self.wrong(path, f"{name} must be {self.axes} finite numbers", value)
         return found
 
-    def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: Floats) -> Floats:
+    def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: FloatArray) -> FloatArray:
         """Magnitude of all transfers at some frequencies [Hz]."""
-        total: Floats = np.ones(hertz.size)
+        total: FloatArray = np.ones(hertz.size)
         for entry in transfers:
             if isinstance(entry, (int, float)) and not isinstance(entry, bool):
                 total = total * abs(float(entry))

@@ -13,19 +13,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.topic import read_only
 
-Floats = NDArray[np.float64]
 
-
-def uniform(half_range: ArrayLike) -> Floats:
+def uniform(half_range: ArrayLike) -> FloatArray:
     r"""Standard deviation of an error anywhere within plus or minus `half_range`: :math:`C/\sqrt 3`."""
     return np.asarray(half_range, dtype=float) / math.sqrt(3)
 
 
-def periodic(amplitude: ArrayLike) -> Floats:
+def periodic(amplitude: ArrayLike) -> FloatArray:
     r"""Standard deviation over time of a sinusoid: :math:`A/\sqrt 2`."""
     return np.asarray(amplitude, dtype=float) / math.sqrt(2)
 
@@ -43,8 +42,8 @@ class Contribution:
     """
 
     name: str
-    sigma: Floats
-    mean: Floats
+    sigma: FloatArray
+    mean: FloatArray
     within_exposure: bool
 
 
@@ -75,9 +74,9 @@ class Total:
     level : (k,) absolute mean plus factor times rss
     """
 
-    rss: Floats
-    mean: Floats
-    level: Floats
+    rss: FloatArray
+    mean: FloatArray
+    level: FloatArray
 
 
 def combine(contributions: Sequence[Contribution], index: str = "APE", factor: float = 2.0) -> Total:

@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
+from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.indices import metrics, weights
 
-Floats = NDArray[np.float64]
-Draw = Callable[[np.random.Generator, Floats, float | None], Floats]
-Sigma = Callable[[float | None], Floats]
+Draw = Callable[[np.random.Generator, FloatArray, float | None], FloatArray]
+Sigma = Callable[[float | None], FloatArray]
 POSITIONS = 40
 """Positions in a window at which the covariance of a random process is computed."""
 TIME, ENSEMBLE = "time", "ensemble"
@@ -43,7 +43,7 @@ class Source:
     path: tuple[str, ...]
     kind: str
     random: str
-    mean: Floats
+    mean: FloatArray
     draw: Draw
     sigma: Sigma
     worst: Sigma
@@ -73,12 +73,12 @@ def constant(
     spread = np.sqrt(h**2 / 3 + s**2)
     zero = np.zeros(m.size)
 
-    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+    def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         if window is not None:
             return np.zeros((u.size, m.size))
         return np.asarray(rng.uniform(-1, 1, (u.size, m.size)) * h + rng.standard_normal((u.size, m.size)) * s)
 
-    def largest(window: float | None) -> Floats:
+    def largest(window: float | None) -> FloatArray:
         return zero if window is not None else np.where(s > 0, np.inf, h)
 
     return Source(path, "constant", random, m, draw, lambda w: zero if w is not None else spread, largest)
@@ -97,7 +97,7 @@ def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float 
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     p = np.asarray(phasor, dtype=complex).reshape(-1, w.size)
 
-    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+    def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         total = np.zeros((u.size, len(p)))
         for one, amplitudes in zip(w, p.T):
             turning = np.exp(1j * rng.uniform(0, 2 * np.pi, u.size))
@@ -106,25 +106,25 @@ def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float 
             total += (turning[:, None] * amplitudes).imag
         return total
 
-    def weight(window: float | None) -> Floats:
+    def weight(window: float | None) -> FloatArray:
         if window is None:
             return np.ones(w.size)
         return weights.rpe_exact(w, window) if dt is None else weights.rpe_discrete(w, round(window / dt), dt)
 
-    def sigma(window: float | None) -> Floats:
+    def sigma(window: float | None) -> FloatArray:
         return np.asarray(np.sqrt((np.abs(p * weight(window)) ** 2).sum(axis=1) / 2))
 
-    def largest(window: float | None) -> Floats:
-        peaks: Floats = np.ones(w.size)
+    def largest(window: float | None) -> FloatArray:
+        peaks: FloatArray = np.ones(w.size)
         if window is not None:
-            u: Floats = np.arange(POSITIONS) / POSITIONS
+            u: FloatArray = np.arange(POSITIONS) / POSITIONS
             peaks = np.array([np.abs(_relative(one, u, window, dt)).max() for one in w])
         return np.asarray((np.abs(p) * peaks).sum(axis=1))
 
     return Source(path, "tones", TIME, np.zeros(len(p)), draw, sigma, largest)
 
 
-def _relative(omega: float, u: Floats, window: float, dt: float | None) -> NDArray[np.complex128]:
+def _relative(omega: float, u: FloatArray, window: float, dt: float | None) -> ComplexArray:
     """Factor of a tone less its mean over the window in which its instant has the position u."""
     if dt is None:
         y = omega * window
@@ -136,7 +136,7 @@ def _relative(omega: float, u: Floats, window: float, dt: float | None) -> NDArr
     return np.asarray(1 - mean)
 
 
-def gaussian(path: tuple[str, ...], covariance: Floats, within: Callable[[float], Floats], kind: str) -> Source:
+def gaussian(path: tuple[str, ...], covariance: FloatArray, within: Callable[[float], FloatArray], kind: str) -> Source:
     """Gaussian process.
 
     Parameters
@@ -148,7 +148,7 @@ def gaussian(path: tuple[str, ...], covariance: Floats, within: Callable[[float]
     """
     k = len(covariance)
 
-    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+    def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         white = rng.standard_normal((u.size, k))
         if window is None:
             return np.asarray(white @ _root(covariance))
@@ -156,23 +156,23 @@ def gaussian(path: tuple[str, ...], covariance: Floats, within: Callable[[float]
         roots = np.stack([_root(c) for c in table])
         return np.asarray(np.einsum("ni,nij->nj", white, roots[np.floor(u * len(table)).astype(int)]))
 
-    def sigma(window: float | None) -> Floats:
+    def sigma(window: float | None) -> FloatArray:
         matrix = covariance if window is None else within(window).mean(axis=0)
         return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 0)))
 
-    def largest(window: float | None) -> Floats:
+    def largest(window: float | None) -> FloatArray:
         return np.where(sigma(window) > 0, np.inf, 0.0)
 
     return Source(path, kind, TIME, np.zeros(k), draw, sigma, largest)
 
 
-def _root(matrix: Floats) -> Floats:
+def _root(matrix: FloatArray) -> FloatArray:
     """Symmetric square root of a covariance."""
     values, vectors = linalg.eigh(matrix)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
 
 
-def process(path: tuple[str, ...], correlation: Callable[[Floats], Floats], kind: str) -> Source:
+def process(path: tuple[str, ...], correlation: Callable[[FloatArray], FloatArray], kind: str) -> Source:
     """Gaussian process with independent axes, from its autocovariance.
 
     Parameters
@@ -183,7 +183,7 @@ def process(path: tuple[str, ...], correlation: Callable[[Floats], Floats], kind
     """
     at_zero = np.asarray(correlation(np.zeros(1)))[0]
 
-    def within(window: float) -> Floats:
+    def within(window: float) -> FloatArray:
         t = (np.arange(POSITIONS) + 0.5) / POSITIONS * window
         lags = np.abs(t[:, None] - t)
         table = np.asarray(correlation(lags.ravel())).reshape(POSITIONS, POSITIONS, -1)
@@ -204,7 +204,7 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
     """Linear drift from zero over `duration` [s], at `rate` [unit/s], instant unknown."""
     r = np.asarray(rate, dtype=float)
 
-    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+    def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         along = duration * (rng.uniform(0, 1, u.size) - 0.5) if window is None else window * (u - 0.5)
         return np.asarray(along[:, None] * r)
 
@@ -222,7 +222,7 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
     )
 
 
-def measured(path: tuple[str, ...], error: Floats, dt: float) -> Source:
+def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> Source:
     """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest.
 
     For the RPE the window must be a whole number of samples, and the recording have one without gaps; else a
@@ -231,7 +231,7 @@ def measured(path: tuple[str, ...], error: Floats, dt: float) -> Source:
     mean = np.nanmean(error, axis=0)
     present = error[~np.isnan(error).any(axis=1)] - mean
 
-    def table(window: float) -> Floats:
+    def table(window: float) -> FloatArray:
         try:
             n = metrics.window_samples(window, dt)
             whole = metrics.rpe_instant(error, dt, window)
@@ -243,17 +243,17 @@ def measured(path: tuple[str, ...], error: Floats, dt: float) -> Source:
             raise ValueError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
         return np.asarray(complete)
 
-    def draw(rng: np.random.Generator, u: Floats, window: float | None) -> Floats:
+    def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         if window is None:
             return np.asarray(present[rng.integers(0, len(present), u.size)])
         windows = table(window)
         position = np.floor(u * windows.shape[1]).astype(int)
         return np.asarray(windows[rng.integers(0, len(windows), u.size), position])
 
-    def sigma(window: float | None) -> Floats:
+    def sigma(window: float | None) -> FloatArray:
         return np.asarray(present.std(axis=0) if window is None else np.sqrt(np.mean(table(window) ** 2, axis=(0, 1))))
 
-    def largest(window: float | None) -> Floats:
+    def largest(window: float | None) -> FloatArray:
         return np.asarray(np.abs(present if window is None else table(window).reshape(-1, 2)).max(axis=0))
 
     return Source(path, "measured", TIME, mean, draw, sigma, largest)

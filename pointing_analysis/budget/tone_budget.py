@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
@@ -108,7 +108,7 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     return ToneBudget(noise, slow, fast, total, allowed, noise_error)
 
 
-def _rms(power: NDArray[np.float64]) -> tuple[float, float]:
+def _rms(power: FloatArray) -> tuple[float, float]:
     """Rms from the power of each window (m,), and its standard error."""
     if not len(power):
         return math.nan, math.nan

@@ -16,16 +16,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import integrate, optimize, special
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget.file import Budget, TotalRule
 from pointing_analysis.budget.lines import Total, combine, contribution
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
 from pointing_analysis.indices import confidence
 from pointing_analysis.requirements.text import ANGLES, Requirement
 
-Floats = NDArray[np.float64]
 BLOCK = 100_000
 ALONE = 10_000
 """Draws for the level of one source alone."""
@@ -44,8 +43,8 @@ class Share:
     """
 
     source: Source
-    mean: Floats
-    sigma: Floats
+    mean: FloatArray
+    sigma: FloatArray
     level: float
     share: float
 
@@ -92,7 +91,7 @@ def axis_factor(probability: float) -> float:
     return math.sqrt(2) * float(special.erfinv(probability))
 
 
-def norm_quantile(mean: Floats, sigma: Floats, probability: float) -> float:
+def norm_quantile(mean: FloatArray, sigma: FloatArray, probability: float) -> float:
     """Quantile of the norm of two independent Gaussian errors.
 
     Examples
@@ -131,12 +130,12 @@ def _worst(requirement: Requirement) -> str:
     return {"temporal": ENSEMBLE, "ensemble": TIME, "mixed": ""}[requirement.interpretation]
 
 
-def _largest(source: Source, window: float | None, factor: float) -> Floats:
+def _largest(source: Source, window: float | None, factor: float) -> FloatArray:
     bound = source.worst(window)
     return np.where(np.isfinite(bound), bound, factor * source.sigma(window))
 
 
-def _draw(sources: list[Source], budget: Budget, window: float | None, k: int) -> Floats:
+def _draw(sources: list[Source], budget: Budget, window: float | None, k: int) -> FloatArray:
     """Errors (draws, k) of some sources together, means left out."""
     rng, parts = np.random.default_rng(budget.seed), []
     for start in range(0, budget.draws, BLOCK):
@@ -158,7 +157,7 @@ def _evaluate(budget: Budget, requirement: Requirement) -> BudgetVerdict:
     offset = sum((means[s.path] for s in budget.sources), np.zeros(len(budget.axes)))
     largest = sum((_largest(s, window, factor) for s in fixed), np.zeros(len(budget.axes)))
 
-    def radius(sources: list[Source], mean: Floats, worst: Floats) -> Floats:
+    def radius(sources: list[Source], mean: FloatArray, worst: FloatArray) -> FloatArray:
         error = _draw(sources, budget, window, len(budget.axes)) + mean
         return np.asarray(np.sqrt(np.square((np.abs(error) + worst)[:, axes]).sum(axis=1)))
 
@@ -181,7 +180,7 @@ def _shares(
     axes: list[int],
     probability: float,
     factor: float,
-    means: dict[tuple[str, ...], Floats],
+    means: dict[tuple[str, ...], FloatArray],
 ) -> tuple[Share, ...]:
     rows = []
     for source in budget.sources:

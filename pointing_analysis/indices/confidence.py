@@ -14,12 +14,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft, special
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, present, release
 
-Floats = NDArray[np.float64]
 LAGS = 1 << 18
 """Lags of an autocorrelation that are formed at a time."""
 SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
@@ -129,7 +129,7 @@ def autocorrelation_time(values: ArrayLike) -> float:
     return n / 2
 
 
-def _autocorrelation(x: Floats) -> Iterator[tuple[int, Floats]]:
+def _autocorrelation(x: FloatArray) -> Iterator[tuple[int, FloatArray]]:
     """Sums of x[i] x[i + lag] over i, by lag: some lags at a time, with the first of them."""
     n = len(x)
     block = min(n, LAGS)

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError
@@ -16,7 +16,6 @@ from pointing_analysis.read.topic import on_grid, read_only
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
-Floats = NDArray[np.float64]
 #: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
 #: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0
@@ -38,14 +37,14 @@ class ErrorSeries:
     open_end : whether the recording was cut off and nothing says how many samples are missing at its end
     """
 
-    values: Floats
+    values: FloatArray
     dt: float
     start: float
     missing: int
     open_end: bool = False
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> FloatArray:
         """(n,) seconds after the first sample of the run."""
         return rows_made(len(self.values), lambda row: self.start + self.dt * row)
 
@@ -76,7 +75,7 @@ def transient_of(run: Recording, transient: float | None, duration: float) -> fl
     return float(value)
 
 
-def _drop(values: Floats, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
+def _drop(values: FloatArray, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
     first = round(min(transient / dt, len(values)))
     if first >= len(values):
         raise BagError(
@@ -144,7 +143,7 @@ def _need(run: Recording, *names: str) -> None:
 
 
 def knowledge_error_of(
-    run: Recording, stamp: NDArray[np.int64], estimate: Floats, transient: float | None = None
+    run: Recording, stamp: IntArray, estimate: FloatArray, transient: float | None = None
 ) -> ErrorSeries:
     """Knowledge error of any estimate against the truth of a run; see `knowledge_error`.
 

@@ -38,23 +38,23 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import PART, GrowingArray, by_parts, empty, release
 from pointing_analysis.read.topic import read_only
 
-Floats = NDArray[np.float64]
 Position = Literal["all", "centred", "end"]
 AXES = ("x", "y")
 
 
-def radial(error: ArrayLike) -> Floats:
+def radial(error: ArrayLike) -> FloatArray:
     """Norm of the 2-vector: (n, 2) -> (n,), same unit."""
     e = _series(error)
     return by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
 
 
-def rms(values: ArrayLike) -> Floats:
+def rms(values: ArrayLike) -> FloatArray:
     """Root mean square per axis, NaN left out: (n, 2) -> (2,), same unit. The radial one is its norm."""
     return np.asarray(np.sqrt(np.nanmean(np.square(_series(values)), axis=0)))
 
@@ -80,14 +80,14 @@ def is_whole(window: float, dt: float) -> bool:
     return bool(np.isfinite(ratio)) and round(ratio) >= 2 and abs(ratio - round(ratio)) <= 1e-3
 
 
-def _series(error: ArrayLike) -> Floats:
+def _series(error: ArrayLike) -> FloatArray:
     e = np.asarray(error, dtype=float)
     if e.ndim != 2 or e.shape[1] != 2:
         raise ValueError(f"error must have the shape (n, 2), got {e.shape}")
     return e
 
 
-def _fits(e: Floats, window: float, dt: float) -> int:
+def _fits(e: FloatArray, window: float, dt: float) -> int:
     n = window_samples(window, dt)
     if n > len(e):
         raise ValueError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
@@ -107,14 +107,14 @@ class Windows:
     skipped : windows left out because a sample is missing
     """
 
-    mean: Floats
-    variance: Floats
-    start: NDArray[np.int64]
+    mean: FloatArray
+    variance: FloatArray
+    start: IntArray
     samples: int
     skipped: int
 
     @property
-    def rpe_rms(self) -> Floats:
+    def rpe_rms(self) -> FloatArray:
         """(2,) RPE rms per axis by the window estimator; the radial one is its norm."""
         return np.asarray(np.sqrt(self.variance.mean(axis=0))) if len(self.variance) else np.full(2, np.nan)
 
@@ -159,7 +159,7 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     return Windows(mean, variance, start, n, m - len(start))
 
 
-def _blocks(e: Floats, n: int) -> Iterator[tuple[int, Floats]]:
+def _blocks(e: FloatArray, n: int) -> Iterator[tuple[int, FloatArray]]:
     """Disjoint windows of n samples (m, n, 2), some at a time, with the number of the first."""
     m = len(e) // n
     for first in range(0, m, max(PART // n, 1)):
@@ -168,17 +168,17 @@ def _blocks(e: Floats, n: int) -> Iterator[tuple[int, Floats]]:
         release()
 
 
-def rpe_rms(error: ArrayLike, dt: float, window: float) -> Floats:
+def rpe_rms(error: ArrayLike, dt: float, window: float) -> FloatArray:
     """RPE rms per axis by the window estimator: (n, 2) -> (2,). The radial one is its norm."""
     return windows(error, dt, window).rpe_rms
 
 
-def mpe(error: ArrayLike, dt: float, window: float) -> Floats:
+def mpe(error: ArrayLike, dt: float, window: float) -> FloatArray:
     """Mean error of each complete disjoint window: (n, 2) -> (m, 2)."""
     return windows(error, dt, window).mean
 
 
-def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position = "all") -> Floats:
+def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position = "all") -> FloatArray:
     """Samples of the RPE by the instant estimator.
 
     Parameters
@@ -212,7 +212,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     if position not in ("centred", "end"):
         raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
     at = n // 2 if position == "centred" else n - 1
-    missing: NDArray[np.bool_] = np.asarray(np.isnan(e).any(axis=1))
+    missing: BoolArray = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
     offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
     filled = e - offset
@@ -228,7 +228,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     return np.asarray(result)
 
 
-def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats:
+def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatArray:
     """Drift: difference of the means of two windows `separation` apart (start to start), in one observation.
 
     Parameters
@@ -254,7 +254,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> Floats
     return np.asarray(drift[~np.isnan(drift).any(axis=1)])
 
 
-def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = 1000) -> Floats:
+def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = 1000) -> FloatArray:
     """Reproducibility: differences of the window means of two observations.
 
     Parameters
@@ -268,7 +268,7 @@ def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windo
     (m1 * m2, 2) every window of the second minus every window of the first
     """
 
-    def means(error: ArrayLike) -> Floats:
+    def means(error: ArrayLike) -> FloatArray:
         m = mpe(error, dt, window)
         return m[np.unique(np.linspace(0, len(m) - 1, min(max_windows, len(m))).astype(int))] if len(m) else m
 

@@ -11,11 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.recording import Recording
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,11 @@ class Motion:
         Times [s], and the frequencies of the structure's lightly damped modes there [rad/s].
     """
 
-    time: Floats
-    theta: Floats
-    speed: Floats
-    harmonics: Floats
-    modes: tuple[tuple[float, Floats], ...]
+    time: FloatArray
+    theta: FloatArray
+    speed: FloatArray
+    harmonics: FloatArray
+    modes: tuple[tuple[float, FloatArray], ...]
 
     @property
     def wheel(self) -> int:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import yaml
 from mcap.writer import CompressionType, IndexType, Writer
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import ACCEL, DEFINITIONS, JOINT_STATE, VECTOR3
@@ -89,7 +90,7 @@ def write_bag(
     return folder
 
 
-_Signals = dict[str, tuple[str, NDArray[np.float64]]]
+_Signals = dict[str, tuple[str, FloatArray]]
 
 
 def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]], namespace: str) -> None:
@@ -126,7 +127,7 @@ def _events(
     return typed, sorted(events, key=lambda event: event[0])
 
 
-def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, times: NDArray[np.int64]) -> None:
+def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, times: IntArray) -> None:
     topics = [
         {
             "topic_metadata": {

@@ -10,12 +10,12 @@ of 1.045 times its limit.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from pointing_analysis.arrays import FloatArray
 
 
-def rpe_exact(omega: ArrayLike, window: float) -> Floats:
+def rpe_exact(omega: ArrayLike, window: float) -> FloatArray:
     r"""Continuous-time RPE weight :math:`\sqrt{1-2(1-\cos y)/y^2}`.
 
     Examples
@@ -34,7 +34,7 @@ def rpe_exact(omega: ArrayLike, window: float) -> Floats:
     return np.asarray(np.sqrt(np.where(small, series, np.maximum(1 - np.sinc(y / (2 * np.pi)) ** 2, 0))))
 
 
-def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> Floats:
+def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> FloatArray:
     r"""RPE weight of the window estimator on samples: :math:`\sqrt{1-[\sin(N\omega T/2)/(N\sin(\omega T/2))]^2}`.
 
     Parameters

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
@@ -26,7 +26,7 @@ from pointing_analysis.read.series import Series, make_series
 TimeSource = Literal["auto", "header", "log"]
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
-Samples = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]
+Samples = tuple[FloatArray, IntArray, BoolArray]
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class _Topic:
     types: ros_definitions.Definitions = field(default_factory=dict)
     vectors: tuple[ros_definitions.Vector, ...] = ()
     refusal: str = ""
-    logged: list[NDArray[np.int64]] = field(default_factory=list)
-    published: list[NDArray[np.int64]] = field(default_factory=list)
+    logged: list[IntArray] = field(default_factory=list)
+    published: list[IntArray] = field(default_factory=list)
     samples: list[Samples] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
 
@@ -89,7 +89,7 @@ class _Topic:
         exact = [v for v in self.vectors if los == (f"{topic}.{v.path}" if v.path else topic)]
         return exact or (list(self.vectors) if los == topic else [])
 
-    def decode(self, block: Block, rows: NDArray[np.int64], vector: ros_definitions.Vector) -> Samples:
+    def decode(self, block: Block, rows: IntArray, vector: ros_definitions.Vector) -> Samples:
         """Numbers (n, 2) and header stamps (n,) of messages, and which of them could be read."""
         values = np.full((rows.size, 2), np.nan)
         stamps, fitting = np.zeros(rows.size, np.int64), np.zeros(rows.size, bool)

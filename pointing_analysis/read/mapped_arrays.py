@@ -19,7 +19,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-Floats = NDArray[np.float64]
+from pointing_analysis.arrays import FloatArray, IntArray
+
 IN_MEMORY = 1 << 20
 """Largest array that is kept in memory [byte]."""
 PART = 1 << 17
@@ -117,7 +118,7 @@ def by_parts(function: Callable[..., ArrayLike], *arrays: NDArray[Any], dtype: D
     return result
 
 
-def rows_made(rows: int, function: Callable[[NDArray[np.int64]], ArrayLike]) -> Floats:
+def rows_made(rows: int, function: Callable[[IntArray], ArrayLike]) -> FloatArray:
     """An array from the numbers of its rows, made part by part.
 
     Examples
@@ -131,7 +132,7 @@ def rows_made(rows: int, function: Callable[[NDArray[np.int64]], ArrayLike]) -> 
     return made
 
 
-def present(values: NDArray[np.float64]) -> Floats:
+def present(values: FloatArray) -> FloatArray:
     """Values (n,) without the NaN."""
     kept = GrowingArray(None)
     for part in parts(len(values)):
@@ -139,9 +140,7 @@ def present(values: NDArray[np.float64]) -> Floats:
     return kept.array()
 
 
-def common_rows(
-    first: NDArray[np.int64], second: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def common_rows(first: IntArray, second: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
     """Rows of equal entries of two strictly ascending arrays, part by part.
 
     Examples
@@ -235,7 +234,7 @@ class SortedValues:
     (2.0, 3.0)
     """
 
-    def __init__(self, values: NDArray[np.float64]) -> None:
+    def __init__(self, values: FloatArray) -> None:
         kept, runs = GrowingArray(None), [0]
         for begin in range(0, len(values), RUN):
             piece = np.sort(values[begin : begin + RUN])
@@ -248,7 +247,7 @@ class SortedValues:
         self.size = kept.size
         self._runs = [values[a:b] for a, b in itertools.pairwise(runs) if b > a]
 
-    def at(self, ranks: ArrayLike) -> Floats:
+    def at(self, ranks: ArrayLike) -> FloatArray:
         """Values at ranks from 0 to size - 1."""
         wanted = np.atleast_1d(np.asarray(ranks, dtype=np.int64))
         if len(self._runs) == 1:
@@ -262,7 +261,7 @@ class SortedValues:
             low, high = np.where(enough, low, middle + np.uint64(1)), np.where(enough, middle, high)
         return _values(low)
 
-    def _not_above(self, values: Floats) -> NDArray[np.int64]:
+    def _not_above(self, values: FloatArray) -> IntArray:
         total = np.zeros(values.shape, np.int64)
         for run in self._runs:
             total += np.searchsorted(run, values, side="right")
@@ -283,11 +282,11 @@ class SortedValues:
 _TOP = np.uint64(1 << 63)
 
 
-def _keys(values: Floats) -> NDArray[np.uint64]:
+def _keys(values: FloatArray) -> NDArray[np.uint64]:
     """Integers in the order of the values."""
     bits = np.asarray(values + 0.0).view(np.uint64)  # no negative zero
     return np.where(bits & _TOP, ~bits, bits | _TOP)
 
 
-def _values(keys: NDArray[np.uint64]) -> Floats:
+def _values(keys: NDArray[np.uint64]) -> FloatArray:
     return np.asarray(np.where(keys & _TOP, keys ^ _TOP, ~keys).astype(np.uint64)).view(np.float64)

@@ -15,9 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import merged, value_of
@@ -154,7 +152,7 @@ class Run:
         info: FileInfo,
         columns: dict[str, Column],
         selects: Callable[[str], bool],
-        seconds: NDArray[np.float64],
+        seconds: FloatArray,
     ) -> None:
         start, stop = self._window
         for channel, rows in block.by_channel(info.channels):

@@ -20,8 +20,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.topic import NANO, Topic, make_topic
@@ -115,7 +116,7 @@ def sampling_rate(rate: float | None) -> float | None:
     return rate
 
 
-def gridded(stamps: NDArray[np.int64], rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_], tuple[str, ...]]:
+def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[str, ...]]:
     """Put stamps with jitter on the grid of a known sampling rate.
 
     Parameters
@@ -156,7 +157,7 @@ def gridded(stamps: NDArray[np.int64], rate: float) -> tuple[NDArray[np.int64], 
     return int(stamps[0]) + place * period, first, tuple(notes)
 
 
-def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> NDArray[np.int64]:
+def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
     """Stamps [ns] of samples at the times `t` [s], or one period apart where there are no times.
 
     Times that are uniform but for rounding (2 % of the period) give exactly uniform stamps.
@@ -195,12 +196,12 @@ def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> NDArray[np.int
 
 
 def make_series(
-    stamps: NDArray[np.int64],
-    xy: NDArray[np.float64],
+    stamps: IntArray,
+    xy: FloatArray,
     *,
     unit: str | None,
     rate: float | None = None,
-    published: NDArray[np.int64] | None = None,
+    published: IntArray | None = None,
     path: str | os.PathLike[str] = "series",
     schema: str = "",
     parameters: Mapping[str, Any] = _NOTHING,
@@ -236,10 +237,10 @@ def make_series(
     return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
 
 
-def _angles(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Samples [rad] with NaN in place of what cannot be an angle, and a note of how many there were."""
     with np.errstate(invalid="ignore"):
-        odd: NDArray[np.bool_] = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
+        odd: BoolArray = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
     if not odd.any():
         return values, ()
     note = f"{int(odd.sum())} samples are infinite or above {LARGEST_ANGLE:g} rad: counted as missing"

@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
 
-Column = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.datetime64]
+Column = FloatArray | IntArray | NDArray[np.datetime64]
 NAMES = ("t", "time", "timestamp", "stamp", "seconds")
 """Names of time columns, without a unit at their end, in any case."""
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -83,7 +84,7 @@ def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None
     return rest[0] if not los or np.mean(np.diff(columns[rest[0]].astype(float)) > 0) > 0.9 else None
 
 
-def column_stamps(name: str, column: Column, rate: float | None) -> NDArray[np.int64]:
+def column_stamps(name: str, column: Column, rate: float | None) -> IntArray:
     """Stamps [ns] from a time column.
 
     Whole nanoseconds are taken as they are; other times go through `pointing_analysis.read.series.stamps_of`.

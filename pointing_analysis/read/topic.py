@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, empty, parts
 from pointing_analysis.read.mcap.records import BagError
 
-Floats = NDArray[np.float64]
 NANO = 1_000_000_000
 MANY_STEPS = 100_000  # different intervals of stamps that are counted one by one
 
@@ -79,9 +79,9 @@ class Topic:
     schema: str
     unit: str
     columns: tuple[str, ...]
-    stamp: NDArray[np.int64]
-    values: Floats
-    published: NDArray[np.int64]
+    stamp: IntArray
+    values: FloatArray
+    published: IntArray
     period: float
     integrity: Integrity
     lost_before: int = 0
@@ -92,7 +92,7 @@ class Topic:
         return int(self.stamp.size)
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> FloatArray:
         """(n,) seconds since the topic's first stamp."""
         return by_parts(lambda stamp: (stamp - self.stamp[:1]) / NANO, self.stamp)
 
@@ -113,13 +113,13 @@ class Topic:
         return self.stamp.nbytes + self.values.nbytes + self.published.nbytes
 
 
-def _steps(stamp: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
+def _steps(stamp: IntArray) -> Iterator[tuple[int, IntArray]]:
     """Intervals of stamps, in parts, with the index of the first stamp of each."""
     for part in parts(max(len(stamp) - 1, 0)):
         yield part.start, np.diff(stamp[part.start : part.stop + 1])
 
 
-def _period_ns(stamp: NDArray[np.int64]) -> int:
+def _period_ns(stamp: IntArray) -> int:
     """Most frequent interval, jitter below 1 % of the median set aside; 0 with fewer than two stamps."""
     if stamp.size < 2:
         return 0
@@ -142,7 +142,7 @@ class _OtherRate:
         self.period, self.total, self.count = period, 0, 0
         self._last, self._length = 1, 0
 
-    def add(self, steps: NDArray[np.int64]) -> None:
+    def add(self, steps: IntArray) -> None:
         ratio = np.where(steps * 2 < self.period, 0, np.rint(steps / self.period).astype(np.int64))
         edges = np.flatnonzero(np.diff(ratio)) + 1
         starts, ends = np.append(0, edges), np.append(edges, ratio.size)
@@ -164,7 +164,7 @@ class _OtherRate:
         return self.count / self.total if self.total else 0.0
 
 
-def _repeated(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_]) -> int:
+def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
     """How many messages say something else than the first one of the same stamp."""
     again = np.flatnonzero(~kept)
     if not again.size:
@@ -174,7 +174,7 @@ def _repeated(stamp: NDArray[np.int64], values: Floats, kept: NDArray[np.bool_])
     return int((differs & ~np.isnan(values[again]).any(axis=1)).sum())
 
 
-def _inspect(stamp: NDArray[np.int64], period: int, found: Mapping[str, int]) -> Integrity:
+def _inspect(stamp: IntArray, period: int, found: Mapping[str, int]) -> Integrity:
     """Look at unique stamps; `found` are the counts of what was sorted out before."""
     other, missing, irregular = _OtherRate(period), 0, 0
     gaps: list[tuple[float, int]] = []
@@ -189,7 +189,7 @@ def _inspect(stamp: NDArray[np.int64], period: int, found: Mapping[str, int]) ->
     return Integrity(missing=missing, gaps=tuple(gaps), irregular=irregular, other_rate=other.share(), **found)
 
 
-def _count_late(stamp: NDArray[np.int64]) -> int:
+def _count_late(stamp: IntArray) -> int:
     """Messages behind one with a later stamp."""
     late, latest = 0, np.iinfo(np.int64).min
     for part in parts(len(stamp)):
@@ -210,9 +210,9 @@ def make_topic(
     schema: str,
     unit: str,
     columns: tuple[str, ...],
-    stamp: NDArray[np.int64],
-    values: Floats,
-    published: NDArray[np.int64],
+    stamp: IntArray,
+    values: FloatArray,
+    published: IntArray,
 ) -> Topic:
     """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
     messages = int(stamp.size)
@@ -242,7 +242,7 @@ def make_topic(
     )
 
 
-def on_grid(topic: Topic) -> tuple[Floats, float]:
+def on_grid(topic: Topic) -> tuple[FloatArray, float]:
     """Values on the uniform time axis of the topic's period, NaN where a sample is missing.
 
     Returns
@@ -290,5 +290,5 @@ def on_grid(topic: Topic) -> tuple[Floats, float]:
     return grid, topic.period
 
 
-def _grid_index(topic: Topic, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+def _grid_index(topic: Topic, stamp: IntArray) -> IntArray:
     return np.asarray(np.rint((stamp - topic.stamp[0]) / (topic.period * NANO)).astype(np.int64))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pointing_analysis.arrays import FloatArray
 
 GAP_LIMIT = 50
 """Longest gap, in ticks, that is stepped over on held samples; a longer one is left out."""
@@ -39,12 +38,14 @@ class GapStepper:
     [[1.0, 1.0], [1.0, nan], [1.0, nan], [4.0, 4.0]]
     """
 
-    def __init__(self, step: Callable[[Floats, Floats], None], size: int, intermittent: slice = slice(0)) -> None:
+    def __init__(
+        self, step: Callable[[FloatArray, FloatArray], None], size: int, intermittent: slice = slice(0)
+    ) -> None:
         self._step = step
         self._held = np.zeros(size)
         self._intermittent = intermittent
 
-    def __call__(self, sample: Floats, gap: int, out: Floats) -> None:
+    def __call__(self, sample: FloatArray, gap: int, out: FloatArray) -> None:
         """Step over `gap` missing ticks, then on `sample` (size,); the result is written into `out`."""
         if 0 < gap <= GAP_LIMIT:
             self._held[self._intermittent] = np.nan

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, empty, parts
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.topic import NANO, read_only
 from pointing_analysis.replay.gap_stepping import GapStepper
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+Stamps = IntArray
 #: topic -> columns of the measurement vector (22)
 MEASUREMENT = {
     "isolator/accel": slice(0, 6),
@@ -43,7 +42,7 @@ PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
 class Estimator(Protocol):
     """Observer at run time, of a node as of a replay: a measurement (22,) to an estimate (2,) [rad]."""
 
-    def step(self, measurement: Floats, out: Floats) -> None:
+    def step(self, measurement: FloatArray, out: FloatArray) -> None:
         """One tick: write the estimate into `out`; camera columns of `measurement` may be NaN."""
 
     def reset(self) -> None:
@@ -53,7 +52,7 @@ class Estimator(Protocol):
 class Controller(Protocol):
     """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
 
-    def step(self, los_estimate: Floats, accel_Ip: Floats, out: Floats) -> None:
+    def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """One tick: write the command into `out`."""
 
     def reset(self) -> None:
@@ -73,7 +72,7 @@ class Sensors:
     """
 
     stamp: Stamps
-    measurement: Floats
+    measurement: FloatArray
     period: int
     incomplete: int
 
@@ -91,11 +90,11 @@ class Replayed:
     """
 
     stamp: Stamps
-    estimate: Floats
+    estimate: FloatArray
     command_stamp: Stamps
-    command: Floats
+    command: FloatArray
 
-    def topics(self) -> dict[str, tuple[Stamps, Floats]]:
+    def topics(self) -> dict[str, tuple[Stamps, FloatArray]]:
         """Stamps and values by topic name, ready to be written into a bag."""
         found = {"los_estimate": (self.stamp, self.estimate)}
         for name, columns in COMMAND.items():
@@ -165,7 +164,7 @@ def _common(first: Stamps, second: Stamps) -> Stamps:
     return kept.array()
 
 
-def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
+def _ticks(stamp: Stamps, done: Stamps | None) -> IntArray:
     """Rows to step on: those the node acted on, as far as the bag tells; all of them if it tells nothing."""
     kept = GrowingArray(None, np.int64)
     for part in parts(len(stamp)):
@@ -174,7 +173,7 @@ def _ticks(stamp: Stamps, done: Stamps | None) -> NDArray[np.int64]:
     return kept.array()
 
 
-def _is_in(stamp: Stamps, done: Stamps) -> NDArray[np.bool_]:
+def _is_in(stamp: Stamps, done: Stamps) -> BoolArray:
     low, high = np.searchsorted(done, (stamp[0], stamp[-1] + 1))
     return np.isin(stamp, done[low:high])
 
@@ -228,18 +227,18 @@ def replay(
     return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command))
 
 
-def _rows_of(stamp: Stamps, rows: NDArray[np.int64]) -> Stamps:
+def _rows_of(stamp: Stamps, rows: IntArray) -> Stamps:
     return by_parts(lambda part: stamp[part], rows, dtype=np.int64)
 
 
 def _stepped(
-    samples: Callable[[slice], Floats],
-    step: Callable[[Floats, int, Floats], None],
+    samples: Callable[[slice], FloatArray],
+    step: Callable[[FloatArray, int, FloatArray], None],
     stamp: Stamps,
     period: int,
     width: int,
     progress: Callable[[int], None],
-) -> Floats:
+) -> FloatArray:
     """Outputs (n, width) of a block that is stepped on samples, which are made part by part."""
     outputs = empty((len(stamp), width))
     for part in parts(len(stamp)):

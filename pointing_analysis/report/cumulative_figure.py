@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import weights
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.report.figures import (
     COLOURS,
-    Floats,
     Picture,
     RunView,
     _mark_tones,
@@ -38,7 +38,7 @@ def cumulative(views: Sequence[RunView]) -> Picture:
     One run whose parts are of one size has a linear axis from zero. Else the axis is logarithmic and begins at a
     thirtieth of the smallest total, and the steps are named at the RPE part: they do not show on slow motion.
     """
-    curves: list[tuple[int, RunView, Floats, Floats, Floats]] = []
+    curves: list[tuple[int, RunView, FloatArray, FloatArray, FloatArray]] = []
     for i, view in enumerate(views):
         if (s := view.spectrum) is not None:
             weight = weights.rpe_exact(2 * np.pi * s.frequency, view.window)
@@ -70,7 +70,7 @@ def cumulative(views: Sequence[RunView]) -> Picture:
     return picture("cumulative", "Cumulative RMS", alt, 3.8, draw)
 
 
-def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, Floats, Floats]]) -> None:
+def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, FloatArray, FloatArray]]) -> None:
     """Frequencies of the largest lines of each run, at the height of its curve behind them.
 
     A name that would cover that of a line close below it stands under the curve.

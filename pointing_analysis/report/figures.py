@@ -12,15 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra.spectra import Line, Spectrum
 
-Floats = NDArray[np.float64]
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
 LIMIT = "#b00020"
 SMALLEST_LINE = 1e-3
@@ -87,7 +86,7 @@ def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figu
         return Picture(name, title, alt, _svg(figure))
 
 
-def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, Floats]:
+def envelope(time: FloatArray, values: FloatArray, points: int = 700) -> tuple[FloatArray, FloatArray]:
     """Reduce a long signal to the smallest and largest value of each piece, so that no peak is lost."""
     n = len(values) // points
     if n < 3:
@@ -101,7 +100,7 @@ def envelope(time: Floats, values: Floats, points: int = 700) -> tuple[Floats, F
     return np.repeat(t, 2), np.column_stack([low, high]).ravel()
 
 
-def _greatest(values: Floats) -> float:
+def _greatest(values: FloatArray) -> float:
     """Largest value, NaN left out."""
     return float(np.nanmax([np.fmax.reduce(values[part]) for part in parts(len(values))]))
 
@@ -225,7 +224,7 @@ def density(views: Sequence[RunView]) -> Picture:
     return picture("psd", "Power spectral density", alt, 3.8, draw)
 
 
-def by_line(views: Sequence[RunView], model: Mapping[str, tuple[Floats, Floats]]) -> Picture | None:
+def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, FloatArray]]) -> Picture | None:
     """LOS rms at each disturbance line, run by run, with what the model says where it was given."""
     shown = [v for v in views if v.tones]
     if len(views) < 2 or not shown:
@@ -332,7 +331,7 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
     return Picture(made.name, made.title, alt, made.svg)
 
 
-def timing(histograms: Sequence[tuple[str, Floats]], title: str, label: str) -> Picture | None:
+def timing(histograms: Sequence[tuple[str, FloatArray]], title: str, label: str) -> Picture | None:
     """Histogram of times in microseconds, logarithmic counts."""
     data = [(name, values) for name, values in histograms if values.size]
     if not data:

@@ -13,8 +13,8 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.indices.metrics import is_whole
@@ -38,7 +38,7 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 #: topic -> largest value that its actuator can do, a name of `telescope_value`
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
-Model = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+Model = Mapping[str, tuple[FloatArray, FloatArray]]
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
     return tuple(f"{name} ({i + 1})" for i, name in enumerate(names))
 
 
-def tones_of(run: Recording) -> NDArray[np.float64]:
+def tones_of(run: Recording) -> FloatArray:
     """Disturbance lines named in the bag [rad/s], ``tones_rad_s`` and the wheel speeds; none where something moves."""
     found: list[float] = []
     for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
@@ -81,7 +81,7 @@ def _authority(runs: Sequence[Recording]) -> dict[str, float]:
     return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
 
 
-def intervals_us(run: Recording) -> NDArray[np.float64]:
+def intervals_us(run: Recording) -> FloatArray:
     """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
     stamp, sent = run["truth/los"].stamp, run["truth/los"].published
     if len(sent) < 3 or all((sent[p] - stamp[p] == sent[0] - stamp[0]).all() for p in parts(len(sent))):
@@ -89,7 +89,7 @@ def intervals_us(run: Recording) -> NDArray[np.float64]:
     return by_parts(lambda later, earlier: (later - earlier) / 1e3, sent[1:], sent[:-1])
 
 
-def latency_us(run: Recording) -> NDArray[np.float64]:
+def latency_us(run: Recording) -> FloatArray:
     """Time from the publication of a tick's sensors to that of its mirror command [us]; empty where unknown."""
     if "fsm/command" not in run or "isolator/accel" not in run:
         return np.empty(0)

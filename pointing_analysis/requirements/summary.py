@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
@@ -43,7 +43,7 @@ class Knowledge:
     rke_rms_mas: float
 
     @classmethod
-    def of(cls, error: NDArray[np.float64], dt: float) -> Knowledge:
+    def of(cls, error: FloatArray, dt: float) -> Knowledge:
         """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s].
 
         Raises
@@ -70,11 +70,11 @@ class Performance:
     rpe_windows_p997: float
 
     @classmethod
-    def of(cls, error: NDArray[np.float64], dt: float) -> Performance:
+    def of(cls, error: FloatArray, dt: float) -> Performance:
         """Of an error (n, 2) [rad], NaN where a sample is missing, with the sampling period `dt` [s]."""
         ape = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_ARCSEC, error))
         nan = float("nan")
-        rms: NDArray[np.float64] = np.full(2, nan)
+        rms: FloatArray = np.full(2, nan)
         p997, of_windows, cut, skipped = nan, nan, 0, 0
         if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
             w = metrics.windows(error, dt, WINDOW)

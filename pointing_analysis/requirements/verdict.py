@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
@@ -103,13 +103,13 @@ class Samples:
     missing : samples missing; infinite where the recording was cut off and nothing says how many
     """
 
-    values: NDArray[np.float64]
+    values: FloatArray
     effective: float
     seconds: float
     missing: float
 
 
-def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArray[np.float64], float, float]:
+def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[FloatArray, float, float]:
     """Samples of the judged index [rad], the largest number of them that may count as independent, and those missing.
 
     RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
@@ -125,7 +125,7 @@ def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[NDArra
     return there, cap, float(len(whole) - len(there))
 
 
-def _index(e: NDArray[np.float64], dt: float, requirement: Requirement) -> tuple[NDArray[np.float64], float]:
+def _index(e: FloatArray, dt: float, requirement: Requirement) -> tuple[FloatArray, float]:
     times, cap = requirement.times, math.inf
     if requirement.of_windows:
         return _norm(np.sqrt(metrics.windows(e, dt, times[0]).variance), requirement), cap
@@ -162,7 +162,7 @@ def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transi
     return found
 
 
-def _norm(samples: NDArray[np.float64], requirement: Requirement) -> NDArray[np.float64]:
+def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
     if requirement.axis:
         column = metrics.AXES.index(requirement.axis)
         return by_parts(lambda rows: np.abs(rows[:, column]), samples)
@@ -175,7 +175,7 @@ def _not_judged(requirement: Requirement, why: str) -> Verdict:
 
 
 def decide(
-    requirement: Requirement, values: NDArray[np.float64], effective: float, seconds: float, missing: float = 0.0
+    requirement: Requirement, values: FloatArray, effective: float, seconds: float, missing: float = 0.0
 ) -> Verdict:
     """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record.
 

@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import signal
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import Motion, motion_of
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, legend_above, picture, stroke
-
-Floats = NDArray[np.float64]
 
 SEGMENT = 1024
 """Samples of a spectrum of the waterfall."""
@@ -64,7 +62,7 @@ def moving_pictures(views: Sequence[RunView], limits: Sequence[float]) -> list[P
     return made
 
 
-def _spectra(view: RunView) -> tuple[Floats, Floats, Floats]:
+def _spectra(view: RunView) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Frequencies [rad/s], times [s] and amplitude densities [mas/sqrt(Hz)], shape (frequencies, times)."""
     n = len(view.series.values)
     step = max(SEGMENT // 4, -(-(n - SEGMENT) // COLUMNS))
@@ -74,7 +72,7 @@ def _spectra(view: RunView) -> tuple[Floats, Floats, Floats]:
     return 2.0 * np.pi * f[1:], view.series.start + t, np.sqrt(power.sum(axis=0)[1:]) / RAD_PER_MAS
 
 
-def _image(figure: Figure, x: Floats, omega: Floats, values: Floats) -> Any:
+def _image(figure: Figure, x: FloatArray, omega: FloatArray, values: FloatArray) -> Any:
     axis = figure.subplots()
     highest = float(values.max()) or 1.0
     scale = LogNorm(highest * 10.0**-DECADES, highest, clip=True)

@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices import weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
 
-Floats = NDArray[np.float64]
 NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time
 MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
@@ -33,8 +33,8 @@ class Spectrum:
     segments, skipped : averaged segments, and those left out because a sample is missing
     """
 
-    frequency: Floats
-    density: Floats
+    frequency: FloatArray
+    density: FloatArray
     segments: int
     skipped: int
 
@@ -43,7 +43,7 @@ class Spectrum:
         """Distance of two frequencies [Hz]."""
         return float(self.frequency[1] - self.frequency[0])
 
-    def cumulative_rms(self, weight: ArrayLike = 1.0) -> Floats:
+    def cumulative_rms(self, weight: ArrayLike = 1.0) -> FloatArray:
         """Radial RMS of all that lies at or below each frequency: (m,), same unit as the error.
 
         Parameters
@@ -116,13 +116,13 @@ class Line:
     """
 
     omega: float
-    amplitude: Floats
+    amplitude: FloatArray
     rms: float
     rpe: float
     merged: int = 1
 
 
-def _resolved(omegas: Floats, duration: float) -> list[Floats]:
+def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
     """Group tones closer than one period over the whole run."""
     groups: list[list[float]] = []
     for omega in np.sort(omegas):
@@ -133,7 +133,7 @@ def _resolved(omegas: Floats, duration: float) -> list[Floats]:
     return [np.array(g) for g in groups]
 
 
-def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
     """Amplitude that a fit of a tone finds where there is none: noise and drift, rms over the phase, norm of both axes.
 
     For tapered fits (`lines`). From the medians over frequencies that lie two to five whole periods in the run below
@@ -173,7 +173,7 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
     return np.asarray(np.power(found, 0.25))
 
 
-def _taper(n: int, rows: NDArray[np.int64]) -> Floats:
+def _taper(n: int, rows: IntArray) -> FloatArray:
     """Hann weights of some of n rows."""
     return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * (rows + 1) / (n + 1)), dtype=np.float64)
 
@@ -228,7 +228,7 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     )
 
 
-def _fit(e: Floats, dt: float, tones: Floats, taper: bool) -> tuple[list[Floats], Floats, Floats]:
+def _fit(e: FloatArray, dt: float, tones: FloatArray, taper: bool) -> tuple[list[FloatArray], FloatArray, FloatArray]:
     """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
     present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
     groups = _resolved(np.unique(tones), dt * len(e))
@@ -246,12 +246,12 @@ def _fit(e: Floats, dt: float, tones: Floats, taper: bool) -> tuple[list[Floats]
     return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
 
 
-def _basis(rows: NDArray[np.int64], dt: float, omegas: Floats) -> Floats:
+def _basis(rows: IntArray, dt: float, omegas: FloatArray) -> FloatArray:
     angle = np.outer(rows * dt, omegas)
     return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
 
 
-def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> Floats:
+def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
     """The error without the tones that are fitted to it: noise and what else there is.
 
     Parameters

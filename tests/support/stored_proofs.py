@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof, Strip
 from lftkit.proofs.sampled_loop.checker import check_strip
 
@@ -41,7 +42,7 @@ def rounded(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
     return np.asarray((((words + half) >> dropped) << dropped).view(np.float32))
 
 
-def rounded_matrices(matrices: NDArray[Any], bits: int) -> NDArray[np.complex128]:
+def rounded_matrices(matrices: NDArray[Any], bits: int) -> ComplexArray:
     """Real and imaginary parts :func:`rounded`: Hermitian matrices stay so."""
     return np.asarray(rounded(matrices.real, bits) + 1j * rounded(matrices.imag, bits), dtype=complex)
 

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit import Port, UncertainSystem, state_space, static_gain
+from lftkit.arrays import FloatArray
 from titop_plant import ports
-from titop_plant.structures.kinematics import FloatArray
 
 
 def attitude(point: str = "G") -> UncertainSystem:

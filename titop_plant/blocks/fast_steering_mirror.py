@@ -22,10 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import Port, UncertainSystem, connect, static_gain
+from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import on_revolute_joint, position_commanded
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import from_inertia
 
 

@@ -33,8 +33,8 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from lftkit import RealParameter, UncertainSystem
+from lftkit.arrays import FloatArray
 from titop_plant import ports
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 
 

@@ -30,10 +30,10 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
-from titop_plant.structures.kinematics import FloatArray
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import Port, UncertainSystem, state_space
+from lftkit.arrays import FloatArray
 from titop_plant import ports
-from titop_plant.structures.kinematics import FloatArray, tau
+from titop_plant.structures.kinematics import tau
 
 
 @dataclass(frozen=True)

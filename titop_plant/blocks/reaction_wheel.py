@@ -34,10 +34,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit import Connection, Port, RealParameter, UncertainSystem, connect, static_gain
+from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.rotation import _unit
-from titop_plant.structures.kinematics import FloatArray
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit import Port, RealParameter, UncertainSystem, connect
+from lftkit.arrays import FloatArray
 from titop_plant import ports
-from titop_plant.structures.kinematics import FloatArray, skew
+from titop_plant.structures.kinematics import skew
 
 _VECTOR = Port("v", 3)
 

@@ -25,11 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import RealParameter, UncertainSystem
+from lftkit.arrays import FloatArray
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.revolute_joint import on_revolute_joint
 from titop_plant.blocks.rotation import turned
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import StateSpace, UncertainSystem
+from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import (
     Tones,
@@ -27,8 +28,7 @@ from titop_plant.simulation.disturbances import (
 from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
 from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
-from titop_plant.simulation.sampled_plant import ComplexArray, SampledPlant, Segment, SensorModel
-from titop_plant.structures.kinematics import FloatArray
+from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash

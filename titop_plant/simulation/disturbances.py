@@ -27,11 +27,9 @@ from lftkit import StateSpace
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
-
-ComplexArray = NDArray[np.complex128]
 
 CHANNELS = 22
 

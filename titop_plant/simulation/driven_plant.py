@@ -16,11 +16,12 @@ from typing import Protocol
 import numpy as np
 
 from lftkit import sampled
+from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.simulation.sampled_plant import FloatArray, SampledPlant
+from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, SADM_TORQUE, WHEEL_IMBALANCE
 from titop_plant.telescope.control_plant import with_camera
 from titop_plant.telescope.parameters import REFERENCE, load_parameters

@@ -24,14 +24,12 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
 from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.sampled_plant import SampledPlant
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from titop_plant.interface import CAMERA, COMMANDS, MEASUREMENTS
 from titop_plant.simulation.sampled_plant import SampledPlant
-
-FloatArray = NDArray[np.float64]
 
 
 class PlantBatch:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
-
-FloatArray = NDArray[np.float64]
 
 PROFILES = ("linear", "trapezoidal")
 COLUMNS = ("time", "theta", "wheel_speed_1", "wheel_speed_2", "wheel_speed_3", "wheel_speed_4")

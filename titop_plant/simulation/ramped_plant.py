@@ -21,16 +21,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.profiles import Profile
 from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 """Largest change of a wheel speed [rad/s] and of the array angle [rad] from one node to the next."""

@@ -15,12 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import CAMERA, COMMANDS, MEASUREMENTS, TRUTH
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _NOISE_BLOCK = 64
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import FloatArray
 
 _BENDING_K = np.array([[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
 _BENDING_M = np.array([[156.0, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])

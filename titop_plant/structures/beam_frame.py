@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, block_diag, eigh, solve
 
+from lftkit.arrays import FloatArray
 from titop_plant.structures.beam_element import Section, beam_axes, element_matrices
-from titop_plant.structures.kinematics import FloatArray, read_only, tau
+from titop_plant.structures.kinematics import read_only, tau
 from titop_plant.structures.modal_data import ChildPort, ModalData
 
 

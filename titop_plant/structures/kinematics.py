@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-FloatArray = NDArray[np.float64]
+from lftkit.arrays import FloatArray
 
 
 def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> FloatArray:

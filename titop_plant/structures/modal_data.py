@@ -21,15 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigvalsh
 
+from lftkit.arrays import FloatArray
 from titop_plant.ports import AXES
-from titop_plant.structures.kinematics import (
-    FloatArray,
-    check_rotation,
-    read_only,
-    rotate_twist,
-    skew,
-    tau,
-)
+from titop_plant.structures.kinematics import check_rotation, read_only, rotate_twist, skew, tau
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
-from titop_plant.structures.kinematics import FloatArray, read_only
+from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass
 

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from titop_plant.structures.kinematics import FloatArray, read_only, tau
+from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import read_only, tau
 from titop_plant.structures.modal_data import ChildPort, ModalData
 from titop_plant.structures.residual_mass import check_residual_mass
 

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.arrays import FloatArray
 from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import (
     Beam,
@@ -32,7 +33,6 @@ from titop_plant.structures.beam_frame import (
     rigid_body_modes,
     to_modal_data,
 )
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.structures.sections import bar, box, tube

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
+from lftkit.arrays import FloatArray
 from titop_plant.ports import AXES
-from titop_plant.structures.kinematics import FloatArray, read_only
+from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ModalData
 
 #: Negative residual, as a fraction of the rigid mass, that is accepted as a rounding error.

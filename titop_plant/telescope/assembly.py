@@ -44,6 +44,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
+from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
 from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
@@ -51,7 +52,6 @@ from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import actuated_platform, isolator
 from titop_plant.blocks.reaction_wheel import wheel_assembly
 from titop_plant.blocks.solar_array import solar_array
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import components as component

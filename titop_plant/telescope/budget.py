@@ -23,13 +23,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit import Port, StateSpace, UncertainSystem, cascade, state_space
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
-
-FloatArray = NDArray[np.float64]
 
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""

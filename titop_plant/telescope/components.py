@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
+from lftkit.arrays import FloatArray
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
 from titop_plant.blocks.isolator import Isolator, MountedActuator
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel, pyramid_axes
 from titop_plant.blocks.solar_array import SolarArray
 from titop_plant.ports import AXES
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.structures.modal_data import ModalData, from_inertia
 from titop_plant.structures.residual_mass import (
     ResidualMode,

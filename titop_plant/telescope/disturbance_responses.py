@@ -17,9 +17,9 @@ from lftkit import Port, StateSpace, UncertainSystem
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
+from lftkit.arrays import FloatArray
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
 
 ARCSEC = math.pi / 648000.0

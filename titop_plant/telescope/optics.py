@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import FloatArray
 
 
 @dataclass(frozen=True)

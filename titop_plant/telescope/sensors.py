@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from lftkit import Port
+from lftkit.arrays import FloatArray
 from titop_plant.interface import ACCELEROMETERS, MEASURED_PORTS
-from titop_plant.structures.kinematics import FloatArray
 from titop_plant.telescope.parameters import Parameters
 
 FRAMED = ("camera_los",)

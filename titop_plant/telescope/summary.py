@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import RealParameter
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import Telescope
 

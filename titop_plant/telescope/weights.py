@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit import Port, UncertainSystem, state_space
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import FloatArray
 from titop_plant.telescope.parameters import Parameters
 
 

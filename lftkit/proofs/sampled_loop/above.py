@@ -14,9 +14,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.polynomials import (
     INFLATE,
@@ -30,7 +30,6 @@ from lftkit.proofs.sampled_loop.polynomials import (
 )
 from lftkit.proofs.sampled_loop.proof import Interval
 
-FloatArray = NDArray[np.float64]
 Box = tuple[Interval, ...]
 PARTS = 32
 """Most bisections of the box in a window of frequency."""

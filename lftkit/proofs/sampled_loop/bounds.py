@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.model import LoopModel
@@ -26,8 +26,6 @@ from lftkit.proofs.sampled_loop.proof import Interval, Strip
 from lftkit.proofs.sampled_loop.scalings import CellTest, NodeScalings
 from lftkit.support.threads import one_thread
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Box = tuple[Interval, ...]
 FIRST_STEP, SHORTEST, LONGEST = 3e-3, 5e-5, 0.1
 """Relative steps of frequency: at the start of a strip, at least, at most."""

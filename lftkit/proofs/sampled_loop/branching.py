@@ -13,14 +13,13 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
 from lftkit.proofs.sampled_loop.scalings import CellTest
 
-FloatArray = NDArray[np.float64]
 Box = tuple[Interval, ...]
 HELD = 0.02
 """Part of its interval in which a parameter is held."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.eigenvectors import corrected_modes, modes
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
-from lftkit.systems.ports import FloatArray
-
-ComplexArray = NDArray[np.complex128]
 
 
 def loop_model(

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
@@ -33,8 +33,6 @@ from lftkit.proofs.sampled_loop.premises import require_premises
 from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
 from lftkit.proofs.state_space.checker import ProofError, uncovered
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
 DEEPEST = 30
@@ -114,7 +112,7 @@ def _middle(model: LoopModel, box: Sequence[Interval], z: ComplexArray) -> Compl
     return np.vstack([w, np.hstack([np.zeros((d, q)), np.eye(d)])])
 
 
-def middle_of(model: LoopModel, box: Sequence[Interval]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def middle_of(model: LoopModel, box: Sequence[Interval]) -> Matrices:
     """Of each channel ``z = cz z' + sz w'`` and ``w = cw z' + sw w'`` with w' = 0 in the middle, +-z' at the ends."""
     q = model.sizes[0]
     cz, sz, cw, sw = np.ones(q), np.zeros(q), np.zeros(q), np.zeros(q)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.polynomials import (
     UNIT,
     Polynomial,
@@ -23,9 +24,6 @@ from lftkit.proofs.sampled_loop.polynomials import (
     inverse,
     reciprocal,
 )
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.polynomials import INFLATE, ORDER, TINY, UNIT, Polynomial, constant, weighted_share
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 LOOSE = 3e-5
 """Largest remainder of a window."""
 DEEPEST = 50

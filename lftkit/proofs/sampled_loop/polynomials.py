@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from lftkit.arrays import ComplexArray, FloatArray
+
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-9  # covers the rounding of the radii themselves
 TINY = 1e-290

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.state_space.checker import ProofError
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Interval = tuple[float, float]
 FORMAT = "los-testbed loop proof 1"
 MODEL = tuple(f.name for f in fields(LoopModel) if f.name not in ("groups", "angle", "rows", "commands"))

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
@@ -26,8 +26,6 @@ from lftkit.proofs.state_space.barrier import (
 )
 from lftkit.proofs.state_space.cells import balanced
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
 PRECISION = 1e-7

@@ -16,12 +16,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from lftkit.arrays import ComplexArray, FloatArray
+
 sl: Any = linalg
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
 GROWTH = 8.0

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.checker import Inequality
 from lftkit.proofs.state_space.proof import Proof, finished, proven_cell, stable_member, statement
@@ -32,7 +32,6 @@ from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.uncertain_system import UncertainSystem
 
-FloatArray = NDArray[np.float64]
 WHOLE = (0.0, np.inf)
 SHARE = 0.9
 """Part of the gap at which a proof aims."""

@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.barrier import FULL, REAL, Block, Scalings, find_scalings
 from lftkit.systems.uncertain_system import UncertainSystem
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NARROW = 1e-7
 """Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""

@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-FloatArray = NDArray[np.float64]
+from lftkit.arrays import FloatArray
+
 Box = list[tuple[float, float]]
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves

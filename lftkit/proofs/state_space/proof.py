@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
 from lftkit.proofs.state_space.checker import Inequality, digest
 from lftkit.systems.uncertain_system import UncertainSystem
 
-FloatArray = NDArray[np.float64]
 sl: Any = linalg
 FORMAT = "los-testbed proof 1"
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.uncertain_system import UncertainSystem
 
 sl_optimize: Any = optimize
-FloatArray = NDArray[np.float64]
 MAX_CORNERS = 64
 RAY_STEPS = 48
 
@@ -53,8 +52,8 @@ def member_gain(system: UncertainSystem, point: FloatArray, band: tuple[float, f
 
 
 def _peak_in_band(
-    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    poles: NDArray[np.complex128],
+    matrices: Matrices,
+    poles: ComplexArray,
     point: FloatArray,
     band: tuple[float, float],
 ) -> Member:

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 USED_MARGIN = 0.9  # fraction of the linearised distance to the boundary of the domain that a step may use

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.pieces import OracleResult, matching_piece
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 MIN_MULTIPLIER = 1e-8  # pieces with a smaller multiplier say nothing about the Lagrangian

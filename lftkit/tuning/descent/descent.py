@@ -17,15 +17,14 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.bundle import Bundle
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
 from lftkit.tuning.descent.pieces import Oracle, OracleResult
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25  # of the predicted decrease

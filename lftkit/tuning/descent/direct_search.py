@@ -10,8 +10,8 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.descent import DescentOptions
 from lftkit.tuning.descent.gain_moves import gain_moves
 from lftkit.tuning.descent.metric import Metric
@@ -23,8 +23,6 @@ from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
-
-FloatArray = NDArray[np.float64]
 
 STABILISING_STEPS = 200
 SMOOTH_EVALUATIONS = 120

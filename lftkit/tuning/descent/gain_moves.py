@@ -9,8 +9,8 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.quasi_newton import quasi_newton
@@ -19,8 +19,6 @@ from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.stable_state_space import StableStateSpace
 from lftkit.tuning.structures import AffineStructure, Structure
-
-FloatArray = NDArray[np.float64]
 
 GAINS = (10.0, 3.0)  # factors of the controller's gain
 FURTHER = (4.0, 1.0)  # times the last displacement

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.pieces import OracleResult, Piece
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 EIGENVALUE_FLOOR = 1e-9  # of the scaled Gauss-Newton matrix: directions that change nothing keep a finite length

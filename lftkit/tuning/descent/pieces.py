@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from lftkit.arrays import FloatArray
 
 PEAK_DISTANCE = 0.1  # relative distance of frequencies up to which two peaks count as the same one
 

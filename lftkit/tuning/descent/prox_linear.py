@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.simplex_qp import prox_direction
 from lftkit.tuning.descent.smooth_objective import Linearisation, SmoothObjective
 
-FloatArray = NDArray[np.float64]
 sl: Any = scipy.linalg
 
 METRIC = 3  # steps between two metrics

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 
-FloatArray = NDArray[np.float64]
 Function = Callable[[FloatArray], tuple[float, FloatArray]]
 sl: Any = scipy.linalg
 

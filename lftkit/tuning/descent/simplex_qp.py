@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from lftkit.arrays import FloatArray, IntArray
+
 sl: Any = scipy.linalg
 
 MAX_ITERATIONS = 60

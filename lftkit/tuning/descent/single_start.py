@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.descent import Descent, DescentOptions, StopReason, minimise
 from lftkit.tuning.descent.gain_moves import descended, gain_moves
 from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
@@ -16,8 +16,6 @@ from lftkit.tuning.descent.smooth_phase import FEASIBLE, NEGLIGIBLE, Point, poin
 from lftkit.tuning.descent.starts import lowered_gain
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.status import TuningStatus
-
-FloatArray = NDArray[np.float64]
 
 STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.tuning.descent.metric import EIGENVALUE_FLOOR, Metric, metric_of
 from lftkit.tuning.descent.pieces import HARD_TARGET
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.gains.grid_gains import GridGains
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.structures import gain_sizes, jacobian
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NEGLIGIBLE = 14.0  # entries below exp(-14) of the largest weight are left out
 LEAST_LOG = float(np.log(1e-300))
@@ -58,7 +55,7 @@ class Linearisation:
 
     values: FloatArray
     gradients: FloatArray
-    hard: NDArray[np.bool_]
+    hard: BoolArray
 
 
 class SmoothObjective:
@@ -262,7 +259,7 @@ class SmoothObjective:
         soft = _log_of_largest(self._split(entries)[0])
         values: list[FloatArray] = []
         gradients: list[FloatArray] = []
-        hard: list[NDArray[np.bool_]] = []
+        hard: list[BoolArray] = []
         for e in entries:
             own = self._problem.requirements[e.requirement].hard
             level = float(np.log(HARD_TARGET)) if own else 0.0
@@ -363,7 +360,7 @@ class SmoothObjective:
             total = total - p * np.outer(mean, mean) / share
         return total
 
-    def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: NDArray[np.intp]) -> FloatArray:
+    def _relative_slopes(self, x: FloatArray, K: FloatArray, e: _Entry, index: IntArray) -> FloatArray:
         if e.gradients:
             return np.asarray(e.gradients[0][None] / e.values[0])
         grid, i = self._grids[e.model], self._problem.gain_numbers.index(e.requirement)

@@ -13,17 +13,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.pieces import HARD_TARGET
 from lftkit.tuning.descent.prox_linear import prox_linear
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.smooth_objective import HARD_MARGIN, PENALTY, SmoothObjective, same_h2
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
-
-FloatArray = NDArray[np.float64]
-
 
 POWERS = (40.0, np.inf)  # of the norm; infinity: prox-linear steps on the values themselves
 WORTH = (0.12, 3e-4)  # relative decrease by a round at each power that is worth another one

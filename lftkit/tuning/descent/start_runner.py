@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.support.progress import Progress
 from lftkit.support.workers import Workers
@@ -31,7 +30,6 @@ from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
 
-FloatArray = NDArray[np.float64]
 Work = Callable[[Problem, Start, DescentOptions, float], StartResult]
 
 CARRIED = 6  # starts of a batch that are carried on after the screening; no more batches than one with so few starts

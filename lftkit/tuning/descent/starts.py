@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.gain_moves import with_gain
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.stable_state_space import StableStateSpace
 from lftkit.tuning.structures import AffineStructure
-
-FloatArray = NDArray[np.float64]
 
 SIZES = (0.1, 1.0, 0.01, 3.0, 10.0, 0.3, 100.0, 30.0)  # of random starts in turn
 LOWER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)

@@ -14,14 +14,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import solve
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.structures import gain_sizes
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.intp]
 sl: Any = scipy.linalg
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
 MOST_CONDITION = 1e8
@@ -57,7 +54,7 @@ class ControllerBlock:
     variable: FrequencyFunction
     before: FrequencyFunction
     after: FrequencyFunction
-    free: NDArray[np.bool_]
+    free: BoolArray
     least_decay: float | None = None
 
     @property

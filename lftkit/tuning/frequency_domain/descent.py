@@ -16,15 +16,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.tuning.descent.simplex_qp import prox_direction
 from lftkit.tuning.frequency_domain.blocks import entry_sizes, with_least_decay
 from lftkit.tuning.frequency_domain.problem import ResponseProblem
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 REFRESH, METRIC = 6, 3
 """Steps between two looks at all pairs, and between two metrics."""
 KEEP, FEWEST, MOST = 0.4, 2000, 8000

@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lftkit.arrays import FloatArray
 from lftkit.tuning.frequency_domain.samples import PlantSamples
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.tuning.frequency_domain.blocks import ControllerResponse, active_commands
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.intp]
 
 
 def chained(

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains, singular_triples, solve
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.frequency_domain.blocks import (
     ActiveCommands,
     BlockFactors,
@@ -33,9 +33,6 @@ from lftkit.tuning.frequency_domain.gains import ResponseGain, ResponseNoise
 from lftkit.tuning.frequency_domain.metric import chained, gram_sum
 from lftkit.tuning.frequency_domain.samples import PlantSamples
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.intp]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 CHUNK = 1000
@@ -144,12 +141,12 @@ class ResponseProblem:
         return tuple(BlockFactors.of(block, omega) for block in self.blocks)
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> BoolArray:
         """Which entries of the parameter vector are tuned."""
         return np.concatenate([block.free.ravel() for block in self.blocks])
 
     @property
-    def hard(self) -> NDArray[np.bool_]:
+    def hard(self) -> BoolArray:
         """Which gains are hard."""
         return np.array([gain.hard for gain in self.gains])
 

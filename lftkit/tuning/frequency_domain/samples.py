@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import InitVar, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.intp]
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

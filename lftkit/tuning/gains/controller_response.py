@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import solve
+from lftkit.arrays import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 sl: Any = scipy.linalg
 
 MAX_CONDITION = 1e4  # of the eigenvectors of A_K, above which its resolvent is solved for at every frequency

@@ -10,18 +10,16 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.peak_search import climb
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 lapack: Any = scipy.linalg.lapack
 
 MAX_ORDER = 40  # of the closed loop: above it the grid of the smooth phase is cheaper

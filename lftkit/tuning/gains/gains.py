@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import gains_above, leading_pairs, solve
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 REFINEMENTS = 12
 HIGH_CELL, MAX_CELLS = 0.9, 60  # cells of the grid with both ends above this fraction of the peak are halved
@@ -123,7 +120,7 @@ class LoopGains:
         return np.concatenate([w, middle])[index], added[index]
 
     def _refined(
-        self, w: FloatArray, gains: FloatArray, maxima: NDArray[np.intp], K: FloatArray, order: int, i: int
+        self, w: FloatArray, gains: FloatArray, maxima: IntArray, K: FloatArray, order: int, i: int
     ) -> tuple[FloatArray, FloatArray]:
         """Peaks between the grid points: golden sections and parabolas in all brackets at once."""
         inner = (maxima > 0) & (maxima < len(w) - 2) & np.isfinite(w[np.minimum(maxima + 1, len(w) - 1)])
@@ -177,14 +174,14 @@ def singular_slopes(
     return s, own.rows(row.swapaxes(1, 2)), own.columns(forward + arrays.P22 @ (M @ forward))
 
 
-def _local_maxima(gains: FloatArray, level: float) -> NDArray[np.intp]:
+def _local_maxima(gains: FloatArray, level: float) -> IntArray:
     padded = np.concatenate([[-np.inf], gains, [-np.inf]])
     top = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (gains >= level)
     maxima = np.flatnonzero(top)
     return maxima[np.argsort(-gains[maxima], kind="stable")]
 
 
-def _shoulders(gains: FloatArray, level: float, peaks: NDArray[np.intp], max_points: int = 10) -> NDArray[np.intp]:
+def _shoulders(gains: FloatArray, level: float, peaks: IntArray, max_points: int = 10) -> IntArray:
     """Grid points above `level` beside the peaks (Apkarian and Noll's extended set of frequencies).
 
     Each is a lower bound of the norm in its own right; with them a step sees a peak that would grow beside the present

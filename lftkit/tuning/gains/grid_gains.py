@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import determinants, leading_pairs, smooth_gains, smooth_slopes, solve
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.gains.controller_response import Controller, controller_modes
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 sl: Any = scipy.linalg
 
 EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
@@ -81,7 +79,7 @@ class GridGains:
         norms = {i: self.calibration.get(i, 1.0) * float(np.sqrt(self._square(T[i]) / np.pi)) for i in self.h2 if h2}
         return {i: smooth_gains(T[i], power) for i in self.hinf}, norms
 
-    def essential(self, K: FloatArray, *, h2: bool) -> NDArray[np.bool_]:
+    def essential(self, K: FloatArray, *, h2: bool) -> BoolArray:
         """Mask (N,) of the frequencies at which a gain is not small, and of every fourth of the others."""
         closed = self._closed(K, self.hinf + (self.h2 if h2 else ())).responses
         kept = np.arange(len(self.arrays.omega)) % EVERY == 0
@@ -109,12 +107,12 @@ class GridGains:
             known.responses.update(self.plant.responses(self.arrays, known.M, missing))
         return known
 
-    def peak_gradients(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> list[tuple[float, FloatArray]]:
+    def peak_gradients(self, K: FloatArray, i: int, index: IntArray) -> list[tuple[float, FloatArray]]:
         """Largest singular values at some frequencies with their gradients, shape of K."""
         s, rows, columns = self._slopes(K, i, index)
         return [(float(s[j, 0]), np.real(np.outer(rows[j], columns[j]))) for j in range(len(index))]
 
-    def slopes(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def slopes(self, K: FloatArray, i: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
         """All singular values (m, r) at the frequencies `index` (m,) with their gradients (m, r, *shape of K)."""
         loop, arrays = self._closed(K, (i,)), self.arrays
         s, U, V = leading_pairs(loop.responses[i][index])
@@ -125,7 +123,7 @@ class GridGains:
         return s, np.real(row[:, :, :, None] * column.swapaxes(1, 2)[:, :, None, :])
 
     def weighted_gradient(
-        self, K: FloatArray, i: int, weights: FloatArray, index: NDArray[np.intp], power: float = np.inf
+        self, K: FloatArray, i: int, weights: FloatArray, index: IntArray, power: float = np.inf
     ) -> FloatArray:
         """Gradient of the weighted sum of the values of :meth:`gains` at the frequencies `index`."""
         T = self._closed(K, (i,)).responses[i][index]
@@ -136,7 +134,7 @@ class GridGains:
         _, rows, columns = self._slopes(K, i, index)
         return np.asarray(np.real(rows.T @ (weights[:, None] * columns)))
 
-    def _slopes(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    def _slopes(self, K: FloatArray, i: int, index: IntArray) -> tuple[FloatArray, ComplexArray, ComplexArray]:
         """Singular values (m, r) at the frequencies `index` (m,) with the factors of the largest one's slope.
 
         ``ds = Re(rows dK columns)``, shapes (m, order + u) and (m, order + y).
@@ -182,7 +180,7 @@ class GridGains:
         both = np.real((GL * sums[:, None]).T @ GR).reshape(a, a, b, b)
         return np.asarray(both.transpose(0, 3, 1, 2))
 
-    def _factors(self, K: FloatArray, i: int, index: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+    def _factors(self, K: FloatArray, i: int, index: IntArray) -> tuple[ComplexArray, ComplexArray]:
         """Factors of ``dT = left dK right`` at the frequencies `index` (m,), (m, z, a) and (m, b, w)."""
         loop, arrays = self._closed(K, (i,)), self.arrays
         P12, P21 = arrays.P12[i][index], arrays.P21[i][index]

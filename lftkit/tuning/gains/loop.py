@@ -12,16 +12,14 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.norms import schur_lyapunov
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade
 from lftkit.systems.state_space import StateSpace
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 sl: Any = scipy.linalg
 
 

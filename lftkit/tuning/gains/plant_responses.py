@@ -12,18 +12,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.gains.controller_response import Controller, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
 from lftkit.tuning.requirements import H2Gain, HinfGain
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50
@@ -41,7 +38,7 @@ class Arrays:
     P21: dict[int, ComplexArray]
     P22: ComplexArray
 
-    def at(self, index: NDArray[np.intp]) -> Arrays:
+    def at(self, index: IntArray) -> Arrays:
         """The same at some of the frequencies."""
         first, second = ({i: P[index] for i, P in part.items()} for part in (self.P11, self.P12))
         third = _once(self.P21, lambda i: self.P21[i][index])
@@ -198,6 +195,6 @@ def _weight(weight: StateSpace | None) -> FrequencyResponse | None:
     return None if weight is None else FrequencyResponse.of(*weight.matrices)
 
 
-def _positions(chosen: Any, indices: Any) -> NDArray[np.intp]:
+def _positions(chosen: Any, indices: Any) -> IntArray:
     position = {int(index): k for k, index in enumerate(chosen)}
     return np.array([position[int(index)] for index in indices], dtype=np.intp)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from lftkit.arrays import FloatArray, Matrices
+
 sl: Any = scipy.linalg
 
 UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
@@ -59,9 +59,7 @@ def _least_damping(poles: Any, scale: float) -> float:
     return float((np.abs(poles.real) / size).min())
 
 
-def applied(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, nz: int, nw: int, F: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def applied(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, nz: int, nw: int, F: FloatArray) -> Matrices:
     """The plant (w, u') -> (z, y) after ``u = F y + u'``; `nz` and `nw` are the sizes of z and w."""
     if not F.any():
         return A, B, C, D

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import IntArray
 from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_of
 from pointing_analysis.read.mcap.records import Block, FileInfo
 
@@ -101,7 +101,7 @@ class _Numbers:
         """Whether there were more pieces than are kept."""
         return len(self.pieces) > MAX_PIECES
 
-    def add(self, sequence: NDArray[np.int64], log: NDArray[np.int64]) -> None:
+    def add(self, sequence: IntArray, log: IntArray) -> None:
         self.count += len(sequence)
         self.first, self.last = min(self.first, int(log.min())), max(self.last, int(log.max()))
         if self.incomplete:

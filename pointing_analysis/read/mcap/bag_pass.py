@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mcap.bag_files import BagFiles
 from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
@@ -78,7 +78,7 @@ class BagPass:
                 self._ledger.add(info, block)
                 yield info, block
 
-    def seconds(self, block: Block) -> NDArray[np.float64]:
+    def seconds(self, block: Block) -> FloatArray:
         """Log times (n,) of the messages of a block [s], counted from the first message of the bag."""
         assert self.origin is not None
         return np.asarray((block.heads["log"].astype(np.int64) - self.origin) / NANO)

@@ -16,6 +16,7 @@ import zstandard
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, IntArray
 from pointing_analysis.read.mcap.manifest import Manifest, salvage
 from pointing_analysis.read.mcap.records import (
     BODY,
@@ -65,7 +66,7 @@ class Unpacked:
     """
 
     content: bytes
-    whole: NDArray[np.bool_] | None = None
+    whole: BoolArray | None = None
     reason: str = ""
 
 
@@ -179,14 +180,14 @@ def _other_head(packed: Packed, manifest: Manifest | None, limit: int) -> tuple[
     return b"", False
 
 
-def index_offsets(indexed: list[bytes]) -> NDArray[np.int64]:
+def index_offsets(indexed: list[bytes]) -> IntArray:
     """Offsets of the messages as the index records of a chunk say them, sorted."""
     parts = [np.frombuffer(body[6:], INDEX_ENTRY)["offset"] for body in indexed if len(body) % 16 == 6]
     offsets = np.concatenate([*parts, np.empty(0, "<u8")]).astype(np.int64)
     return np.sort(offsets)
 
 
-def index_times(indexed: list[bytes]) -> dict[int, NDArray[np.int64]]:
+def index_times(indexed: list[bytes]) -> dict[int, IntArray]:
     """Log times [ns] of the messages of each channel, as the index records of a chunk say them."""
     found = {}
     for body in indexed:
@@ -196,7 +197,7 @@ def index_times(indexed: list[bytes]) -> dict[int, NDArray[np.int64]]:
     return found
 
 
-def _heads(data: bytes, offsets: NDArray[np.int64]) -> NDArray[np.void]:
+def _heads(data: bytes, offsets: IntArray) -> NDArray[np.void]:
     rows = sliding_window_view(np.frombuffer(data, np.uint8), HEAD)[offsets]
     heads: NDArray[np.void] = rows.view(MESSAGE_HEAD)[:, 0]
     return heads

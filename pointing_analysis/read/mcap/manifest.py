@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, IntArray
+
 VERSION = 1
 _HEAD = struct.Struct("<IIQI16s")
 RUN = np.dtype(
@@ -58,7 +60,7 @@ class Manifest:
     verified: bool = True
 
     @property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> IntArray:
         """(n + 1,) where each record begins, and where the last one ends."""
         lengths = np.repeat(self.runs["length"].astype(np.int64), self.runs["count"])
         return np.append(0, np.cumsum(lengths))
@@ -122,7 +124,7 @@ def _one_bit_undone(body: bytes) -> tuple[bytes, bool]:
     return body, False
 
 
-def salvage(content: bytes, manifest: Manifest) -> tuple[bytes, NDArray[np.bool_]]:
+def salvage(content: bytes, manifest: Manifest) -> tuple[bytes, BoolArray]:
     """Find the whole records of a damaged chunk, and undo short damage where the chunk's digest proves it right.
 
     Parameters

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import IntArray
+
 MAGIC = b"\x89MCAP0\r\n"
 OP_HEADER, OP_FOOTER, OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK, OP_INDEX = 1, 2, 3, 4, 5, 6, 7
 OP_CHUNK_INDEX, OP_ATTACHMENT, OP_ATTACHMENT_INDEX, OP_STATISTICS = 8, 9, 10, 11
@@ -90,7 +92,7 @@ class LostChunk:
 
     offset: int
     reason: str
-    times: dict[int, NDArray[np.int64]]
+    times: dict[int, IntArray]
 
 
 @dataclass(frozen=True)
@@ -162,9 +164,9 @@ class Block:
 
     data: bytes
     heads: NDArray[np.void]
-    offsets: NDArray[np.int64]
+    offsets: IntArray
 
-    def by_channel(self, channels: Mapping[int, Channel]) -> Iterator[tuple[Channel, NDArray[np.int64]]]:
+    def by_channel(self, channels: Mapping[int, Channel]) -> Iterator[tuple[Channel, IntArray]]:
         """Channels of the messages, and the rows of each; messages of an unknown channel are left out."""
         numbers = self.heads["channel"]
         for number in np.unique(numbers).tolist():
@@ -176,7 +178,7 @@ class Block:
         start = int(self.offsets[row]) + HEAD
         return self.data[start : start + int(self.heads["length"][row]) - BODY]
 
-    def payloads(self, rows: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.uint8]]]:
+    def payloads(self, rows: IntArray) -> Iterator[tuple[IntArray, NDArray[np.uint8]]]:
         """Payloads (m, size) of messages, those of equal size together, and their places (m,) in `rows`."""
         data = np.frombuffer(self.data, np.uint8)
         sizes = self.heads["length"][rows].astype(np.int64) - BODY

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import ACCEL, COLUMNS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
 
@@ -42,7 +43,7 @@ STAMP_OFFSET = len(ENCAPSULATION)
 NS_PER_S = 1_000_000_000
 _LENGTH = struct.Struct("<I")
 _FIXED = {ACCEL: 6, VECTOR3: 3, HEADER: 0}
-_NO_VALUES: NDArray[np.float64] = np.empty(0)
+_NO_VALUES: FloatArray = np.empty(0)
 
 
 def _aligned(offset: int, size: int) -> int:
@@ -116,13 +117,13 @@ class Encoder:
         """Bytes of a message."""
         return len(self._buffer)
 
-    def encode(self, stamp_ns: int, values: NDArray[np.float64] = _NO_VALUES) -> bytearray:
+    def encode(self, stamp_ns: int, values: FloatArray = _NO_VALUES) -> bytearray:
         """Message with this stamp [ns] and `values` (size,); the next call uses the same buffer."""
         STAMP.pack_into(self._buffer, STAMP_OFFSET, *divmod(stamp_ns, NS_PER_S))
         self._values[:] = values
         return self._buffer
 
-    def encode_many(self, stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    def encode_many(self, stamps_ns: IntArray, values: FloatArray) -> NDArray[np.uint8]:
         """Messages (n, length) of many ticks at once: the bytes that `encode` gives for each."""
         out = np.tile(self._template, (len(stamps_ns), 1))
         seconds, rest = np.divmod(stamps_ns, NS_PER_S)
@@ -230,12 +231,12 @@ def layout(schema: str, payload: bytes) -> Layout:
     return Layout(len(payload), start, count, tuple(cursor.lengths), cursor.order)
 
 
-def same_order(rows: NDArray[np.uint8], order: str) -> NDArray[np.bool_]:
+def same_order(rows: NDArray[np.uint8], order: str) -> BoolArray:
     """Which messages (m, size) are plain CDR in this order of bytes."""
     return np.asarray((rows[:, 0] == 0) & (rows[:, 1] == (order == "<")))
 
 
-def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[IntArray, FloatArray, BoolArray]:
     """Decode payloads of equal length.
 
     Parameters
@@ -263,7 +264,7 @@ def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[NDArray[np.int64], ND
     return stamp, column(plan.values, "f8", plan.count).astype(np.float64, copy=False), fits
 
 
-def decode_any(schema: str, payloads: Sequence[bytes]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
+def decode_any(schema: str, payloads: Sequence[bytes]) -> tuple[IntArray, list[FloatArray]]:
     """Decode payloads of any lengths, one by one."""
     stamps, values = [], []
     for payload in payloads:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.records import BagError, Channel
 from pointing_analysis.read.messages.cdr import byte_order, same_order
 
@@ -247,7 +248,7 @@ def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places
     return Places(len(payload), numbers, tuple(reader.lengths), reader.order)
 
 
-def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[FloatArray, BoolArray]:
     """Numbers (m, 2) of messages (m, size) of one size, and which of them have this layout."""
 
     def column(at: int, kind: str) -> NDArray[np.generic]:
@@ -261,7 +262,7 @@ def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[NDArray[np.float64
     return np.column_stack([column(at, kind).astype(np.float64) for at, kind in places.numbers]), fits
 
 
-def stamps(rows: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
+def stamps(rows: NDArray[np.uint8], order: str) -> IntArray:
     """Header stamps [ns] of messages (m, size) that begin with a header."""
     seconds = np.ascontiguousarray(rows[:, 4:8]).view(order + "i4")[:, 0].astype(np.int64)
     rest = np.ascontiguousarray(rows[:, 8:12]).view(order + "u4")[:, 0].astype(np.int64)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import GrowingArray
 from pointing_analysis.read.mcap.records import BagError, Block
 from pointing_analysis.read.messages import cdr
@@ -38,7 +38,7 @@ class Column:
         self.size = 0
         self.arrays = _nothing(len(COLUMNS[schema]))
 
-    def add(self, stamp: NDArray[np.int64], values: NDArray[np.float64], sent: NDArray[np.int64]) -> None:
+    def add(self, stamp: IntArray, values: FloatArray, sent: IntArray) -> None:
         """Append messages: stamps, values (m, k), times of publishing."""
         width = values.shape[1]
         if not self.size and width != self.arrays[1].columns:
@@ -71,7 +71,7 @@ def _nothing(width: int) -> tuple[GrowingArray, ...]:
     return GrowingArray(None, np.int64), GrowingArray(width), GrowingArray(None, np.int64)
 
 
-def decode_block(column: Column, block: Block, rows: NDArray[np.int64]) -> None:
+def decode_block(column: Column, block: Block, rows: IntArray) -> None:
     """Decode messages of a block, by their rows in it; equal sizes go through one numpy view."""
     sent = block.heads["publish"][rows].astype(np.int64)
     for same, payloads in block.payloads(rows):

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from titop_plant.simulation.build import PlantConfig
     from titop_plant.simulation.driven_plant import DrivenPlant
     from titop_plant.simulation.sampled_plant import SampledPlant
-
-FloatArray = NDArray[np.float64]
 
 
 class Plant(Protocol):

@@ -12,14 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_testbed.config import RunConfig, physical_hash
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from los_loop.steady_state import LoopStart
     from los_loop.worst_tone import WorstTone
     from titop_plant.simulation.build import PlantConfig
@@ -88,7 +86,7 @@ class RunStart:
         )
 
     @property
-    def command(self) -> NDArray[np.float64] | None:
+    def command(self) -> FloatArray | None:
         """Command (8,) that the first tick applies [rad, N]; None: zero."""
         return None if self.states is None else self.states.command
 

@@ -20,14 +20,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from los_testbed.config import RunConfig
 from los_testbed.plugins import RAISED, in_one_line, make
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
-FloatArray = NDArray[np.float64]
 UNTOUCHED = -1.2345678901234567e-300
 """Value that no block writes: what still has it after a step was not written."""
 
@@ -48,7 +47,7 @@ class BlockFailedError(RuntimeError):
     """A block of the user failed during a run; the message says which, at which tick and how."""
 
 
-def beyond(values: FloatArray) -> NDArray[np.bool_]:
+def beyond(values: FloatArray) -> BoolArray:
     """Where values are NaN, infinite or larger than `LARGEST`.
 
     Examples
@@ -59,7 +58,7 @@ def beyond(values: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(~(np.abs(values) <= LARGEST))
 
 
-def element(ports: Iterable[Port], where: NDArray[np.bool_]) -> str:
+def element(ports: Iterable[Port], where: BoolArray) -> str:
     """Name of the first marked element of a vector.
 
     Examples

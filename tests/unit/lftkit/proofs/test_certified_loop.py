@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lftkit import Port, RealParameter, SampledSystem, UncertainSystem
+from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import (
     LoopModel,
     LoopProof,
@@ -68,7 +68,7 @@ def proof() -> LoopProof:
     return proof_of(oscillator(), 1.02 * peak(0.8))
 
 
-def inside(p: Polynomial, t: float, value: NDArray[np.complex128]) -> bool:
+def inside(p: Polynomial, t: float, value: ComplexArray) -> bool:
     found = sum(c * t**k for k, c in enumerate(p.c))
     return bool(np.all(np.abs(found - value) <= p.rad + 1e-13 * np.abs(value) + 1e-300))
 
@@ -180,7 +180,7 @@ def test_an_unstable_member_is_never_covered() -> None:
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
-def loop_eigenvalues(plant: UncertainSystem, law: SampledSystem) -> NDArray[np.complex128]:
+def loop_eigenvalues(plant: UncertainSystem, law: SampledSystem) -> ComplexArray:
     """Of the nominal loop from tick to tick: plant, held command, law."""
     from scipy.linalg import expm
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.topics import Topic
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
 from pointing_analysis.read.messages.message_types import JOINT_STATE
-
-FloatArray = NDArray[np.float64]
 
 _FRAME_OFFSET = STAMP_OFFSET + STAMP.size
 _LITTLE_ENDIAN = ENCAPSULATION[:2]

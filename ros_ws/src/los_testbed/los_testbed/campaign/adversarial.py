@@ -6,14 +6,12 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.campaign.sampling import DELTA, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import load_controllers, plant_config
-
-FloatArray = NDArray[np.float64]
 
 METRICS = ("slow", "fast")
 """Metrics that are searched: tones of the relative error."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem
+from lftkit.arrays import FloatArray
 from los_estimator.runtime import hold_camera
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import BLOCK, SIGNALS, LoopDivergedError
@@ -26,8 +26,6 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.plant_batch import PlantBatch
 from titop_plant.simulation.sampled_plant import SampledPlant
-
-FloatArray = NDArray[np.float64]
 
 
 class Signals(Protocol):

@@ -18,9 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lftkit.arrays import FloatArray
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
@@ -66,7 +64,7 @@ class Campaign:
     depth: str
     points_hash: str
     identity: Mapping[str, str]
-    points: NDArray[np.float64] = field(compare=False, repr=False)
+    points: FloatArray = field(compare=False, repr=False)
 
     @classmethod
     def of(

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from lftkit.arrays import FloatArray
 from los_testbed.campaign.sampling import COLUMNS
 from pointing_analysis.indices.confidence import exceedance_upper
-
-FloatArray = NDArray[np.float64]
 
 FEWEST, MOST_BINS = 8, 20
 """Fewest members for a correlation; most bins of a parameter's range."""

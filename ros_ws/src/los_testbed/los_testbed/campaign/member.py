@@ -16,10 +16,10 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from lftkit import SampledSystem
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_loop.steady_state import LoopStart
 from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
@@ -40,8 +40,6 @@ from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_batch import PlantBatch
-
-FloatArray = NDArray[np.float64]
 
 COMMON_METRICS = (
     "ape_max_arcsec",

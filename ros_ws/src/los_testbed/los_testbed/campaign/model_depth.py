@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
 from los_loop.sampled_loop_norms import noise_metrics
 from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
@@ -35,9 +35,7 @@ from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks
 from titop_plant.telescope.weights import rpe_weight
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IndexArray = NDArray[np.intp]
+IndexArray = IntArray
 
 TURN = 2.0
 """Angle [rad] between neighbouring frequencies above which the return difference is not resolved."""

@@ -20,17 +20,15 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import solve
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IndexArray = NDArray[np.intp]
+IndexArray = IntArray
 linalg: Any = scipy.linalg
 
 COARSE = 1.1
@@ -121,7 +119,7 @@ class MovingModes:
         return np.asarray(poles[_light(poles) & (poles.imag > LOWEST)])
 
 
-def _light(poles: ComplexArray) -> NDArray[np.bool_]:
+def _light(poles: ComplexArray) -> BoolArray:
     return np.asarray(-poles.real < LIGHT * np.abs(poles))
 
 

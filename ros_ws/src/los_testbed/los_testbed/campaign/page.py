@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import yield_curve
 from los_testbed.campaign.meanings import meaning
@@ -23,7 +23,6 @@ from los_testbed.campaign.verdict import LOST
 from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
-FloatArray = NDArray[np.float64]
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")
 BINS, CELLS, LEVELS = 40, 16, 200
 FEW, PER_CELL = 64, 6

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.variants import family
 
-FloatArray = NDArray[np.float64]
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
 """Samplings whose members are random draws: of these alone is there a probability."""

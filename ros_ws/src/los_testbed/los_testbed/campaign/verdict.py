@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.telescope.budget import CONFIDENCE
-
-FloatArray = NDArray[np.float64]
 
 LOST = ("unstable", "diverged")
 """Statuses of members that are above every limit."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, Topic
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -105,7 +106,7 @@ class History:
         rows = {s.name: self._values[s.name][chosen % CAPACITY] for s in SIGNALS}
         return {"ticks": chosen.tolist(), "stride": stride, **{n: _columns(v) for n, v in rows.items()}}
 
-    def recent(self) -> NDArray[np.float64]:
+    def recent(self) -> FloatArray:
         """Line of sight of the last :data:`SPAN_TICKS` ticks (n, 2) [mas]; n is a whole number of exposures."""
         ticks = self._ticks(max(self.tick - SPAN_TICKS, -1))
         return np.asarray(self._values["los"][ticks % CAPACITY])
@@ -124,7 +125,7 @@ class History:
         return {"frequency": _short(found.frequency[kept]), "density": _short(density[kept])}
 
 
-def indices(error: NDArray[np.float64], stage: str, requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
+def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
     """Each requirement of the stage on a line of sight (n, 2) [mas]: largest value, limit, share within the limit.
 
     A requirement on the RPE has one value for each exposure, one on the APE one for each tick; others are left out.
@@ -156,10 +157,10 @@ def indices(error: NDArray[np.float64], stage: str, requirements: Sequence[Requi
     return found
 
 
-def _short(values: NDArray[np.float64]) -> list[float]:
+def _short(values: FloatArray) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
-def _columns(rows: NDArray[np.float64]) -> list[list[float | None]]:
+def _columns(rows: FloatArray) -> list[list[float | None]]:
     """Columns of a table with six digits; a missing value is None."""
     return [[float(f"{value:.7g}") if value == value else None for value in column] for column in rows.T.tolist()]

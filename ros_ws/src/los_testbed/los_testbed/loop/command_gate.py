@@ -6,13 +6,11 @@ import math
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError
 from los_testbed.loop.source_guard import OURS
 from titop_plant.interface import TICK_NS
-
-FloatArray = NDArray[np.float64]
 
 
 class CommandGate:

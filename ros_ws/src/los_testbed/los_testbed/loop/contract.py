@@ -6,8 +6,8 @@ import copy
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import BoolArray, FloatArray
 from los_testbed.factories import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond
@@ -17,7 +17,7 @@ from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
 CAMERA = "camera_los"
 
 
-def port_of(vector: NDArray[np.float64], where: NDArray[np.bool_]) -> str:
+def port_of(vector: FloatArray, where: BoolArray) -> str:
     """Name of the first marked element of a measurement (22,), for instance ``accel_M1[2]``; else its number."""
     index = int(np.flatnonzero(where)[0])
     if len(vector) == MEASUREMENTS:
@@ -31,7 +31,7 @@ class RunFailedError(RuntimeError):
     """Plant, observer or controller failed during a run; the message says which, at which tick and how."""
 
 
-def first_not_finite(signals: Mapping[str, NDArray[np.float64]], rows: int) -> tuple[int, str] | None:
+def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int, str] | None:
     """Row and port of the first value that is not finite (`beyond`), camera frames aside; None if all are.
 
     Parameters

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
@@ -63,10 +64,10 @@ class Block:
 
     size: int
     stamps: NDArray[np.int64] = field(init=False)
-    measurement: NDArray[np.float64] = field(init=False)
-    truth: NDArray[np.float64] = field(init=False)
-    los_estimate: NDArray[np.float64] = field(init=False)
-    command: NDArray[np.float64] = field(init=False)
+    measurement: FloatArray = field(init=False)
+    truth: FloatArray = field(init=False)
+    los_estimate: FloatArray = field(init=False)
+    command: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
@@ -81,7 +82,7 @@ def simulate(
     controller: Controller,
     ticks: int,
     sink: Callable[[Block, int], None],
-    first_command: NDArray[np.float64] | None = None,
+    first_command: FloatArray | None = None,
 ) -> None:
     """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
 

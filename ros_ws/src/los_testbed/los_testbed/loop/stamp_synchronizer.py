@@ -6,13 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
 from los_testbed.loop.source_guard import OURS
 from titop_plant.interface import TICK_NS
-
-FloatArray = NDArray[np.float64]
 
 HOLD_STAMP = 0
 """Stamp of the plant's messages before the run begins: no time has passed."""

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_controller, check_controllers, telescope_basis
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
         changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(context.config))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
-        def tick(stamp: int, sample: NDArray[np.float64], gap: int) -> None:
+        def tick(stamp: int, sample: FloatArray, gap: int) -> None:
             if stamp == HOLD_STAMP:
                 reset()
                 for publisher, codec, _, zero in slots:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_estimator
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         changes = context.allow_changes({ACTIVE: fade.turn})
         step = GapStepper(estimate, MEASUREMENTS, CAMERA)
 
-        def tick(stamp: int, measurement: NDArray[np.float64], gap: int) -> None:
+        def tick(stamp: int, measurement: FloatArray, gap: int) -> None:
             if stamp == HOLD_STAMP:
                 reset()
                 publisher.publish(codec.encode(stamp, nothing))

@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, build_plant, plant_notes, run_start
@@ -83,7 +83,7 @@ class PlantLoop:
         Command that the first tick applies [rad, N]; default: zero.
     """
 
-    def __init__(self, context: NodeContext, plant: Plant, first_command: NDArray[np.float64] | None = None) -> None:
+    def __init__(self, context: NodeContext, plant: Plant, first_command: FloatArray | None = None) -> None:
         self.context = context
         self.plant = plant
         self._first_command = first_command

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.config import NAMESPACE
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
@@ -34,7 +35,7 @@ DISCOVERY_S = 1.5
 """A node that runs is discovered within this time; a topic without a writer then has none to wait for."""
 LAST_ANSWERS_S = 0.5
 
-Signal = tuple[NDArray[np.int64], NDArray[np.float64]]
+Signal = tuple[NDArray[np.int64], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class _Player:
         self._inputs = {t.name: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
         self._taken: dict[str, list[bytes]] = {topic.name: [] for topic in ANSWERS}
 
-    def _output(self, topic: Topic, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], NDArray[np.float64]]:
+    def _output(self, topic: Topic, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], FloatArray]:
         """Publisher, codec, row of the topic on each tick (-1: nothing is due), values."""
         rows = np.full(len(self.stamps), -1)
         rows[np.searchsorted(self.stamps, run[topic.name].stamp)] = np.arange(len(run[topic.name]))
@@ -195,7 +196,7 @@ class _Player:
         found = {}
         for topic in ANSWERS:
             codec, out = codec_for(topic), np.zeros(topic.size)
-            rows: dict[int, NDArray[np.float64]] = {}
+            rows: dict[int, FloatArray] = {}
             for data in self._taken[topic.name]:
                 try:
                     stamp = codec.decode(data, out)

@@ -12,9 +12,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_loop.sampled_loop import SampledLoop
 from los_loop.tone_model import LoopModel
@@ -27,7 +27,6 @@ from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 from titop_plant.telescope.sensors import noise_of_samples
 
-Floats = NDArray[np.float64]
 GAUGES = slice(CAMERA.stop, MEASUREMENTS)
 GROUPS: Mapping[str, slice] = {"accelerometers": slice(0, CAMERA.start), "camera": CAMERA, "strain gauges": GAUGES}
 PARTS = ("tones", "noise", "all")
@@ -100,16 +99,16 @@ def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: fl
     return found
 
 
-def _correlation(loop: SampledLoop, sigma: Floats, unit: float) -> Callable[[int], Floats]:
+def _correlation(loop: SampledLoop, sigma: FloatArray, unit: float) -> Callable[[int], FloatArray]:
     """Covariance (2, 2) of the line of sight with itself some ticks later, mean over a frame period."""
     frame, hold = (N * sigma for N in (loop.noise_frame, loop.noise_hold))
     ticks = [(loop.frame, frame @ frame.T)] + [(loop.hold, hold @ hold.T)] * (loop.frame_ticks - 1)
     size = len(loop.hold)
-    period: Floats = np.eye(size)
-    total: Floats = np.zeros((size, size))
+    period: FloatArray = np.eye(size)
+    total: FloatArray = np.zeros((size, size))
     for A, Q in ticks:
         period, total = A @ period, A @ total @ A.T + Q
-    P: Floats = np.asarray(linalg.solve_discrete_lyapunov(period, total))
+    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, total))
     start = []
     for A, Q in ticks:
         start.append(P @ loop.truth.T)
@@ -117,14 +116,14 @@ def _correlation(loop: SampledLoop, sigma: Floats, unit: float) -> Callable[[int
     C = loop.truth / unit**2
 
     @cache
-    def carried(lag: int) -> tuple[Floats, ...]:
+    def carried(lag: int) -> tuple[FloatArray, ...]:
         if lag == 0:
             return tuple(start)
         before = carried(lag - 1)
         # The state that began at phase k has reached phase k + lag - 1.
         return tuple(ticks[(k + lag - 1) % len(ticks)][0] @ state for k, state in enumerate(before))
 
-    def correlation(lag: int) -> Floats:
+    def correlation(lag: int) -> FloatArray:
         for step in range(lag):
             carried(step)
         return np.asarray(np.mean([C @ state for state in carried(lag)], axis=0))
@@ -132,11 +131,11 @@ def _correlation(loop: SampledLoop, sigma: Floats, unit: float) -> Callable[[int
     return correlation
 
 
-def _within(correlation: Callable[[int], Floats]) -> Callable[[float], Floats]:
+def _within(correlation: Callable[[int], FloatArray]) -> Callable[[float], FloatArray]:
     """Covariance of the line of sight less its mean over a window, at each of its ticks."""
 
     @cache
-    def within(window: float) -> Floats:
+    def within(window: float) -> FloatArray:
         n = round(window / DT)
         lags = [correlation(lag) for lag in range(n)]
         table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(n)] for i in range(n)])

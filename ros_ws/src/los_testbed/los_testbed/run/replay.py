@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -45,7 +46,7 @@ from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 WINDOW = 0.02
 CHUNK_NS = RATE * TICK_NS
 
-Signals = Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+Signals = Mapping[str, tuple[NDArray[np.int64], FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
     return replayed
 
 
-def _check_finite(who: str, signals: Mapping[str, NDArray[np.float64]], stamp: NDArray[np.int64], run: Run) -> None:
+def _check_finite(who: str, signals: Mapping[str, FloatArray], stamp: NDArray[np.int64], run: Run) -> None:
     """Refuse a replay whose output is not finite, with tick and port."""
     for part in parts(len(stamp)):
         found = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
@@ -222,7 +223,7 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
         The bag exists or cannot be made.
     """
     check_new_bag(path)
-    signals: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {
+    signals: dict[str, tuple[NDArray[np.int64], FloatArray]] = {
         name: (run[name].stamp, run[name].values) for name in run.topics
     }
     signals.update(replayed.topics())

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lftkit.arrays import FloatArray
 from los_loop.tone_model import ToneResponse, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
@@ -30,8 +30,6 @@ from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, ran
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
-
-FloatArray = NDArray[np.float64]
 
 WORST = SCENARIOS[0]
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.loop.changes import Changes
 from los_testbed.loop.health import OK, WARN, LoopHealth
@@ -28,7 +26,7 @@ CHANGE_REPORT_NS = 5_000_000
 HORIZON_NS = 50_000_000
 """A stamp may be this much ahead of the plant's clock."""
 
-Tick = Callable[[int, NDArray[np.float64], int], None]
+Tick = Callable[[int, FloatArray, int], None]
 
 
 class Follower:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.factories import telescope_basis
 from los_testbed.loop.command_gate import CommandGate
@@ -14,8 +12,6 @@ from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS
-
-FloatArray = NDArray[np.float64]
 
 
 class PlantIo:
