@@ -13,6 +13,7 @@
 `replay`           recorded sensors through observers and controllers; `gap_stepping`: over missed ticks
 `series`           any arrays; `los_source`: any file; `external_bag`, `ros_definitions`, `tables`: their formats
 `budget_file`      budgets as a tree of `budget_sources`; `budget_total`: totals; `budget_page`: their page
+`bag_pass`         one pass over a bag, `Run` and `--los` alike
 `cdr`              messages as bytes; `message_types`: names and definitions; `mcap_records`: the file format
 `mcap_walk`        one pass over a file, also a damaged one; `bag_loss`: what it lacks
 `dataframes`       topics as pandas or xarray objects

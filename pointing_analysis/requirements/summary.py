@@ -157,6 +157,7 @@ class Summary:
     budget: ToneBudget | None = None
     rpe_windows_p997: float = math.nan
     requirements_known: bool = True
+    open_end: bool = False
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -358,6 +359,7 @@ def summarise(
         requirements_known=known is not None,
         problems=tuple(problems),
         losses=run.losses,
+        open_end=run["truth/los"].open_end,
         budget=budget,
     )
 
