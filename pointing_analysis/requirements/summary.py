@@ -129,6 +129,7 @@ class Summary:
     losses : messages that were recorded and cannot be read, by topic
     rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
     requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
+    open_end : whether the recording was cut off and nothing says how many samples are missing at its end
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     """
