@@ -13,5 +13,7 @@ IntArray = NDArray[np.intp]
 """Indices and counts."""
 BoolArray = NDArray[np.bool_]
 """Choices, one per element."""
+Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
+"""Real numbers with two axes: for functions whose types ask for it."""
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """A (n, n), B (n, m), C (p, n), D (p, m) of a linear system."""

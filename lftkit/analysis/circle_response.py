@@ -11,10 +11,9 @@ the residual of the eigenvectors, in twice the working precision, and is part of
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import inverses
 from lftkit.analysis.compensated import matrix_product, two_product, two_sum
@@ -28,8 +27,6 @@ from lftkit.analysis.eigenvectors import (
     modes,
 )
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-
-lapack: Any = scipy.linalg.lapack
 
 ORDER = 4  # of the expansions
 INSIDE = 0.75  # |t q| of a pole, at most

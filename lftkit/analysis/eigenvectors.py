@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy import linalg
 
 from lftkit.analysis.compensated import halves, matrix_product, two_sum
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-
-sl: Any = scipy.linalg
 
 MAX_NEWTON_STEPS = 3
 NEWTON_CONVERGED = 1e-9
@@ -48,7 +45,7 @@ class Modes:
     @cached_property
     def reciprocal_condition(self) -> float:
         """Estimate of the reciprocal condition number of the eigenvectors, 1-norm."""
-        return float(sl.lapack.dgecon(self.factors[0], np.abs(self.vectors).sum(axis=0).max())[0])
+        return float(linalg.lapack.dgecon(self.factors[0], np.abs(self.vectors).sum(axis=0).max())[0])
 
     def observed(self, C: FloatArray) -> FloatArray:
         """``C (vectors + low)``, shape (p, n), rounded once."""
@@ -57,9 +54,9 @@ class Modes:
 
     def excited(self, B: FloatArray) -> FloatArray:
         """``(vectors + low)^-1 B``, shape (n, m), accurate to its own rounding."""
-        first = sl.lapack.dgetrs(*self.factors, B)[0]
+        first = linalg.lapack.dgetrs(*self.factors, B)[0]
         high, low = matrix_product(self.vectors, first)
-        correction = sl.lapack.dgetrs(*self.factors, (B - high) - (low + self.low @ first))[0]
+        correction = linalg.lapack.dgetrs(*self.factors, (B - high) - (low + self.low @ first))[0]
         return np.asarray(first + correction)
 
 
@@ -73,11 +70,11 @@ def modes(A: FloatArray) -> Modes:
     """
     A = np.asfortranarray(A)  # the order of LAPACK
     n = len(A)
-    work = int(sl.lapack.dgeev_lwork(n, compute_vl=0)[0])
-    real, imaginary, _, vectors, info = sl.lapack.dgeev(A, compute_vl=0, lwork=work)
+    work = int(linalg.lapack.dgeev_lwork(n, compute_vl=0)[0])
+    real, imaginary, _, vectors, info = linalg.lapack.dgeev(A, compute_vl=0, lwork=work)
     if info:
         raise ArithmeticError(f"the eigenvalues of a matrix of order {n} did not converge")
-    return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), sl.lapack.dgetrf(vectors)[:2])
+    return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), linalg.lapack.dgetrf(vectors)[:2])
 
 
 def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
@@ -137,7 +134,7 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     """
     if len(A) == 0:
         return A, B, C
-    scale = sl.lapack.dgebal(A, scale=1, permute=0)[3]
+    scale = linalg.lapack.dgebal(A, scale=1, permute=0)[3]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
@@ -158,7 +155,7 @@ def _newton_step(A: FloatArray, modes: Modes) -> tuple[ComplexArray, FloatArray]
     partner[first], partner[first + 1] = first + 1, first
     heads = np.flatnonzero(poles.imag >= 0)  # one column for each pair
     residual = _residual(A, W, poles, partner)
-    off = sl.lapack.dgetrs(*modes.factors, residual)[0]
+    off = linalg.lapack.dgetrs(*modes.factors, residual)[0]
     columns = off[:, heads] + 1j * np.where(poles.imag[heads] > 0, off[:, partner[heads]], 0.0)
     x, y = columns[first], columns[first + 1]
     columns[first], columns[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)

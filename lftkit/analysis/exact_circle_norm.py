@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 
-sl: Any = scipy.linalg
 Integers = NDArray[np.object_]
 
 MAX_STATES = 24
@@ -130,7 +128,7 @@ class _Half:
         real = [int(x) / size for x in (pr * qr + pi * qi).ravel()]
         imaginary = [int(x) / size for x in (pi * qr - pr * qi).ravel()]
         response = np.array(real).reshape(shape) + 1j * np.array(imaginary).reshape(shape)
-        return float(sl.svdvals(response)[0])
+        return float(linalg.svdvals(response)[0])
 
     @cached_property
     def squares(self) -> tuple[Integers, Integers, Integers]:
@@ -230,7 +228,7 @@ def _signs(real: Integers, imaginary: Integers) -> list[int]:
     for x, y in zip(real, imaginary):
         bits = max(max(abs(v) for v in x.ravel()).bit_length() - 60, 0)
         matrix = (x >> bits).astype(float) + 1j * (y >> bits).astype(float)
-        values = sl.eigvalsh(matrix)
+        values = linalg.eigvalsh(matrix)
         size = MARGIN * max(abs(values[0]), abs(values[-1]))
         signs.append(1 if values[0] > size else -1 if values[0] < -size else 0)
     return signs

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from lftkit.analysis.compensated import halves, matrix_product, two_sum
 from lftkit.analysis.eigenvectors import (
@@ -29,8 +28,6 @@ from lftkit.analysis.eigenvectors import (
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.ports import port_slices
 from lftkit.systems.state_space import StateSpace
-
-sl: Any = scipy.linalg
 
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
@@ -101,7 +98,7 @@ class FrequencyResponse:
             form = cls(found.poles, left, right, d, None)
             if not check or _reproduces(form, a, b, c, d):
                 return form
-        T, Q = sl.schur(a.astype(complex), output="complex")
+        T, Q = linalg.schur(a.astype(complex), output="complex")
         return cls(np.diag(T).copy(), c @ Q, Q.conj().T @ b, d, T)
 
     @property
@@ -149,7 +146,7 @@ class FrequencyResponse:
         identity = np.eye(n)
         for i, x in enumerate(w):
             shifted = 1j * x * identity - self.triangular
-            out[i] += self.left @ sl.solve_triangular(shifted, self.right, check_finite=False)
+            out[i] += self.left @ linalg.solve_triangular(shifted, self.right, check_finite=False)
         return out
 
     def between(self, omega: FloatArray, row: ComplexArray, columns: ComplexArray) -> ComplexArray:
@@ -167,7 +164,7 @@ class FrequencyResponse:
         if self.triangular is None:
             return np.asarray(direct + np.sum(observed[:, None] * excited / (1j * omega - self.poles[:, None]), axis=0))
         shifted = (1j * w * np.eye(len(self.poles)) - self.triangular for w in omega)
-        solved = [sl.solve_triangular(s, x, check_finite=False) for s, x in zip(shifted, excited.T)]
+        solved = [linalg.solve_triangular(s, x, check_finite=False) for s, x in zip(shifted, excited.T)]
         return np.asarray(direct + np.array(solved).reshape(-1, len(self.poles)) @ observed)
 
     @cached_property
@@ -188,7 +185,7 @@ class FrequencyResponse:
             shifted = 1j * omega * np.eye(len(self.poles)) - self.triangular
             X = [self.right]
             for _ in range(3):
-                X.append(sl.solve_triangular(shifted, X[-1], check_finite=False))
+                X.append(linalg.solve_triangular(shifted, X[-1], check_finite=False))
             G, G1, G2 = (self.left @ x for x in X[1:])
         return G + self.D, -1j * G1, -2.0 * G2
 
@@ -292,7 +289,7 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     """
     if not np.isfinite(omega) or len(A) == 0:
         return np.asarray(D, dtype=complex)
-    resolvent = sl.lapack.zgetrs(*_factors(A, omega), B.astype(complex))[0]
+    resolvent = linalg.lapack.zgetrs(*_factors(A, omega), B.astype(complex))[0]
     return np.asarray(C @ resolvent + D, dtype=complex)
 
 
@@ -331,7 +328,7 @@ def refined_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
 def _solved(factors: tuple[ComplexArray, NDArray[np.int32]], right: FloatArray) -> FloatArray:
     """Solution for ``right[:, :m] + j right[:, m:]``, in the same form."""
     m = right.shape[1] // 2
-    X = sl.lapack.zgetrs(*factors, right[:, :m] + 1j * right[:, m:], overwrite_b=True)[0]
+    X = linalg.lapack.zgetrs(*factors, right[:, :m] + 1j * right[:, m:], overwrite_b=True)[0]
     return np.hstack([X.real, X.imag])
 
 
@@ -363,7 +360,7 @@ def _numerators(poles: ComplexArray, left: ComplexArray, right: ComplexArray) ->
 def _factors(A: FloatArray, omega: float) -> tuple[ComplexArray, NDArray[np.int32]]:
     shifted = (-A).astype(complex, order="F")
     shifted[np.diag_indices(len(A))] += 1j * omega
-    lu, pivots, info = sl.lapack.zgetrf(shifted, overwrite_a=True)
+    lu, pivots, info = linalg.lapack.zgetrf(shifted, overwrite_a=True)
     if info > 0:
         raise PoleError(_at_pole(omega))
     return lu, pivots

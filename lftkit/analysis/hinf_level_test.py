@@ -12,16 +12,13 @@ Neither looks at a grid only: a peak between two points cannot escape.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
-
-sl: Any = scipy.linalg
 
 EPS = float(np.finfo(float).eps)
 MAX_INTERVALS = 40_000
@@ -205,14 +202,14 @@ def hamiltonian_test(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     d = D * scale
     R = np.eye(m) - d.T @ d
     S = np.eye(p) - d @ d.T
-    gap = float(sl.eigvalsh(R)[0])
+    gap = float(linalg.eigvalsh(R)[0])
     if gap <= 0.0:  # then so is the smallest eigenvalue of S
         return LevelTest(False, True, np.array([np.inf]))
     balance = np.sqrt(scale)
     b, c = B * balance, C * balance
-    F = A + b @ sl.solve(R, d.T @ c, assume_a="pos")
-    H = np.block([[F, b @ sl.solve(R, b.T, assume_a="pos")], [-c.T @ sl.solve(S, c, assume_a="pos"), -F.T]])
-    values = sl.eigvals(H, overwrite_a=True, check_finite=False)
+    F = A + b @ linalg.solve(R, d.T @ c, assume_a="pos")
+    H = np.block([[F, b @ linalg.solve(R, b.T, assume_a="pos")], [-c.T @ linalg.solve(S, c, assume_a="pos"), -F.T]])
+    values = linalg.eigvals(H, overwrite_a=True, check_finite=False)
     size = float(np.abs(values).max(initial=0.0))
     solved = EPS * size * (1.0 / gap - 1.0)  # rounding of the solutions with R and S where the level is near norm(D)
     sizes = np.abs(values)

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle_h2 import discrete_h2
@@ -25,8 +24,6 @@ from lftkit.analysis.peak_search import climb
 from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.state_space import checked_matrices
-
-sl: Any = scipy.linalg
 
 MAX_ROUNDS = 40
 CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
@@ -157,7 +154,7 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
         if not len(a):
             return 0.0
         a, b, c = balanced(a, b, c)
-        T, Q = sl.schur(a, output="real", check_finite=False)
+        T, Q = linalg.schur(a, output="real", check_finite=False)
         if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
@@ -171,7 +168,7 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
 def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:
     """Solution of ``T P + P T' + W = 0`` (or with T transposed) for a quasi-triangular T."""
     trana, tranb = ("T", "N") if transposed else ("N", "T")
-    solution, scale, info = sl.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
+    solution, scale, info = linalg.lapack.dtrsyl(T, T, -W, trana=trana, tranb=tranb)
     if info < 0:
         raise ArithmeticError("the Lyapunov equation could not be solved: illegal argument")
     return np.asarray(0.5 * (solution + solution.T) / scale)
@@ -180,7 +177,7 @@ def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) ->
 def spectral_abscissa(A: ArrayLike) -> float:
     """Largest real part of the eigenvalues of `A` (n, n) [rad/s]; minus infinity for n = 0."""
     a = np.asarray(A, dtype=float)
-    return float(sl.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
+    return float(linalg.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
 
 
 def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
@@ -189,7 +186,7 @@ def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
         return _norm_of_feedthrough(A, D)
     peak = discrete_norm(system, rtol)
     if peak is None:
-        poles = sl.eigvals(balanced(A, B, C)[0])
+        poles = linalg.eigvals(balanced(A, B, C)[0])
         worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
         return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
     if peak.upper < np.inf and not (B.any() and C.any()):
@@ -216,7 +213,7 @@ def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certi
     seeds, terms = _seeds(response)
     value, omega = _best_peak(response, seeds, rtol)
     if test == "hamiltonian" and value == terms == 0.0:  # this test needs a level above zero
-        terms = float(sl.norm(system[1]) * sl.norm(system[2]) / np.abs(response.poles.real).min())
+        terms = float(linalg.norm(system[1]) * linalg.norm(system[2]) / np.abs(response.poles.real).min())
     noise = CANCELLATION * EPS * terms
     for _ in range(MAX_ROUNDS):
         modal_value, value = value, _direct_gain(system, omega)
@@ -244,7 +241,7 @@ def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certi
 def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
     """Norm of D; the states, if any, are not driven or not observed, but they must be stable."""
     if len(A):
-        poles = sl.eigvals(A)
+        poles = linalg.eigvals(A)
         worst = poles[np.argmax(poles.real)]
         if worst.real >= 0.0:
             return HInfNorm(np.inf, np.inf, float(abs(worst.imag)), "unstable")

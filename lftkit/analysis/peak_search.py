@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack
 
 from lftkit.arrays import ComplexArray
-
-lapack: Any = scipy.linalg.lapack
 
 MAX_STEPS = 20
 FALL = 0.01  # of a step that would raise the gain by less than this times the tolerance: it is not taken

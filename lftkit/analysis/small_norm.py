@@ -8,18 +8,15 @@ other way.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, refined_response
 from lftkit.analysis.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-
-lapack: Any = scipy.linalg.lapack
 
 MAX_STATES = 40
 MAX_LEVELS = 8

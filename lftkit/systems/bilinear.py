@@ -5,15 +5,11 @@ It keeps stability and norms; frequencies are warped, ``w = (2 / dt) tan(theta /
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
-
-sl: Any = scipy.linalg
 
 
 def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:
@@ -35,9 +31,9 @@ def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: 
     if n == 0:
         return A, B, C, D
     factors = _factors(np.eye(n) - 0.5 * dt * A, f"2 / dt = {2.0 / dt} rad/s")
-    a = sl.lu_solve(factors, np.eye(n) + 0.5 * dt * A)
-    b = sl.lu_solve(factors, B) * dt
-    return a, b, sl.lu_solve(factors, C.T, trans=1).T, D + 0.5 * C @ b
+    a = linalg.lu_solve(factors, np.eye(n) + 0.5 * dt * A)
+    b = linalg.lu_solve(factors, B) * dt
+    return a, b, linalg.lu_solve(factors, C.T, trans=1).T, D + 0.5 * C @ b
 
 
 def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float = 2.0) -> Matrices:
@@ -60,10 +56,10 @@ def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt
     if n == 0:
         return A, B, C, D
     factors = _factors(A + np.eye(n), "-1")
-    seen = sl.lu_solve(factors, C.T, trans=1).T
+    seen = linalg.lu_solve(factors, C.T, trans=1).T
     return (
-        (2.0 / dt) * sl.lu_solve(factors, A - np.eye(n)),
-        (2.0 / dt) * sl.lu_solve(factors, B),
+        (2.0 / dt) * linalg.lu_solve(factors, A - np.eye(n)),
+        (2.0 / dt) * linalg.lu_solve(factors, B),
         2.0 * seen,
         D - seen @ B,
     )
@@ -71,7 +67,7 @@ def to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt
 
 def _factors(M: FloatArray, pole: str) -> tuple[FloatArray, NDArray[np.int32]]:
     """LU factors of a matrix that is singular where the system has the named pole."""
-    lu, pivots, info = sl.lapack.dgetrf(M)
+    lu, pivots, info = linalg.lapack.dgetrf(M)
     if info > 0:
         raise ValueError(f"poles must not be at {pole}, got one there")
     return lu, pivots

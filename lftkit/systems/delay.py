@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from math import factorial
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.ports import Port
 from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem, state_space, static_gain
-
-sl: Any = scipy.linalg
 
 
 def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
@@ -57,11 +54,11 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     through = num[-1]
     companion = np.diag(np.ones(order - 1), 1)
     companion[-1] = -den[:-1]
-    A, T = sl.matrix_balance(companion, permute=False)
-    B, C = sl.solve(T, np.eye(order)[:, -1:]), (num - through * den)[None, :-1] @ T
-    level = np.sqrt(sl.norm(C) / sl.norm(B))
+    A, T = linalg.matrix_balance(companion, permute=False)
+    B, C = linalg.solve(T, np.eye(order)[:, -1:]), (num - through * den)[None, :-1] @ T
+    level = np.sqrt(linalg.norm(C) / linalg.norm(B))
     return (
-        np.kron(each, A) / delay,
+        np.asarray(np.kron(each, A) / delay, dtype=float),
         np.kron(each, B * level) / delay,
         np.kron(each, C / level),
         np.asarray(each * through, dtype=float),

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.systems.state_space import StateSpace
-
-sl: Any = scipy.linalg
 
 
 def cascade(first: StateSpace, second: StateSpace, name: str = "") -> StateSpace:
@@ -46,9 +43,9 @@ def close_loop(plant: StateSpace, controller: StateSpace, inputs: Sequence[str],
     A, B, C, D = plant.matrices
     Ak, Bk, Ck, Dk = controller.matrices
     loop = np.eye(len(cu)) - Dk @ D[np.ix_(ry, cu)]
-    if np.abs(sl.det(loop)) < 1e-12:
+    if np.abs(linalg.det(loop)) < 1e-12:
         raise ValueError(f"the loop of {plant.name} and {controller.name} is not well posed (I - D_K D_22 singular)")
-    E = sl.inv(loop)
+    E = linalg.inv(loop)
     B2, C2, D12, D21, D22 = B[:, cu], C[ry], D[np.ix_(rz, cu)], D[np.ix_(ry, cw)], D[np.ix_(ry, cu)]
     X, U, W = E @ Dk @ C2, E @ Ck, E @ Dk @ D21  # u = X x + U x_K + W w
     Acl = np.block([[A + B2 @ X, B2 @ U], [Bk @ (C2 + D22 @ X), Ak + Bk @ D22 @ U]])

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.bilinear import to_discrete
 from lftkit.systems.sampled_system import SampledSystem
 from lftkit.systems.state_space import StateSpace
 from lftkit.systems.uncertain_system import UncertainSystem
-
-sl: Any = scipy.linalg
 
 METHODS = ("tustin", "hold")
 
@@ -58,5 +56,5 @@ def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     n, size = len(A), sum(B.shape)
     whole = np.zeros((size, size))
     whole[:n, :n], whole[:n, n:] = A, B
-    step = sl.expm(whole * dt)[:n]
+    step = linalg.expm(whole * dt)[:n]
     return step[:, :n], step[:, n:], C, D

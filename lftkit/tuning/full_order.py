@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.structures import AffineStructure
-
-sl: Any = scipy.linalg
 
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
@@ -109,12 +107,12 @@ def _regularised(plant: ExtendedPlant) -> Matrices:
 def _lqg(plant: ExtendedPlant) -> Estimator | None:
     B1, C1, D12, D21 = _regularised(plant)
     try:
-        X = sl.solve_continuous_are(plant.A, plant.B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
-        Y = sl.solve_continuous_are(plant.A.T, plant.C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
-    except (sl.LinAlgError, ValueError):
+        X = linalg.solve_continuous_are(plant.A, plant.B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
+        Y = linalg.solve_continuous_are(plant.A.T, plant.C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
+    except (linalg.LinAlgError, ValueError):
         return None
-    F = -sl.solve(D12.T @ D12, plant.B2.T @ X + D12.T @ C1)
-    L = -sl.solve(D21 @ D21.T, plant.C2 @ Y + D21 @ B1.T).T
+    F = -linalg.solve(D12.T @ D12, plant.B2.T @ X + D12.T @ C1)
+    L = -linalg.solve(D21 @ D21.T, plant.C2 @ Y + D21 @ B1.T).T
     return Estimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F)
 
 
@@ -143,20 +141,20 @@ def _central(plant: ExtendedPlant, level: float) -> Estimator | None:
     nw, nz = B1.shape[1], len(C1)
     D1, D2 = np.hstack([np.zeros((nz, nw)), D12]), np.vstack([np.zeros((nz, nw)), D21])
     B, C = np.hstack([B1, plant.B2]), np.vstack([C1, plant.C2])
-    R = D1.T @ D1 - sl.block_diag(level**2 * np.eye(nw), np.zeros((plant.B2.shape[1],) * 2))
-    S = D2 @ D2.T - sl.block_diag(level**2 * np.eye(nz), np.zeros((len(plant.C2),) * 2))
+    R = D1.T @ D1 - linalg.block_diag(level**2 * np.eye(nw), np.zeros((plant.B2.shape[1],) * 2))
+    S = D2 @ D2.T - linalg.block_diag(level**2 * np.eye(nz), np.zeros((len(plant.C2),) * 2))
     try:
-        X = sl.solve_continuous_are(plant.A, B, C1.T @ C1, R, s=C1.T @ D1)
-        Y = sl.solve_continuous_are(plant.A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
-    except (sl.LinAlgError, ValueError):
+        X = linalg.solve_continuous_are(plant.A, B, C1.T @ C1, R, s=C1.T @ D1)
+        Y = linalg.solve_continuous_are(plant.A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
+    except (linalg.LinAlgError, ValueError):
         return None
     product = X @ Y / level**2
-    least = min(float(sl.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
-    if least < -1e-7 or float(np.abs(sl.eigvals(product)).max()) >= 1.0:
+    least = min(float(linalg.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
+    if least < -1e-7 or float(np.abs(linalg.eigvals(product)).max()) >= 1.0:
         return None
-    F = -sl.solve(R, B.T @ X + D1.T @ C1)
-    L = -sl.solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
-    ZL = sl.solve(np.eye(len(X)) - product.T, L)
+    F = -linalg.solve(R, B.T @ X + D1.T @ C1)
+    L = -linalg.solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
+    ZL = linalg.solve(np.eye(len(X)) - product.T, L)
     seen = plant.C2 + D21 @ F[:nw]
     return Estimator(plant.A + B1 @ F[:nw] + ZL @ seen, plant.B2 + ZL @ plant.D22, ZL, F[nw:])
 
@@ -165,15 +163,15 @@ def _reduced(full: Estimator, plant: ExtendedPlant, order: int) -> Matrices | No
     """A, B, C and D of the controller of this order."""
     if order == 0:
         empty = np.zeros((0, 0))
-        D = full.F @ sl.pinv(plant.C2)
+        D = full.F @ linalg.pinv(plant.C2)
         return empty, np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D
-    if float(sl.eigvals(full.A).real.max()) >= 0.0 or order > len(full.A):
+    if float(linalg.eigvals(full.A).real.max()) >= 0.0 or order > len(full.A):
         return None
     inputs = np.hstack([full.B, -full.L])
-    P = sl.solve_continuous_lyapunov(full.A, -inputs @ inputs.T)
-    Q = sl.solve_continuous_lyapunov(full.A.T, -full.F.T @ full.F)
-    p, q = _root(P), _root(Q)
-    U, s, Vh = sl.svd(q.T @ p)
+    P = linalg.solve_continuous_lyapunov(full.A, -inputs @ inputs.T)
+    Q = linalg.solve_continuous_lyapunov(full.A.T, -full.F.T @ full.F)
+    p, q = _root(np.asarray(P, dtype=float)), _root(np.asarray(Q, dtype=float))
+    U, s, Vh = linalg.svd(q.T @ p)
     if not s[order - 1] > 1e-12 * s[0]:
         return None
     scale = 1.0 / np.sqrt(s[:order])
@@ -184,7 +182,7 @@ def _reduced(full: Estimator, plant: ExtendedPlant, order: int) -> Matrices | No
 
 
 def _root(P: FloatArray) -> FloatArray:
-    values, vectors = sl.eigh(0.5 * (P + P.T))
+    values, vectors = linalg.eigh(0.5 * (P + P.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
@@ -194,11 +192,12 @@ def _parameters(
     """Parameters of this controller, its states as they are or in real modal form."""
     forms = [(A, B, C)]
     if len(A):
-        poles, V = sl.eig(A)
-        V, blocks = sl.cdf2rdf(poles, V)[::-1]
-        values = sl.svdvals(V)
+        blocks, V = cast(
+            "tuple[FloatArray, FloatArray]", linalg.cdf2rdf(*cast("tuple[ComplexArray, ComplexArray]", linalg.eig(A)))
+        )
+        values = linalg.svdvals(V)
         if values[0] < MAX_CONDITION * values[-1]:
-            forms.append((blocks, sl.solve(V, B), C @ V))
+            forms.append((blocks, linalg.solve(V, B), C @ V))
     return next((x for form in forms if (x := _taken(structure, *form, D)) is not None), None)
 
 

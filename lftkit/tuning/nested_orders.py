@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import read_only
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.structures import AffineStructure
-
-sl: Any = scipy.linalg
 
 SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
 INPUT = 0.3  # size of the new state's input, relative to the gain of the controller
@@ -52,7 +49,7 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
     rng = np.random.default_rng(n)
     found = []
     for speed in _speeds(problem.models):
-        A = sl.block_diag(K[:n, :n], [[-speed]])
+        A = linalg.block_diag(K[:n, :n], np.array([[-speed]]))
         size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
         B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
         C = np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))])
@@ -65,7 +62,7 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
 
 
 def _speeds(models: Sequence[StateSpace]) -> list[float]:
-    sizes = np.abs(sl.eigvals(models[0].A)) if len(models[0].A) else np.ones(1)
+    sizes = np.abs(linalg.eigvals(models[0].A)) if len(models[0].A) else np.ones(1)
     sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
     return [float(s) for s in np.quantile(sizes, SPEEDS)]
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray, Matrix
 from lftkit.systems.ports import Port
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.structures import total_size
-
-sl: Any = scipy.linalg
 
 
 @dataclass(frozen=True)
@@ -99,16 +97,16 @@ class StableStateSpace:
         """
         n = self.order
         shifted = model.A + self.min_decay * np.eye(n)
-        if model.order != n or np.any(sl.eigvals(shifted).real >= 0.0):
+        if model.order != n or np.any(cast("ComplexArray", linalg.eigvals(shifted)).real >= 0.0):
             raise ValueError(
                 f"{model.name}: expected order {n} and every pole left of -{self.min_decay} rad/s, got order "
-                f"{model.order} and poles {np.round(sl.eigvals(model.A), 6).tolist()}"
+                f"{model.order} and poles {np.round(linalg.eigvals(model.A), 6).tolist()}"
             )
-        P = sl.solve_continuous_lyapunov(shifted, -np.eye(n))
-        T = sl.cholesky(P, lower=True)
-        A = sl.solve_triangular(T, model.A @ T, lower=True)
-        L = sl.cholesky(-0.5 * (A + A.T) - self.min_decay * np.eye(n), lower=True)
-        B = sl.solve_triangular(T, model.B, lower=True)
+        P = linalg.solve_continuous_lyapunov(shifted, -np.eye(n))
+        T = linalg.cholesky(P, lower=True)
+        A = linalg.solve_triangular(T, model.A @ T, lower=True)
+        L = linalg.cholesky(cast("Matrix", -0.5 * (A + A.T) - self.min_decay * np.eye(n)), lower=True)
+        B = linalg.solve_triangular(T, model.B, lower=True)
         S = 0.5 * (A - A.T)
         parts = [S[np.tril_indices(n, -1)], L[np.tril_indices(n)], B.ravel(), (model.C @ T).ravel()]
         return np.concatenate([*parts, model.D.ravel()] if self.feedthrough else parts)

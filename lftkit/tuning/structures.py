@@ -13,14 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.systems.ports import Port, read_only
 from lftkit.systems.state_space import StateSpace
-
-sl: Any = scipy.linalg
 
 
 @runtime_checkable
@@ -122,7 +120,7 @@ class AffineStructure:
         selection = np.zeros((K.size, self.size))
         flat = self.rows * K.shape[1] + self.columns
         np.add.at(selection, (flat, self.parameters), self.coefficients)
-        x = sl.lstsq(selection, (K - self.base).ravel())[0] if self.size else np.zeros(0)
+        x = linalg.lstsq(selection, (K - self.base).ravel())[0] if self.size else np.zeros(0)
         residual = np.abs(self.gain_matrix(x) - K).max(initial=0.0)
         if residual > 1e-9 * max(1.0, np.abs(K).max(initial=0.0)):
             raise ValueError(f"{model.name} does not have this structure: an entry differs by {residual:.3g}")

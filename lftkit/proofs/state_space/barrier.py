@@ -20,8 +20,6 @@ from scipy import linalg, sparse
 
 from lftkit.arrays import ComplexArray, FloatArray
 
-sl: Any = linalg
-
 REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
 GROWTH = 8.0
 """Factor by which the weight of the objective grows from one centre to the next."""
@@ -200,7 +198,7 @@ class Problem:
         """Objective with barrier; infinite outside."""
         total = weight * y[0] + 0.5 * float(self.penalty @ y**2)
         for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *(D for _, D in self._positive(y))):
-            factor, info = sl.lapack.zpotrf(matrix, lower=1)
+            factor, info = linalg.lapack.zpotrf(matrix, lower=1)
             if info:
                 return np.inf
             total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
@@ -304,8 +302,8 @@ class Problem:
 
 def _inverse(matrix: ComplexArray) -> ComplexArray:
     """Inverse of a positive definite matrix."""
-    factor, _ = sl.lapack.zpotrf(matrix, lower=1)
-    lower = np.tril(sl.lapack.zpotri(factor, lower=1)[0])
+    factor, _ = linalg.lapack.zpotrf(matrix, lower=1)
+    lower = np.tril(linalg.lapack.zpotri(factor, lower=1)[0])
     return np.asarray(lower + np.tril(lower, -1).conj().T)
 
 
@@ -367,7 +365,7 @@ def newton_step(curvature: FloatArray, slope: FloatArray, trace: FloatArray) -> 
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     scaled = curvature * scale[:, None] * scale
     for shift in (1e-13, 1e-10, 1e-7, 1e-4):
-        factor, info = sl.lapack.dpotrf(scaled + shift * np.eye(len(scaled)), lower=1)
+        factor, info = linalg.lapack.dpotrf(scaled + shift * np.eye(len(scaled)), lower=1)
         if not info:
             break
     else:

@@ -6,17 +6,16 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
 from lftkit.proofs.state_space.checker import Inequality, digest
 from lftkit.systems.uncertain_system import UncertainSystem
 
-sl: Any = linalg
 FORMAT = "los-testbed proof 1"
 
 
@@ -116,7 +115,7 @@ def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     if not len(A):
         yield np.zeros((0, 0)), np.zeros((0, 0))
         return
-    values, vectors = sl.eig(A)
+    values, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(A))
     columns = [vectors[:, i].real for i in range(len(A)) if values[i].imag == 0.0]
     for i in range(len(A)):
         if values[i].imag > 0.0:

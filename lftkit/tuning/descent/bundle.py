@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
-
-sl: Any = scipy.linalg
 
 USED_MARGIN = 0.9  # fraction of the linearised distance to the boundary of the domain that a step may use
 MAX_PLANES, PLANES_PER_POINT = 60, 3
@@ -79,7 +76,7 @@ class Bundle:
             if stop():
                 return k
             u = rng.standard_normal(len(x))
-            point = x + metric.step(self.radius * u / sl.norm(u))
+            point = x + metric.step(self.radius * u / linalg.norm(u))
             near = oracle(point)
             if near.inside:
                 self.sampled += [Plane(p.value, p.gradient, point, p.hard) for p in near.largest(SAMPLED_PER_POINT)]

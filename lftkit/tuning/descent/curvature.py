@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import scipy.linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.pieces import OracleResult, matching_piece
-
-sl: Any = scipy.linalg
 
 MIN_MULTIPLIER = 1e-8  # pieces with a smaller multiplier say nothing about the Lagrangian
 MIN_MATCHED = 0.3  # sum of the multipliers of matched pieces below which nothing is learned

@@ -13,19 +13,17 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrix
 from lftkit.tuning.descent.bundle import Bundle
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
 from lftkit.tuning.descent.pieces import Oracle, OracleResult
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
-
-sl: Any = scipy.linalg
 
 ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25  # of the predicted decrease
 MIN_PROXIMITY, MAX_PROXIMITY = 1e-8, 1e14
@@ -167,7 +165,7 @@ class _BundleDescent:
 
     def _first_proximity(self) -> float:
         """Such that a step along the largest gradient has about the length 1 / 2."""
-        return 2.0 * max(float(sl.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces) + 1e-9
+        return 2.0 * max(float(linalg.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces) + 1e-9
 
     def step(self) -> StopReason | None:
         """One quadratic program and one trial; the reason to stop or None."""
@@ -213,13 +211,13 @@ class _BundleDescent:
     def _direction(self, offsets: FloatArray, G: FloatArray) -> tuple[FloatArray, FloatArray]:
         identity = np.eye(len(self.x))
         try:
-            factor = sl.cho_factor(self._curvature.B + self._proximity * identity, lower=True)
-        except sl.LinAlgError:
+            factor = linalg.cho_factor(cast("Matrix", self._curvature.B + self._proximity * identity), lower=True)
+        except linalg.LinAlgError:
             # rounding has destroyed the definiteness of the learned curvature: start learning again
             self._proximity = max(self._proximity, 1e-6 * self._curvature.size)
             self._curvature.reset()
-            factor = sl.cho_factor(self._proximity * identity, lower=True)
-        QG = sl.cho_solve(factor, G.T)
+            factor = linalg.cho_factor(cast("Matrix", self._proximity * identity), lower=True)
+        QG = linalg.cho_solve(factor, G.T)
         weights, _ = simplex_minimum(G @ QG, offsets)
         return weights, -(QG @ weights)
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.pieces import OracleResult, Piece
-
-sl: Any = scipy.linalg
 
 EIGENVALUE_FLOOR = 1e-9  # of the scaled Gauss-Newton matrix: directions that change nothing keep a finite length
 SMALLEST_SCALE, LARGEST_SCALE = 1e-2, 1e3  # of a diagonal metric, about the geometric mean of the slopes
@@ -59,7 +56,7 @@ def metric_of(matrix: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
     """
     diagonal = np.diag(matrix)
     scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max(initial=0.0)), 1e-300)))
-    values, vectors = sl.eigh(matrix * np.outer(scale, scale))
+    values, vectors = linalg.eigh(matrix * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, floor * max(float(values[-1]), 1e-300)))
     return Metric(scale[:, None] * vectors / root, (root[:, None] * vectors.T) / scale)
 

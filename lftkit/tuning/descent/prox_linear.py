@@ -10,13 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.simplex_qp import prox_direction
 from lftkit.tuning.descent.smooth_objective import Linearisation, SmoothObjective
-
-sl: Any = scipy.linalg
 
 METRIC = 3  # steps between two metrics
 PLANES, TRIALS = 120, 10  # planes of the first quadratic program of a step; weights that are tried
@@ -45,7 +43,7 @@ def prox_linear(
     while taken < steps and not stop():
         here = objective.linearised(x)
         if taken % METRIC == 0 or factor is None:
-            factor = sl.cho_factor(objective.gauss_newton(x))
+            factor = linalg.cho_factor(objective.gauss_newton(x))
         violation = max(hard, 0.0)
         offsets = _offsets(here, soft, violation)
         planes = np.argsort(-offsets, kind="stable")[:PLANES]

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
 
 Function = Callable[[FloatArray], tuple[float, FloatArray]]
-sl: Any = scipy.linalg
 
 ARMIJO, WOLFE = 1e-4, 0.5
 MAX_SEARCH = 25
@@ -63,7 +61,7 @@ def quasi_newton(
                 break
             H = None
             continue
-        first = min(1.0, FIRST_STEP / max(float(sl.norm(d)), 1e-300)) if H is None else 1.0
+        first = min(1.0, FIRST_STEP / max(float(linalg.norm(d)), 1e-300)) if H is None else 1.0
         found = _weak_wolfe(function, x, f, slope, metric, d, first, stop)
         if found is None:
             if H is None:
@@ -87,12 +85,12 @@ def quasi_newton(
 
 
 def _updated(H: FloatArray | None, s: FloatArray, y: FloatArray) -> FloatArray | None:
-    size = float(sl.norm(s))
+    size = float(linalg.norm(s))
     if size < np.finfo(float).tiny:
         return H
     s, y = s / size, y / size  # the update is the same, and the products of short steps do not underflow
     sy = float(s @ y)
-    if not sy > 1e-14 * float(sl.norm(y)):
+    if not sy > 1e-14 * float(linalg.norm(y)):
         return H
     if H is None:
         H = np.eye(len(s)) * (sy / float(y @ y))

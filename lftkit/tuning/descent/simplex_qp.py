@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
-from lftkit.arrays import FloatArray, IntArray
-
-sl: Any = scipy.linalg
+from lftkit.arrays import FloatArray, IntArray, Matrix
 
 MAX_ITERATIONS = 60
 PROGRAMS, ADDED, KEPT = 12, 60, 120  # programs of a step, planes added to each, idle ones that are kept
@@ -55,8 +53,9 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
         gap = float(mu @ s) / m
         if gap < tolerance and np.abs(residual).max() < 1e-12:
             break
-        factor = sl.cho_factor(Q + np.diag(s / mu + 1e-14), lower=True, check_finite=False)
-        rest = (residual, factor, sl.cho_solve(factor, e, check_finite=False), e, mu, s)
+        hessian = cast("Matrix", Q + np.diag(s / mu + 1e-14))
+        factor = linalg.cho_factor(hessian, lower=True, check_finite=False)
+        rest = (residual, factor, linalg.cho_solve(factor, e, check_finite=False), e, mu, s)
         dmu, ds, _ = _newton(-mu * s, *rest)
         step = min(_longest(mu, dmu), _longest(s, ds))
         centre = (float((mu + step * dmu) @ (s + step * ds)) / m / gap) ** 3 if gap > 0 else 0.0
@@ -80,7 +79,7 @@ def prox_direction(
     current, linear = float(f.max()), f
     d: FloatArray = np.zeros(G.shape[1])
     for _ in range(PROGRAMS):
-        chosen = sl.cho_solve(factor, G[planes].T)
+        chosen = linalg.cho_solve(factor, G[planes].T)
         lam, _ = simplex_minimum(G[planes] @ chosen / weight, f[planes])
         d = -(chosen @ lam) / weight
         linear = f + G @ d
@@ -103,7 +102,7 @@ def _newton(
     s: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Step of the perturbed optimality conditions for a requested change of the products mu s."""
-    u = sl.cho_solve(factor, complement / mu - residual, check_finite=False)
+    u = linalg.cho_solve(factor, complement / mu - residual, check_finite=False)
     dnu = float(e @ u - (1.0 - e @ mu)) / float(e @ solved_e)
     dmu = u - dnu * solved_e
     return dmu, (complement - s * dmu) / mu, dnu

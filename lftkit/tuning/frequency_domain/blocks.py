@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.structures import gain_sizes
 
-sl: Any = scipy.linalg
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
 MOST_CONDITION = 1e8
 """Of eigenvectors with which single poles are moved."""
@@ -100,16 +99,16 @@ def with_least_decay(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatA
         n = block.order
         if block.least_decay is None or n == 0 or not block.free[:n, :n].all():
             continue
-        poles, vectors = sl.eig(M[:n, :n])
+        poles, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(M[:n, :n]))
         if poles.real.max() <= -block.least_decay:
             continue
         if moved is x:
             moved = x.copy()
         A = gain_matrices(blocks, moved)[k][:n, :n]
-        sizes = sl.svdvals(vectors)
+        sizes = linalg.svdvals(vectors)
         if sizes[0] < MOST_CONDITION * sizes[-1]:
             decaying = np.minimum(poles.real, -block.least_decay) + 1j * poles.imag
-            A[:] = ((vectors * decaying) @ sl.inv(vectors)).real
+            A[:] = ((vectors * decaying) @ linalg.inv(vectors)).real
         else:  # nearly a Jordan block: all poles alike
             A -= (poles.real.max() + block.least_decay) * np.eye(n)
     return moved

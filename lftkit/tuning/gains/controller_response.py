@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import ComplexArray, FloatArray
-
-sl: Any = scipy.linalg
 
 MAX_CONDITION = 1e4  # of the eigenvectors of A_K, above which its resolvent is solved for at every frequency
 ORIGIN = 1e-12  # [rad/s] frequency at which the limit of an integrator at zero frequency is taken
@@ -85,11 +83,11 @@ def controller_modes(K: FloatArray, n: int) -> Modes:
 def _modes(data: bytes, shape: tuple[int, int], n: int) -> Modes:
     """The same, kept for the models that have the same controller."""
     K = np.frombuffer(data).reshape(shape)
-    poles, V = sl.eig(K[:n, :n])
-    values = sl.svdvals(V)
+    poles, V = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(K[:n, :n]))
+    values = linalg.svdvals(V)
     if values[-1] * MAX_CONDITION <= values[0]:
         return poles, None, None
-    return poles, np.vstack([V, K[n:, :n] @ V]), sl.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
+    return poles, np.vstack([V, K[n:, :n] @ V]), linalg.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
 
 
 def _sums(r: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:

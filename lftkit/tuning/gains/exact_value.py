@@ -6,10 +6,9 @@ is missed; what decides in the end are the values of :class:`lftkit.tuning.probl
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg
+from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
@@ -19,8 +18,6 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
-
-lapack: Any = scipy.linalg.lapack
 
 MAX_ORDER = 40  # of the closed loop: above it the grid of the smooth phase is cheaper
 RIVAL, MAX_RIVALS = 0.9, 3  # peaks of the frequencies tried above this fraction of the largest gain are refined

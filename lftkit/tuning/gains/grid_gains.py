@@ -7,17 +7,13 @@ refined and no Lyapunov equation is solved. H2 norms are sums over the grid, sca
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from lftkit.analysis.batched_linalg import determinants, leading_pairs, smooth_gains, smooth_slopes, solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.gains.controller_response import Controller, controller_modes
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
-
-sl: Any = scipy.linalg
 
 EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
 """Of the frequencies where every gain is below this fraction of its peak, and every contribution to an H2 norm below

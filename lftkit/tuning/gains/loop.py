@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.norms import schur_lyapunov
@@ -19,8 +19,6 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade
 from lftkit.systems.state_space import StateSpace
-
-sl: Any = scipy.linalg
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class ExtendedPlant:
                 self.C2,
                 self.D21,
             )
-        inner = sl.inv(np.eye(K.shape[1]) - self.D22 @ K)
+        inner = linalg.inv(np.eye(K.shape[1]) - self.D22 @ K)
         KS = K @ inner
         left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
         left_z = self.D12 + self.D12 @ KS @ self.D22
@@ -129,7 +127,7 @@ def extended_plant(
     k = controller_order
     n = whole.order
     return ExtendedPlant(
-        sl.block_diag(A, np.zeros((k, k))),
+        linalg.block_diag(A, np.zeros((k, k))),
         np.vstack([B[:, :nw], np.zeros((k, nw))]),
         np.block([[np.zeros((n, k)), B[:, nw:]], [np.eye(k), np.zeros((k, nu))]]),
         scale * np.hstack([C[:nz], np.zeros((nz, k))]),
@@ -137,7 +135,7 @@ def extended_plant(
         scale * whole.D[:nz, :nw],
         scale * np.hstack([np.zeros((nz, k)), whole.D[:nz, nw:]]),
         np.vstack([np.zeros((k, nw)), whole.D[nz:, :nw]]),
-        sl.block_diag(np.zeros((k, k)), whole.D[nz:, nw:]),
+        linalg.block_diag(np.zeros((k, k)), whole.D[nz:, nw:]),
     )
 
 
@@ -171,7 +169,7 @@ class Spectrum:
         """Real parts of the poles that a small change of K brings to the axis soonest, with real gradients."""
         if self.rows is None or self.columns is None:
             return []
-        reach = sl.norm(self.rows, axis=0) * sl.norm(self.columns, axis=0)
+        reach = np.asarray(linalg.norm(self.rows, axis=0)) * np.asarray(linalg.norm(self.columns, axis=0))
         reach[self.poles.imag < 0] = 0.0
         order = np.argsort(self.poles.real / np.maximum(reach, 1e-300))[::-1][:max_poles]
         return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
@@ -180,8 +178,9 @@ class Spectrum:
 def spectrum(loop: ClosedLoop, *, derivatives: bool) -> Spectrum:
     """Poles of the closed loop, with derivatives if asked for."""
     if not derivatives:
-        return Spectrum(np.asarray(sl.eigvals(loop.A, check_finite=False), dtype=complex))
-    values, left, right = sl.eig(loop.A, left=True, right=True, check_finite=False)
+        return Spectrum(np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex))
+    found: Any = linalg.eig(loop.A, left=True, right=True, check_finite=False)  # the stubs say two results
+    values, left, right = cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
     scale = np.sum(left.conj() * right, axis=0)
     # a defective pole has no derivative; a large finite one still points downhill
     scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
@@ -196,7 +195,7 @@ def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray |
     With P and X the controllability and observability Gramians, ``d trace(C P C') = 2 <X P, dA> + 2 <X B, dB> +
     2 <C P, dC>``.
     """
-    T, Q = sl.schur(loop.A, output="real", check_finite=False)
+    T, Q = linalg.schur(loop.A, output="real", check_finite=False)
     b, c = Q.T @ loop.B, loop.C @ Q
     P = schur_lyapunov(T, b @ b.T, transposed=False)
     square = max(float(np.sum((c @ P) * c)), 0.0)
@@ -223,7 +222,7 @@ def _or_unit(weight: StateSpace | None, size: int) -> StateSpace:
 
 
 def _stacked(parts: list[StateSpace]) -> StateSpace:
-    A, B, C, D = (sl.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
+    A, B, C, D = (linalg.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
     n = sum(p.order for p in parts)
     m, r = sum(p.D.shape[1] for p in parts), sum(p.D.shape[0] for p in parts)
     A, B, C, D = A.reshape(n, n), B.reshape(n, m), C.reshape(r, n), D.reshape(r, m)

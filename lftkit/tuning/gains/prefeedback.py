@@ -10,11 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
-
-sl: Any = scipy.linalg
 
 UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
 SUFFICIENT = 2e-3  # damping ratio that is enough for every pole
@@ -31,22 +29,22 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
     zero: FloatArray = np.zeros((B2.shape[1], len(C2)))
     if len(A) == 0 or zero.size == 0:
         return zero
-    poles = sl.eigvals(A)
+    poles = linalg.eigvals(A)
     scale = float(np.median(np.abs(poles))) or 1.0
     best, most_damped = zero, _least_damping(poles, scale)
     if most_damped >= UNDAMPED:
         return zero
     rng = np.random.default_rng(0)
     shifted = A - (scale + float(np.abs(poles.real).max())) * np.eye(len(A))
-    gain = max(float(np.abs(C2 @ sl.solve(shifted, B2)).max()) + float(np.abs(D22).max(initial=0.0)), 1e-300)
+    gain = max(float(np.abs(C2 @ linalg.solve(shifted, B2)).max()) + float(np.abs(D22).max(initial=0.0)), 1e-300)
     directions = [rng.standard_normal(zero.shape) for _ in range(DIRECTIONS)]
     for size in SIZES:
         for F in (sign * d * size / gain for d in directions for sign in (1.0, -1.0)):
             inner = np.eye(len(F)) - F @ D22
-            values = sl.svdvals(inner)
+            values = linalg.svdvals(inner)
             if values[0] > MAX_CONDITION * values[-1]:
                 continue
-            damping = _least_damping(sl.eigvals(A + B2 @ sl.solve(inner, F @ C2)), scale)
+            damping = _least_damping(linalg.eigvals(A + B2 @ linalg.solve(inner, F @ C2)), scale)
             if damping > most_damped:
                 best, most_damped = F, damping
         if most_damped > SUFFICIENT:
@@ -64,7 +62,7 @@ def applied(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, nz: int,
     if not F.any():
         return A, B, C, D
     B2, C2, D12, D21, D22 = B[:, nw:], C[nz:], D[:nz, nw:], D[nz:, :nw], D[nz:, nw:]
-    inner = sl.inv(np.eye(len(F)) - F @ D22)
+    inner = linalg.inv(np.eye(len(F)) - F @ D22)
     FC, FD, through = inner @ F @ C2, inner @ F @ D21, inner
     into: FloatArray = np.vstack([D12, D22])
     return (

@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-import scipy.linalg
+from scipy import linalg
 
 from lftkit import SampledSystem, UncertainSystem
 from lftkit.analysis.batched_linalg import solve
@@ -29,7 +29,6 @@ from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 
 IndexArray = IntArray
-linalg: Any = scipy.linalg
 
 COARSE = 1.1
 """Ratio of neighbouring frequencies away from the modes."""
@@ -91,7 +90,7 @@ class MovingModes:
     @classmethod
     def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, members: Sequence[FloatArray]) -> MovingModes:
         """Split the nominal telescope by an ordered Schur form; `members` are values of W."""
-        poles, vectors = linalg.eig(A)
+        poles, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(A))
         left = linalg.inv(vectors)
         shift = np.max([np.abs(np.einsum("kb,bc,ck->k", left @ B, W, C @ vectors)) for W in members], axis=0)
         below = np.abs(poles) < MODES_END
