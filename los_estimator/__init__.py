@@ -1,0 +1,1 @@
+"""Observer of the line of sight: its law at run time and its design problem."""

@@ -1,0 +1,1 @@
+"""Model of the telescope: blocks, structures, the assembled spacecraft and its simulation."""

@@ -17,14 +17,28 @@ class Summarised(Protocol):
     """What a summary needs of a system: ports, parameters, number of states, occurrences of each parameter."""
 
     @property
-    def inputs(self) -> tuple[Port, ...]: ...
+    def inputs(self) -> tuple[Port, ...]:
+        """Ports of the inputs."""
+        ...
+
     @property
-    def outputs(self) -> tuple[Port, ...]: ...
+    def outputs(self) -> tuple[Port, ...]:
+        """Ports of the outputs."""
+        ...
+
     @property
-    def parameters(self) -> tuple[RealParameter, ...]: ...
+    def parameters(self) -> tuple[RealParameter, ...]:
+        """Uncertain parameters."""
+        ...
+
     @property
-    def order(self) -> int: ...
-    def occurrences(self) -> dict[str, int]: ...
+    def order(self) -> int:
+        """Number of states."""
+        ...
+
+    def occurrences(self) -> dict[str, int]:
+        """Number of repetitions of each parameter in Delta."""
+        ...
 
 
 def one_line(system: Summarised) -> str:

@@ -197,8 +197,9 @@ class Problem:
     def evaluate(
         self, x: FloatArray, *, band: float = 0.7, gradients: bool = True, h2_once: bool = False
     ) -> Evaluation:
-        """Values of all requirements at the parameters `x`, with the pieces above `band` times the largest
-        of their kind.
+        """Values of all requirements at the parameters `x`, with the largest pieces.
+
+        Pieces are those above `band` times the largest of their kind.
 
         With an unstable loop (abscissa above ``-min_decay``) every value is infinite. With `h2_once` the H2 norms are
         computed at the first model and taken for those of all: where they do not depend on the model.

@@ -1,0 +1,1 @@
+"""Bodies and mechanisms as uncertain systems with ports."""

@@ -1,0 +1,1 @@
+"""The assembled telescope: parameters, components, optics, design plant."""

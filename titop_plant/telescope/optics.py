@@ -61,13 +61,13 @@ class TwoMirrorTelescope:
 
     @property
     def magnification(self) -> float:
-        """m = f / f1."""
+        """Magnification ``m = f / f1``."""
         f1, d = self.primary_focal_length, self.mirror_distance
         return (d + self.back_focal_distance) / (f1 - d)
 
     @property
     def focal_length(self) -> float:
-        """f of the system [m]."""
+        """Focal length f of the system [m]."""
         return self.magnification * self.primary_focal_length
 
     def sensitivity(self, element: str) -> FloatArray:

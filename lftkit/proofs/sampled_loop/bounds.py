@@ -223,8 +223,9 @@ class _State:
     def _strip(
         self, box: Box, low: float, high: float, aim: float, static: bool = False
     ) -> tuple[float, FloatArray, bool]:
-        """A strip from `low` as far as steps go, its scalings centred for the level `aim`: frequency reached, losses of
-        the parameters there, whether there are scalings at `low`.
+        """A strip from `low` as far as steps go, its scalings centred for the level `aim`.
+
+        Returns the frequency reached, the losses of the parameters there and whether there are scalings at `low`.
         """
         first = CellTest(self.model, box, max(low, self.lowest), aim, static)
         node, y = self._centre(first, [])
@@ -255,8 +256,9 @@ class _State:
         return nodes[-1].omega, losses, True
 
     def _centre(self, test: CellTest, before: Sequence[NodeScalings]) -> tuple[NodeScalings | None, FloatArray]:
-        """Centred scalings at a frequency, None if there are none; the variables reached. At most two nodes before it
-        say where to begin.
+        """Centred scalings at a frequency, None if there are none; the variables reached.
+
+        At most two nodes before it say where to begin.
         """
         self.found.nodes += 1
         guesses = list(before[-1:])

@@ -109,8 +109,9 @@ def stable_member(system: UncertainSystem, claim: dict[str, Any], point: FloatAr
 
 
 def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Pairs (L, T = L^-1) with ``L A T`` plus its transpose negative definite, as far as A is stable: in modal
-    coordinates, and from the Lyapunov equation of the balanced matrix.
+    """Pairs (L, T = L^-1) with ``L A T`` plus its transpose negative definite, as far as A is stable.
+
+    One in modal coordinates, one from the Lyapunov equation of the balanced matrix.
     """
     if not len(A):
         yield np.zeros((0, 0)), np.zeros((0, 0))

@@ -94,11 +94,11 @@ def channel_types(channel: Channel) -> Definitions:
 
 
 def parse_definition(schema: str, text: str) -> Definitions:
-    """Types of a definition by their short names.
+    r"""Types of a definition by their short names.
 
     Examples
     --------
-    >>> parse_definition("my/msg/Los", "float64 az\\nfloat64 el  # up")["my/Los"][1].name
+    >>> parse_definition("my/msg/Los", "float64 az\nfloat64 el  # up")["my/Los"][1].name
     'el'
     """
     types: dict[str, tuple[Field, ...]] = {

@@ -43,8 +43,9 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
 
 
 def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
-    """Parameters of the members: worst points of :class:`los_design.search.worst_case_search.Search`, then uniform
-    ones.
+    """Parameters of the members: worst points of the search, then uniform ones.
+
+    The search is :class:`los_design.search.worst_case_search.Search`.
 
     The search finds the worst point of each frequency band for slow and for fast tones, some thirty points; the first
     member is the worst one of all.

@@ -14,7 +14,7 @@ from titop_plant.interface import TICK_NS
 
 
 class CommandGate:
-    """Gate of one command topic.
+    r"""Gate of one command topic.
 
     A command is accepted if it can be read, is finite, within the actuator's limit and stamped with a
     tick that is newer than the last accepted one, not in the future and not older than the hold time. Reasons are
@@ -34,7 +34,7 @@ class CommandGate:
     Examples
     --------
     >>> gate = CommandGate(Codec("geometry_msgs/msg/Vector3Stamped", 2, "fsm"), 5.3e-3)
-    >>> gate.offer(b"\\x00\\x01", now_ns=2_000_000), gate.rejected["size"]
+    >>> gate.offer(b"\x00\x01", now_ns=2_000_000), gate.rejected["size"]
     (False, 1)
     """
 
