@@ -123,7 +123,7 @@ def skip_reasons(path: Path) -> Iterator[str]:
             parts = reason.values if isinstance(reason, ast.JoinedStr) else [reason]
             yield " ".join(str(p.value) for p in parts if isinstance(p, ast.Constant))
         elif node.func.attr == "importorskip" and "reason" not in given and isinstance(node.args[0], ast.Constant):
-            yield f"could not import '{node.args[0].value}"
+            yield f"could not import '{node.args[0].value!s}"
 
 
 def test_every_reason_to_skip_has_a_remedy() -> None:
