@@ -28,15 +28,18 @@ Source: the paper, equation of the PMA synthesis.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from lftkit import Connection, Port, StateSpace, UncertainSystem, connect, static_gain
+from lftkit import Connection, Port, SampledSystem, StateSpace, UncertainSystem, connect, static_gain
 from lftkit.systems.delay import delayed_port
+from lftkit.systems.filters import high_pass, with_input_filter
+from lftkit.systems.sampling import sampled
 from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
-from titop_plant.interface import ACCELEROMETERS, COMMAND_PORTS, K_PMA_INPUTS, MEASURED, PLATFORM
+from titop_plant.interface import ACCELEROMETERS, COMMAND_PORTS, DT, K_PMA_INPUTS, MEASURED, PLATFORM, DesignBasis
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.parameters import Parameters
@@ -160,3 +163,18 @@ def actuator_structure(plant: ActuatorPlant, *, order: int = ORDER) -> AffineStr
     """State space of fixed order from the platform's accelerations to the forces, all entries free."""
     ports = [plant.system.output_port(name) for name in MEASUREMENTS]
     return state_space(ports, [FORCE], order)
+
+
+def sampled_controller(
+    controller: UncertainSystem,
+    washout: float,
+    *,
+    name: str,
+    basis: DesignBasis | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> SampledSystem:
+    """Sampled proof-mass law with the washout F_w on the accelerometer channels (6 more states)."""
+    (port,) = K_PMA_INPUTS
+    filtered = with_input_filter(controller, {port.name: high_pass(port, washout)})
+    found = sampled(filtered, DT, name=name, provenance=provenance)
+    return replace(found, design_basis=(basis or DesignBasis()).to_mapping())

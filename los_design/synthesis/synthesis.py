@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure
-from fsm_pma_controller.skyhook import sampled_controller
+from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure, sampled_controller
 from lftkit import SampledSystem, StateSpace, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
