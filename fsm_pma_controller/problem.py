@@ -18,7 +18,7 @@ sensitivity, forces  hard  the same at the forces together; as implemented
 ===================  ====  ====================================================================================
 
 As implemented APE is hard: the mirror alone keeps it, and the actuators cannot change it.
-=======
+
 What is asked of it is :func:`los_loop.figures_of_merit.paper_figures` of the stage ``fsm+pma``, or the figures of the
 implemented loop; :mod:`los_design.synthesis.state_space_requirements` brings them to the ports of this plant.
 

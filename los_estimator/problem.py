@@ -12,7 +12,7 @@ noise -> RPE  soft  sensor noise makes the share of the budget, through the weig
 mirror        hard  disturbances ask for 5.3 mrad of mirror (H-infinity)
 sensitivity   hard  the sensitivity at the mirror's command has a peak of 2; as implemented
 ============  ====  ==========================================================================================
-=======
+
 What is asked of it is :func:`los_loop.figures_of_merit.paper_figures` of the stage ``fsm``, or the figures of the
 implemented loop; :mod:`los_design.synthesis.state_space_requirements` brings them to the ports of this plant.
 

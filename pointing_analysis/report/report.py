@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -102,29 +103,72 @@ def latency_us(run: Recording) -> FloatArray:
     return delays.array() if differs else np.empty(0)
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """What the pictures of a page are made of.
+
+    Parameters
+    ----------
+    views : of all runs
+    limits : sorted limits of the APE and of the RPE [rad]
+    model : what a model expects at the disturbance lines
+    """
+
+    views: Sequence[RunView]
+    limits: Mapping[str, list[float]]
+    model: Model
+
+    @property
+    def has_spectrum(self) -> bool:
+        """Whether any run is long enough for one."""
+        return any(v.spectrum for v in self.views)
+
+
+def _trajectory(d: Drawn) -> Picture:
+    return figures.trajectory(d.views, d.limits["APE"][0] / RAD_PER_ARCSEC if d.limits["APE"] else None)
+
+
+def _relative_exceedance(d: Drawn) -> Picture | None:
+    return figures.exceedance(d.views, "RPE", d.limits["RPE"]) if all(map(_has_windows, d.views)) else None
+
+
+def _intervals(d: Drawn) -> Picture | None:
+    times = [(v.label, intervals_us(v.run)) for v in d.views]
+    return figures.timing(times, "Tick intervals", "interval of ticks [µs]")
+
+
+def _latency(d: Drawn) -> Picture | None:
+    times = [(v.label, latency_us(v.run)) for v in d.views]
+    return figures.timing(times, "Sensor to command", "latency sensor to command [µs]")
+
+
+PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ...] = (
+    lambda d: figures.time_history(d.views),
+    _trajectory,
+    lambda d: figures.density(d.views) if d.has_spectrum else None,
+    lambda d: cumulative(d.views) if d.has_spectrum else None,
+    lambda d: moving_pictures(d.views, d.limits["RPE"]),
+    lambda d: figures.by_line(d.views, d.model),
+    lambda d: figures.exceedance(d.views, "APE", d.limits["APE"]),
+    _relative_exceedance,
+    lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
+    _intervals,
+    _latency,
+)
+"""Pictures of the page in reading order; None where the runs have nothing to show in one."""
+
+
 def pictures(
     views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
 ) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    limits = {k: _limits(requirements, k) for k in ("APE", "RPE")}
-    ape = limits["APE"][0] / RAD_PER_ARCSEC if limits["APE"] else None
-    runs = [v.run for v in views]
-    made: list[Picture | None] = [
-        figures.time_history(views),
-        figures.trajectory(views, ape),
-        figures.density(views) if any(v.spectrum for v in views) else None,
-        cumulative(views) if any(v.spectrum for v in views) else None,
-        *moving_pictures(views, limits["RPE"]),
-        figures.by_line(views, model or {}),
-        figures.exceedance(views, "APE", limits["APE"]),
-        figures.exceedance(views, "RPE", limits["RPE"]) if all(map(_has_windows, views)) else None,
-        figures.commands(views, _authority(runs)),
-        figures.timing([(v.label, intervals_us(v.run)) for v in views], "Tick intervals", "interval of ticks [µs]"),
-        figures.timing(
-            [(v.label, latency_us(v.run)) for v in views], "Sensor to command", "latency sensor to command [µs]"
-        ),
-    ]
-    return [p for p in made if p is not None]
+    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {})
+    made: list[Picture] = []
+    for draw in PICTURES:
+        found = draw(drawn)
+        several = [found] if found is None or isinstance(found, Picture) else found
+        made += [p for p in several if p is not None]
+    return made
 
 
 def _rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:

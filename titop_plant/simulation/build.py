@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -15,20 +15,12 @@ from scipy import linalg
 from lftkit import StateSpace, UncertainSystem
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
-from titop_plant.simulation.disturbances import (
-    Tones,
-    design_tones,
-    given_tones,
-    imbalance_tones,
-    joined,
-    loudest_speeds,
-    no_tones,
-    sadm_tones,
-)
+from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
 from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
@@ -217,16 +209,18 @@ def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
 def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
     if not config.disturbance:
         return no_tones()
-    if config.scenario == "worst_case":
-        return given_tones(config.tones)
-    rng = _phases(config.seed)
     if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
         return MovingTones(motion(config, parameters), unit).start()
-    if config.scenario == "imbalance":
-        speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
-        return joined([imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)])
+    speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
+    return TONES[config.scenario](_circumstances(config, parameters, values, speeds))
+
+
+def _circumstances(
+    config: PlantConfig, parameters: Parameters, values: Mapping[str, float], speeds: FloatArray
+) -> Circumstances:
     tables = json.dumps({name: parameters[name] for name in DESIGN_TABLES}, sort_keys=True)
-    return _design_tones(config.parameters, tables, tuple(values.items()), config.seed)
+    kept = partial(_design_tones, config.parameters, tables, tuple(values.items()), config.seed)
+    return Circumstances(parameters, speeds, _phases(config.seed), config.tones, kept)
 
 
 @lru_cache(maxsize=2)
@@ -245,10 +239,9 @@ def _phases(seed: int) -> np.random.Generator:
 
 def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
-    if not config.disturbance or config.scenario not in ("imbalance", "ramp"):
+    if not config.disturbance or config.scenario not in FOLLOWING:
         return None
-    rng = _phases(config.seed)
-    return joined([imbalance_tones(parameters, np.ones(4), rng), sadm_tones(parameters, rng)])
+    return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(4)))
 
 
 def sensor_bias(config: PlantConfig) -> FloatArray:

@@ -23,7 +23,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_loop.steady_state import LoopStart
 from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
-from los_testbed.campaign.model_depth import MODEL_METRICS, ModelDepth
+from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import INDICES, judged, quantile_column, share_column
 from los_testbed.config import RunConfig
@@ -73,7 +73,7 @@ def metric_columns(depth: str, requirements: Sequence[Requirement]) -> tuple[str
     quantiles that the requirements name.
     """
     if depth == "model":
-        return MODEL_METRICS
+        return model_metrics()
     of_requirements = [f(r) for f in (_share_column, quantile_column) for r in judged(requirements)]
     return tuple(dict.fromkeys((*COMMON_METRICS, *of_requirements)))
 

@@ -74,10 +74,6 @@ def model_metrics() -> tuple[str, ...]:
     return (*errors, "rpe_fine_gain", *others, *noise, "total_mas", *peaks, "rpe_peak_rad_s")
 
 
-MODEL_METRICS = model_metrics()
-"""The columns with the figures of merit as they stand."""
-
-
 @dataclass(frozen=True)
 class ModelDepth:
     """Evaluates members of one stage.

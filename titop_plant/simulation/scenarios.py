@@ -1,0 +1,80 @@
+"""Scenarios: where the tones of the disturbance come from, a function for each name of the option ``--scenario``.
+
+==============  ========================================================================================
+``worst_case``  the tone that the run was given: the one of unit norm that is worst for its loop
+``design``      tones of unit norm at the worst frequencies of the telescope on its isolator
+``imbalance``   imbalance of the wheels and micro-steps of the drives
+``ramp``        the same while wheel speeds and array angle follow a profile
+==============  ========================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from titop_plant.simulation.disturbances import Tones, given_tones, imbalance_tones, joined, sadm_tones
+from titop_plant.structures.kinematics import FloatArray
+from titop_plant.telescope.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What a scenario makes its tones from.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the parameter file.
+    speeds : ndarray, shape (4,)
+        Of the wheels [rad/s].
+    rng : numpy.random.Generator
+        For phases; its seed is that of the run.
+    given : tuple of tuples
+        Tones that the configuration holds, see :func:`titop_plant.simulation.disturbances.given_tones`.
+    isolator_tones : callable
+        Makes :func:`titop_plant.simulation.disturbances.design_tones` of the telescope on its isolator.
+    """
+
+    parameters: Parameters
+    speeds: FloatArray
+    rng: np.random.Generator
+    given: tuple[tuple[float, ...], ...]
+    isolator_tones: Callable[[], Tones]
+
+
+Scenario = Callable[[Circumstances], Tones]
+
+
+def worst_case(now: Circumstances) -> Tones:
+    """The tone that the run was given."""
+    return given_tones(now.given)
+
+
+def design(now: Circumstances) -> Tones:
+    """Tones of unit norm where the telescope on its isolator is worst."""
+    return now.isolator_tones()
+
+
+def imbalance(now: Circumstances) -> Tones:
+    """Wheels and drives."""
+    return joined([imbalance_tones(now.parameters, now.speeds, now.rng), sadm_tones(now.parameters, now.rng)])
+
+
+TONES: Mapping[str, Scenario] = MappingProxyType(
+    {
+        "worst_case": worst_case,
+        "design": design,
+        "imbalance": imbalance,
+        "ramp": imbalance,
+    }
+)
+"""Tones of each name of :data:`titop_plant.interface.SCENARIOS`."""
+
+FOLLOWING = ("imbalance", "ramp")
+"""Scenarios with tones that follow the wheels while their speeds change."""
+
+__all__ = ["FOLLOWING", "TONES", "Circumstances", "Scenario"]
