@@ -81,7 +81,7 @@ class Law:
 def laws(
     k_fsm: SampledSystem, k_pma: SampledSystem, stage: str, los_sensitivity: float | None = None
 ) -> tuple[Law, Law]:
-    """Both controllers in a stage. **The mirror turns against the estimate, by its inverse sensitivity.**
+    """Both controllers in a stage. **The mirror turns against the estimate, by its inverse sensitivity**.
 
     Parameters
     ----------

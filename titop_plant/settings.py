@@ -163,7 +163,7 @@ def settings_class(kind: type[T]) -> type[T]:
     check: Callable[..., None] = made.__init__
 
     @wraps(check)
-    def __init__(self: Any, **values: Any) -> None:
+    def __init__(self: Any, **values: Any) -> None:  # noqa: N807 (it replaces the one of the class)
         for name in values:
             if name not in known:
                 raise ValueError(unknown(name, known))

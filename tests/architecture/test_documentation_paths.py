@@ -21,6 +21,7 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
+    "lead.py",
     "start.json",
     "mine.json",
     "mine.toml",
@@ -170,9 +171,11 @@ def check_command(line: str, commands: dict[str, Any]) -> str:
             unknown = [one for one in words[0].split("|") if one not in inner]
             if unknown:
                 return f"no command {name!r} {unknown[0]!r}"
-            options = {o for one in words[0].split("|") for p in inner[one].params for o in p.opts}
+            options = {
+                o for one in words[0].split("|") for p in inner[one].params for o in (*p.opts, *p.secondary_opts)
+            }
         else:
-            options = {o for p in commands[name].params for o in p.opts}
+            options = {o for p in commands[name].params for o in (*p.opts, *p.secondary_opts)}
         given = {word.split("=")[0].strip("[],") for word in rest if word.strip("[").startswith("--")}
         if given - options:
             return f"{name} has no option {sorted(given - options)[0]}"

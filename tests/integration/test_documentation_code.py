@@ -23,8 +23,8 @@ else:
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
-WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md"}
-"""Run by test_tutorials.py, which compares the output as well."""
+WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "CONTRIBUTING.md"}
+"""Run by test_tutorials.py, which compares the output as well, and by test_contributing_pages.py."""
 Names = dict[str, Any]
 
 
@@ -71,14 +71,6 @@ def the_mass_and_spring(_: Path, __: pytest.MonkeyPatch) -> Names:
     return {**names, "pid": pid, "tune_robust": tune_robust}
 
 
-def figures_of_the_loop(_: Path, __: pytest.MonkeyPatch) -> Names:
-    from los_loop.figures_of_merit import FigureOfMerit
-    from titop_plant.interface import FORCE_STAGES
-    from titop_plant.telescope.budget import BAND_EDGE
-
-    return {"FigureOfMerit": FigureOfMerit, "FORCE_STAGES": FORCE_STAGES, "BAND_EDGE": BAND_EDGE}
-
-
 def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
     pytest.importorskip("pyNastran", reason="extra nastran")
     from titop_plant.structures.reference import payload_frame
@@ -99,7 +91,6 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "control_design.md": a_design_that_is_only_called,
     "robust_design.md": the_mass_and_spring,
     "telescope.md": files_of_nastran,
-    "CONTRIBUTING.md": figures_of_the_loop,
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "robust_design.md"}

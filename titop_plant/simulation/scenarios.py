@@ -16,8 +16,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from titop_plant.simulation.disturbances import Tones, given_tones, imbalance_tones, joined, sadm_tones
-from titop_plant.structures.kinematics import FloatArray
+from lftkit.arrays import FloatArray
+from titop_plant.simulation import disturbances
+from titop_plant.simulation.disturbances import Tones, joined
 from titop_plant.telescope.parameters import Parameters
 
 
@@ -51,7 +52,7 @@ Scenario = Callable[[Circumstances], Tones]
 
 def worst_case(now: Circumstances) -> Tones:
     """The tone that the run was given."""
-    return given_tones(now.given)
+    return disturbances.given_tones(now.given)
 
 
 def design(now: Circumstances) -> Tones:
@@ -61,7 +62,8 @@ def design(now: Circumstances) -> Tones:
 
 def imbalance(now: Circumstances) -> Tones:
     """Wheels and drives."""
-    return joined([imbalance_tones(now.parameters, now.speeds, now.rng), sadm_tones(now.parameters, now.rng)])
+    wheels = disturbances.imbalance_tones(now.parameters, now.speeds, now.rng)
+    return joined([wheels, disturbances.sadm_tones(now.parameters, now.rng)])
 
 
 TONES: Mapping[str, Scenario] = MappingProxyType(

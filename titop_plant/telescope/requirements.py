@@ -1,11 +1,11 @@
-"""Pointing requirements of a telescope: read from its parameter file, and the limits that a design takes from them.
+r"""Pointing requirements of a telescope: read from its parameter file, and the limits that a design takes from them.
 
 The list ``[[requirement]]`` of the file says what a line of sight must keep, in the form of
 :mod:`pointing_analysis.requirements.text`. Runs are judged by it, and the limits of the synthesis weights
 (``parameters["weights"]``) are made of it:
 
 ===================  =================================================================================================
-``ape_limit``        of the strictest requirement on \\|APE\\| that holds for all stages with fine control
+``ape_limit``        of the strictest requirement on \|APE\| that holds for all stages with fine control
 ``rpe_limit_fine``   of the strictest one on the RPE of windows (where there is none: of instants) that holds for the
                      stage with all actuators
 ``rpe_window``       its window

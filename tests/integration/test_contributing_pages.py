@@ -1,0 +1,191 @@
+"""The pages "Add a ..." of CONTRIBUTING.md have the effect they say: each is followed on a copy of the packages."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.followed_page import LIBRARIES, ROOT, PackageCopy, section
+
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import requirements_of
+from titop_plant.telescope.parameters import load_parameters
+
+SENSOR = re.compile(
+    r"\b(?:camera_los|fsm_angle|accel_Ip|accel_M[12]|CAMERA|FSM_ANGLE|PLATFORM|ACCELEROMETERS?|ACCELEROMETER_NOISE|"
+    r"ACCELERATIONS|OPTICAL_NOISE|MEASURED|MEASURED_PORTS|FRAME_TICKS|camera_noise|strain_gauge_noise)\b"
+)
+"""Names of sensors, their noise and their columns."""
+
+FIGURE = """
+from los_design.search.worst_case_search import Search
+from los_design.synthesis.pair_problem import BOTH, limits
+from los_design.synthesis.store import load_designs
+from los_design.verification.certify import figures_of
+from los_design.verification.verification import check_implemented
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from los_testbed.campaign.member import metric_columns
+from los_testbed.campaign.model_depth import ModelDepth
+from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters
+
+name, parameters = "force, slow", load_parameters()
+system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
+loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma")
+worst = check_implemented(system, parameters, *pair, [{}], changes=False).both.worst
+found = {
+    "tuned for": limits(parameters, BOTH)[name],
+    "searched": name in Search(loop).metrics,
+    "verified": worst[name].gamma,
+    "frequency": worst[name].omega,
+    "all forces": worst["force"].gamma,
+    "proven": figures_of(parameters, "fsm+pma")[name].band,
+    "columns": metric_columns("model", ()),
+    "campaign": ModelDepth.of(system, parameters, *pair, "fsm+pma").metrics({})["force_slow_gain"],
+}
+"""
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> PackageCopy:
+    return PackageCopy.of(tmp_path)
+
+
+def test_a_figure_of_merit_is_designed_searched_verified_proven_and_a_column(copy: PackageCopy) -> None:
+    copy.follow("Add a figure of merit")
+    found = copy.values(FIGURE)
+    assert found["tuned for"] == 5.0 and found["searched"]
+    assert found["frequency"] <= 85.0 and found["proven"][0] == 0.0 and found["proven"][1] == pytest.approx(85.0)
+    authority = load_parameters()["pma"]["authority"]
+    assert 0.0 < 5.0 * found["verified"] <= 1.001 * authority * found["all forces"]
+    assert found["columns"].count("force_slow_gain") == 1
+    assert found["campaign"] == pytest.approx(found["verified"], rel=0.02)
+
+
+def test_a_pointing_requirement_is_judged_in_table_page_and_json(copy: PackageCopy) -> None:
+    name, text = "RPE, long exposure", "prob(|RPE(500 ms)| < 2 arcsec) >= 0.997 at 95 % confidence"
+    screen, reported = copy.follow("Add a pointing requirement")
+    assert "|RPE(500 ms)|" in screen and "|APE|, 99.7 %" in screen
+    page = (copy.folder / "bags/mine/report.html").read_text("utf-8")
+    table = page[page.index('id="requirements"') : page.index('id="pictures"')]
+    assert name in table and "RPE, finest" not in table
+    (run,) = json.loads(reported.splitlines()[-1])["runs"]
+    (judged,) = run["requirements"]
+    assert (judged["name"], judged["text"]) == (name, text)
+    (recorded,) = [r for r in requirements_of(Run.open(copy.folder / "bags/mine")) or () if r.name == name]
+    assert recorded.loops == ("fsm", "fsm+pma")
+
+
+@pytest.fixture(scope="module")
+def disturbed(tmp_path_factory: pytest.TempPathFactory) -> PackageCopy:
+    """A copy after the page on disturbances, which that on scenarios goes on from."""
+    made = PackageCopy.of(tmp_path_factory.mktemp("disturbed"))
+    made.follow("Add a disturbance")
+    return made
+
+
+def test_a_disturbance_acts_in_a_run(disturbed: PackageCopy) -> None:
+    """The signal moves the line of sight; the tones are those of the numbers on the page."""
+    moved = Run.open(disturbed.folder / "bags/slosh")["truth/los"].values
+    assert np.abs(moved).max() > 1e-10
+    found = disturbed.values(
+        "import numpy as np\n"
+        "from titop_plant.simulation.disturbances import cage_tones\n"
+        "from titop_plant.telescope.parameters import load_parameters\n"
+        "tones = cage_tones(load_parameters(), np.array([100.0, -200.0, 0.0, 50.0]), np.random.default_rng(1))\n"
+        "found = {'frequency': tones.frequency.tolist(), 'size': np.abs(tones.amplitude).sum(axis=0).tolist()}\n"
+    )
+    speeds = np.array([100.0, 200.0, 0.0, 50.0])
+    np.testing.assert_allclose(found["frequency"], 0.37 * speeds)
+    np.testing.assert_allclose(found["size"], 0.02 * load_parameters()["imbalance"]["axial_force"] * speeds**2)
+
+
+def test_a_scenario_runs_with_its_tones(disturbed: PackageCopy) -> None:
+    """During a ramp its tones follow the wheels."""
+    disturbed.follow("Add a scenario")
+    run = Run.open(disturbed.folder / "bags/cages")
+    speeds = np.abs(load_parameters()["reaction_wheel"]["default_speed"])
+    assert run.parameters["scenario"] == "cages"
+    np.testing.assert_allclose(run.parameters["tones_rad_s"], np.sort(0.37 * speeds), rtol=1e-8)
+    found = disturbed.values(
+        "from los_testbed.run.stages import COMPARED\n"
+        "from titop_plant.simulation.build import PlantConfig, PlantFamily\n"
+        "from titop_plant.interface import DT\n"
+        "ramp = dict(ramp_duration=1.0, wheel_acceleration=(1.0, -1.0, 1.0, -1.0))\n"
+        "config = PlantConfig(scenario='cages', **ramp)\n"
+        "tones = PlantFamily.of(config).nodes(config, DT)[2]\n"
+        "at = [tones.at(s).frequency.tolist() for s in (tones.profile.speeds(0.0), tones.profile.speeds(1.0))]\n"
+        "found = {'compared': COMPARED, 'tones': at}\n"
+    )
+    assert "cages" in found["compared"]
+    np.testing.assert_allclose(np.abs(found["tones"]), [0.37 * speeds, 0.37 * (speeds + 1.0)], rtol=1e-12)
+
+
+def test_a_picture_is_on_the_page_of_the_report(copy: PackageCopy) -> None:
+    copy.follow("Add a picture to the report")
+    page = (copy.folder / "report.html").read_text("utf-8")
+    figures = re.findall(r'<figure id="([\w-]+)">', page)
+    assert figures[-1] == "histogram" and len(figures) > 5
+    assert "Histogram of the absolute error of 1 runs" in page.split('<figure id="histogram">')[1]
+
+
+def test_a_controller_structure_is_tuned(copy: PackageCopy) -> None:
+    """Exact gradient; the result has the structure, is stable and better than its start."""
+    copy.follow("Add a controller structure")
+    names = runpy.run_path(str(copy.folder / "lead.py"))
+    lead, result, x = names["Lead"](), names["result"], np.array([0.3, -0.2, 1.1])
+    G = np.arange(1.0, 5.0).reshape(2, 2)
+    steps = 1e-6 * np.eye(3)
+    differences = [np.sum(G * (lead.gain_matrix(x + h) - lead.gain_matrix(x - h))) / 2e-6 for h in steps]
+    np.testing.assert_allclose(lead.pullback(x, G), differences, rtol=1e-6)
+    reached, start = (compliance_peak(np.exp(x)) for x in (result.x, [0.0, 0.0, 2.0]))
+    assert reached < 0.5 * start
+
+
+def compliance_peak(kzp: np.ndarray) -> float:
+    """Largest motion of a unit mass by a force, under k (s + z) / (s + p); the loop must be stable."""
+    k, z, p = kzp
+    assert np.roots([1.0, p, k, k * z]).real.max() < 0.0
+    s = 1j * np.geomspace(1e-3, 1e3, 20001)
+    return float(np.abs((s + p) / (s**2 * (s + p) + k * (s + z))).max())
+
+
+def sensor_files() -> set[str]:
+    """Files of the packages that name a sensor, its noise or its columns."""
+    found = set()
+    for package in LIBRARIES:
+        found |= {
+            path.relative_to(ROOT) for path in (ROOT / package).rglob("*.py") if SENSOR.search(path.read_text("utf-8"))
+        }
+    ros = ROOT / "ros_ws/src/los_testbed"
+    found |= {p.relative_to(ros) for p in (ros / "los_testbed").rglob("*.py") if SENSOR.search(p.read_text("utf-8"))}
+    return {path.as_posix() for path in found}
+
+
+def test_the_page_on_sensors_names_every_file_that_knows_a_sensor() -> None:
+    rows = [line for line in section("Add a sensor").splitlines() if line.startswith("| ")][1:]
+    named = [name for row in rows for name in re.findall(r"`([\w/]+\.py)`", row)]
+    assert sorted(named) == sorted(sensor_files())
+
+
+@pytest.mark.parametrize(
+    ("title", "right", "wrong", "message"),
+    [
+        ("Add a figure of merit", "`FIGURES`", "`observer_requirements`", "observer_requirements must be a table"),
+        ("Add a scenario", "`titop_plant/interface.py`", "`titop_plant/names.py`", "must be a file of the repository"),
+        ("Add a scenario", "Add to `TONES` in", "Put into `TONES` in", "every block must be a step"),
+    ],
+)
+def test_a_wrong_step_is_found(
+    copy: PackageCopy, monkeypatch: pytest.MonkeyPatch, title: str, right: str, wrong: str, message: str
+) -> None:
+    text = section(title)
+    assert right in text
+    monkeypatch.setattr("support.followed_page.section", lambda _: text.replace(right, wrong))
+    with pytest.raises(ValueError, match=message):
+        copy.follow(title)
