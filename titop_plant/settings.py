@@ -210,8 +210,10 @@ class Settings:
         Raises
         ------
         ValueError
-            An unknown name (the nearest known one is proposed) or a value that does not fit.
+            No mapping, an unknown name (the nearest known one is proposed) or a value that does not fit.
         """
+        if not isinstance(values, Mapping):
+            raise ValueError(f"settings must be names with values, got {type(values).__name__}")
         return cls(**{str(name): value for name, value in values.items()})
 
     def to_mapping(self) -> dict[str, Any]:

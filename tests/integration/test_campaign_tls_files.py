@@ -132,7 +132,8 @@ def test_certificate_of_another_authority_is_refused_in_one_line(
         certificate, key = shown.sign("me")
         files = [f"--tls-ca-file={authority.file}", f"--tls-cert={certificate}", f"--tls-key={key}"]
         line = refused([f"--scheduler={address}", *files, f"--output={tmp_path / 'c'}"], capsys)
-        assert message in line and reason in line
+        # a refused client sees the alert, or the end of the connection where that comes first
+        assert message in line and (reason in line or "EOF occurred" in line)
     assert not (tmp_path / "c").exists()
 
 

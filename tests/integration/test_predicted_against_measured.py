@@ -123,7 +123,7 @@ def test_long_runs_are_compared_over_their_first_part(quiet, monkeypatch) -> Non
 
 def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) -> None:
     controllers = write_controllers(tmp_path)
-    run_in_process(RunConfig(duration=0.5, mode="inprocess", **controllers), tmp_path / "simple", SimpleTelescope())
+    run_in_process(RunConfig(duration=2.0, mode="inprocess", **controllers), tmp_path / "simple", SimpleTelescope())
     bags = [
         tmp_path / "simple",  # another plant
         recorded(tmp_path / "still", duration=0.5, disturbance=False),

@@ -53,7 +53,7 @@ def test_a_run_takes_controllers_telescope_and_worst_point(folder: Path) -> None
 def test_a_member_that_is_named_stays(folder: Path) -> None:
     given = {"output": "bag", "tau": 0.1, "scenario": "worst_case"}
     config = configure(None, [], given, designs=str(folder))
-    assert (config.tau, config.wheel_speed, config.omega_1) == (0.1, (), 0.0)
+    assert (config.tau, config.wheel_speed, config.omega_1) == (0.1, None, None)
 
 
 def test_worst_points_of_another_telescope_are_not_used(folder: Path, soft: Path) -> None:
