@@ -203,7 +203,7 @@ def test_a_sqlite3_bag_is_refused_with_the_command_that_converts_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], payload: Payload
 ) -> None:
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    external_bags = pytest.importorskip("support.external_bags")
+    external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
     bag = tmp_path / "old"
     opened = rosbag2.Writer(bag, version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3)
     if payload is packed:
