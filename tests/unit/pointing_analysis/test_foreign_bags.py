@@ -159,7 +159,7 @@ def test_files_compressed_as_a_whole(tmp_path: Path, name: str) -> None:
         ),
         ({"payload": lambda *_: b""}, "must be plain CDR, got 0 bytes"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else "bag",
 )
 def test_what_is_not_read_is_refused_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: dict[str, Any], words: str
