@@ -104,7 +104,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     plant = system.data_at(system.sample_values(rng, 1)[0])
     (omega, amplitude), bias = tones(rng, parameters), 1e-5 * rng.standard_normal(22)
-    limits = command_limits(PlantConfig())
+    limits = command_limits(PlantConfig(disturbance=False))
     loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
     model = LoopModel(loop, plant, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))

@@ -203,7 +203,7 @@ def test_security_that_the_middleware_cannot_give_is_refused(tmp_path):
 
 def test_nodes_end_when_their_runner_is_killed(tmp_path):
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
+        "import os, sys; sys.path[:0] = [sys.argv[1], os.path.dirname(sys.argv[1])]; from pathlib import Path;"
         "from ros_runs import *; from los_testbed.run.runner import Runner;"
         "Runner(config_for(Path(sys.argv[2]), duration=60.0), lambda t: print(t, flush=True), {'plant': PLANT}).run()"
     )
