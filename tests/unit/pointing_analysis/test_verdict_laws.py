@@ -42,7 +42,8 @@ def run(values: Any, *, missing: tuple[int, ...] = (), rate: float = 1000.0, ope
     xy = xy.copy()
     xy[list(missing)] = np.nan
     stamps = 10**9 + np.round(np.arange(len(xy)) * 1e9 / rate).astype(np.int64)
-    return make_series(stamps, xy, unit="rad", rate=rate, path="run", open_end=open_end)
+    series = make_series(stamps, xy, unit="rad", rate=rate, path="run")
+    return replace(series, topic=replace(series.topic, open_end=open_end)) if open_end else series
 
 
 @pytest.mark.parametrize(("above", "count"), [(0, 998), (1, 1580), (2, 2097), (5, 3502)])
