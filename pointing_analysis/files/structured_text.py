@@ -102,11 +102,10 @@ def load_yaml(text: str, what: object) -> Any:
     --------
     >>> load_yaml("a: [1, 2]", "settings")
     {'a': [1, 2]}
-    >>> load_yaml("[" * 200, "settings")
+    >>> load_yaml("[" * 200, "settings")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    pointing_analysis.files.structured_text.StructuredTextError: settings must be nested at most 50 levels deep, got
-    more
+    pointing_analysis.files.structured_text.StructuredTextError: settings must be nested at most 50 levels deep, ...
     """
     return _load(text, what, "YAML", lambda text: _safe_yaml(text, what))
 
