@@ -35,7 +35,7 @@ from los_testbed.topics import (
     PROGRESS_TOPIC,
     SENSORS,
     TRUTH_LOS,
-    Topic,
+    TopicDefinition,
 )
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
@@ -53,7 +53,7 @@ def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec) * NS + int(message.header.stamp.nanosec)
 
 
-def read(message: Any, topic: Topic, out: np.ndarray) -> None:
+def read(message: Any, topic: TopicDefinition, out: np.ndarray) -> None:
     if topic.type_name == ACCEL:
         linear, angular = message.accel.linear, message.accel.angular
         out[:] = linear.x, linear.y, linear.z, angular.x, angular.y, angular.z
@@ -66,7 +66,7 @@ def read(message: Any, topic: Topic, out: np.ndarray) -> None:
 class Output:
     """Publisher of a topic; each sample is a message object."""
 
-    def __init__(self, context: NodeContext, topic: Topic) -> None:
+    def __init__(self, context: NodeContext, topic: TopicDefinition) -> None:
         kind = MESSAGES[topic.type_name]
         self.topic, self.kind = topic, kind
         self.publisher = context.node.create_publisher(kind, topic.name, 10)
@@ -89,7 +89,7 @@ class Synchronizer:
     """Samples of a tick by stamp; `tick(stamp, vector)` when all that are due have come."""
 
     def __init__(
-        self, context: NodeContext, topics: tuple[Topic, ...], columns: list[slice], size: int, tick: Any
+        self, context: NodeContext, topics: tuple[TopicDefinition, ...], columns: list[slice], size: int, tick: Any
     ) -> None:
         self.pending: dict[int, tuple[np.ndarray, set[int]]] = {}
         self.size, self.tick, self.count = size, tick, len(topics)
@@ -99,7 +99,7 @@ class Synchronizer:
             callback = self.callback(index, topic, columns[index])
             context.node.create_subscription(MESSAGES[topic.type_name], topic.name, callback, 10)
 
-    def callback(self, index: int, topic: Topic, columns: slice) -> Any:
+    def callback(self, index: int, topic: TopicDefinition, columns: slice) -> Any:
         def receive(message: Any) -> None:
             stamp = stamp_of(message)
             if stamp not in self.pending:
@@ -136,7 +136,7 @@ class PlantTimer:
         self.timer = context.node.create_timer(1e-3, self.tick)
         context.event("alone")
 
-    def receiver(self, topic: Topic) -> Any:
+    def receiver(self, topic: TopicDefinition) -> Any:
         values = self.command[topic.columns]
 
         def receive(message: Any) -> None:

@@ -37,11 +37,11 @@ from los_testbed.topics import (
     M2_ACCEL,
     PMA_COMMAND,
     TRUTH_LOS,
-    Topic,
+    TopicDefinition,
 )
 
 TICK_NS, WAIT_NS, WARM_UP = 1_000_000, 50_000_000, 500
-ROLES: dict[str, tuple[tuple[Topic, ...], tuple[Topic, ...]]] = {
+ROLES: dict[str, tuple[tuple[TopicDefinition, ...], tuple[TopicDefinition, ...]]] = {
     "plant": (COMMANDS, (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, FSM_ANGLE, TRUTH_LOS)),
     "estimator": ((ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, FSM_ANGLE), (LOS_ESTIMATE,)),
     "controller": ((ISOLATOR_ACCEL, LOS_ESTIMATE), (FSM_COMMAND, PMA_COMMAND)),

@@ -3,7 +3,7 @@
 Modes of the arrays ring for minutes and the washout answers the bias of the accelerometers for a minute: a run that is
 evaluated from its first second on must start in the steady state **of the loop that runs**, with the camera at its
 frame rate and the commands one tick late. The loop is periodic with the camera period; its steady state under tones and
-a constant bias is one solve for each tone (:meth:`los_loop.tone_model.LoopModel.phasors`) and one for the bias.
+a constant bias is one solve for each tone (:meth:`los_loop.tone_model.ToneModel.phasors`) and one for the bias.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import state_parts
-from los_loop.tone_model import LoopModel
+from los_loop.tone_model import ToneModel
 from titop_plant.interface import COMMANDS
 
 
@@ -63,12 +63,12 @@ class LoopStart:
             raise ValueError(f"a start must hold {', '.join(e.name for e in fields(cls))}, got {error}") from None
 
 
-def steady_start(model: LoopModel, bias: FloatArray, orders: tuple[int, int]) -> LoopStart:
+def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) -> LoopStart:
     """Steady state of the loop at tick 0.
 
     Parameters
     ----------
-    model : LoopModel
+    model : ToneModel
         The loop with the tones of the run.
     bias : ndarray, shape (22,)
         Constant part of the measurement [m/s2, rad/s2, rad].

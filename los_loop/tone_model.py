@@ -44,7 +44,7 @@ WINDOW = 0.02
 
 
 @dataclass(frozen=True)
-class ToneResponse:
+class StageTones:
     """One tone of the disturbance and the response of the line of sight.
 
     Parameters
@@ -77,7 +77,7 @@ class ToneResponse:
 
 
 @dataclass(frozen=True)
-class LoopModel:
+class ToneModel:
     """The implemented loop with the tones of a run.
 
     Parameters
@@ -111,7 +111,7 @@ class LoopModel:
         loop: str,
         authority: tuple[float, float],
         steady: bool = True,
-    ) -> LoopModel:
+    ) -> ToneModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
         Parameters
@@ -210,7 +210,7 @@ class LoopModel:
 
 
 def compare_tones(
-    run: Run, model: LoopModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
+    run: Run, model: ToneModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
 ) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
     """Amplitudes in the record and in the simulated record from the same start, and the fitted part of the run [s].
 
@@ -221,7 +221,7 @@ def compare_tones(
     ----------
     run : Run
         Its first sample is the first tick of the run.
-    model : LoopModel
+    model : ToneModel
     transient : float, optional
         Seconds of start-up to omit.
     stop : float
@@ -251,7 +251,7 @@ def compare_tones(
     return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
 
 
-def tone_responses(run: Run, model: LoopModel, transient: float | None = None) -> tuple[ToneResponse, ...]:
+def tone_responses(run: Run, model: ToneModel, transient: float | None = None) -> tuple[StageTones, ...]:
     """Measured and modelled response at each tone of a run.
 
     Tones that the run cannot resolve are omitted, and those beyond half the sampling rate.
@@ -264,5 +264,5 @@ def tone_responses(run: Run, model: LoopModel, transient: float | None = None) -
         k = int(np.argmin(np.abs(model.omega - tone.omega)))
         if tone.merged == 1:
             fitted = tone.measured, tone.predicted
-            found.append(ToneResponse(float(model.omega[k]), float(disturbance[k]), *fitted, float(settled[k])))
+            found.append(StageTones(float(model.omega[k]), float(disturbance[k]), *fitted, float(settled[k])))
     return tuple(found)

@@ -28,7 +28,7 @@ DIRECT = 1e-2  # relative rounding of a direct solution without refinement over 
 
 
 @dataclass(frozen=True)
-class Peak:
+class NormPeak:
     """Outcome: gain reached, level not exceeded, frequency of the gain [rad/s]."""
 
     value: float
@@ -36,7 +36,7 @@ class Peak:
     omega: float
 
 
-def small_hinf_norm(system: Matrices, rtol: float) -> Peak | None:
+def small_hinf_norm(system: Matrices, rtol: float) -> NormPeak | None:
     """H-infinity norm of a balanced system (A, B, C, D) in continuous time, or None where this way is not sound.
 
     Parameters
@@ -61,11 +61,11 @@ def small_hinf_norm(system: Matrices, rtol: float) -> Peak | None:
         gap = 1.0 - (direct / upper) ** 2
         crossings = form.crossings(system, upper, gap)
         if not len(crossings):
-            return Peak(value, upper, omega)
+            return NormPeak(value, upper, omega)
         omega, gain = form.best(np.concatenate([crossings, 0.5 * (crossings[:-1] + crossings[1:])]))
         if gain <= upper:  # the crossings are rounding, provided that the modal form tells so little apart
             sound = form.rounding <= TRUSTED * rtol * form.decay and gap > SMALL_GAP
-            return Peak(value, upper, omega) if sound else None
+            return NormPeak(value, upper, omega) if sound else None
     return None
 
 

@@ -31,7 +31,7 @@ MAX_REQUIREMENTS = 2
 
 
 @dataclass(frozen=True)
-class Estimator:
+class FullOrderEstimator:
     """Full-order controller ``x' = A x + B u - L y, u = F x``."""
 
     A: FloatArray
@@ -58,7 +58,7 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
 
 
 def _start(
-    synthesis: Callable[[ExtendedPlant], Estimator | None], plant: ExtendedPlant, structure: AffineStructure
+    synthesis: Callable[[ExtendedPlant], FullOrderEstimator | None], plant: ExtendedPlant, structure: AffineStructure
 ) -> FloatArray | None:
     try:
         estimator = synthesis(plant)
@@ -104,7 +104,7 @@ def _regularised(plant: ExtendedPlant) -> Matrices:
     )
 
 
-def _lqg(plant: ExtendedPlant) -> Estimator | None:
+def _lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
     B1, C1, D12, D21 = _regularised(plant)
     try:
         X = linalg.solve_continuous_are(plant.A, plant.B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
@@ -113,10 +113,10 @@ def _lqg(plant: ExtendedPlant) -> Estimator | None:
         return None
     F = -linalg.solve(D12.T @ D12, plant.B2.T @ X + D12.T @ C1)
     L = -linalg.solve(D21 @ D21.T, plant.C2 @ Y + D21 @ B1.T).T
-    return Estimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F)
+    return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F)
 
 
-def _hinf(plant: ExtendedPlant) -> Estimator | None:
+def _hinf(plant: ExtendedPlant) -> FullOrderEstimator | None:
     """Central controller at a level a little above the lowest one that is found."""
     high, best = 1.0, None
     for _ in range(LEVELS):
@@ -136,7 +136,7 @@ def _hinf(plant: ExtendedPlant) -> Estimator | None:
     return None if best is None else _central(plant, ABOVE * high)
 
 
-def _central(plant: ExtendedPlant, level: float) -> Estimator | None:
+def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     B1, C1, D12, D21 = _regularised(plant)
     nw, nz = B1.shape[1], len(C1)
     D1, D2 = np.hstack([np.zeros((nz, nw)), D12]), np.vstack([np.zeros((nz, nw)), D21])
@@ -156,10 +156,10 @@ def _central(plant: ExtendedPlant, level: float) -> Estimator | None:
     L = -linalg.solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
     ZL = linalg.solve(np.eye(len(X)) - product.T, L)
     seen = plant.C2 + D21 @ F[:nw]
-    return Estimator(plant.A + B1 @ F[:nw] + ZL @ seen, plant.B2 + ZL @ plant.D22, ZL, F[nw:])
+    return FullOrderEstimator(plant.A + B1 @ F[:nw] + ZL @ seen, plant.B2 + ZL @ plant.D22, ZL, F[nw:])
 
 
-def _reduced(full: Estimator, plant: ExtendedPlant, order: int) -> Matrices | None:
+def _reduced(full: FullOrderEstimator, plant: ExtendedPlant, order: int) -> Matrices | None:
     """A, B, C and D of the controller of this order."""
     if order == 0:
         empty = np.zeros((0, 0))

@@ -14,7 +14,7 @@ from lftkit.systems.delay import pade_delay
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import LoopGains
-from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, Spectrum, extended_plant, h2_value, spectrum
+from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.requirements import (
     ClosedLoopPoles,
@@ -207,7 +207,7 @@ class Problem:
         K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
         values, frequencies = np.full(shape, np.inf), np.zeros(shape)
-        spectra: list[Spectrum] = []
+        spectra: list[LoopSpectrum] = []
         for plant in self._bare:
             spectra.append(spectrum(plant.closed(K), derivatives=gradients))
             if not spectra[-1].abscissa < -self.min_decay:
@@ -238,7 +238,7 @@ class Problem:
         )
 
     def _gain_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, own: LoopSpectrum, band: float, gradients: bool
     ) -> list[Piece]:
         if not self.hinf:
             return []
@@ -265,7 +265,7 @@ class Problem:
         return pieces
 
     def _pole_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, own: Spectrum, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, own: LoopSpectrum, band: float, gradients: bool
     ) -> list[Piece]:
         pieces: list[Piece] = []
         n = self.structure.order

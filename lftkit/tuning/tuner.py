@@ -21,7 +21,7 @@ from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.descent import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
 from lftkit.tuning.descent.smooth_phase import FEASIBLE
-from lftkit.tuning.descent.start_runner import MAX_BATCHES, Search, run_starts
+from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
@@ -216,7 +216,7 @@ def _search(
     deadline: float,
     progress: Progress,
     batches: int = MAX_BATCHES,
-) -> Search:
+) -> StartSearch:
     """Given starts, the best controller of one order less (found in the same way), batches of random starts.
 
     Beside the one of lower order stand reduced full-order controllers.
@@ -230,7 +230,7 @@ def _search(
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
     starts = given_starts([*nested, *reduced_starts(problem)], options.seed)
     rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
-    return Search(first.results + rest.results, all_of_it and rest.complete)
+    return StartSearch(first.results + rest.results, all_of_it and rest.complete)
 
 
 def _from_lower_order(

@@ -12,7 +12,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
-from lftkit.tuning.frequency_domain import Descent, DescentState
+from lftkit.tuning.frequency_domain import DescentState, ResponseDescent
 from los_design.search.worst_points import WorstPoint
 from pointing_analysis.files.atomic_output import write_text
 
@@ -35,7 +35,7 @@ class RoundState:
         The worst points of the last search.
     exceeded : list of str
         Requirements with new points in it; empty: no search yet.
-    descent : Descent, optional
+    descent : ResponseDescent, optional
         Of the round whose searches are not all made.
     searched : int
         Searches after it that found nothing worse.
@@ -54,7 +54,7 @@ class RoundState:
     known: dict[str, list[WorstPoint]] = field(default_factory=dict)
     added: list[int] = field(default_factory=list)
     exceeded: list[str] = field(default_factory=list)
-    descent: Descent | None = None
+    descent: ResponseDescent | None = None
     searched: int = 0
     watched: list[dict[str, float]] = field(default_factory=list)
     inside: DescentState | None = None
@@ -167,16 +167,16 @@ class Outcome:
         ]
 
 
-def _plain(descent: Descent) -> dict[str, Any]:
+def _plain(descent: ResponseDescent) -> dict[str, Any]:
     """For JSON, which keeps every bit of a finite number."""
     return {f.name: getattr(descent, f.name) for f in fields(descent)} | {
         name: getattr(descent, name).tolist() for name in ("x", "values", "noise", "worst_pair")
     }
 
 
-def _descent(content: Mapping[str, Any]) -> Descent:
+def _descent(content: Mapping[str, Any]) -> ResponseDescent:
     """As :func:`_plain` made it."""
     x, values, noise = (np.array(content[name], dtype=float) for name in ("x", "values", "noise"))
     worst_pair = np.array(content["worst_pair"], dtype=np.intp)
     status, iterations = str(content["status"]), int(content["iterations"])
-    return Descent(x, float(content["value"]), values, noise, worst_pair, status, iterations)
+    return ResponseDescent(x, float(content["value"]), values, noise, worst_pair, status, iterations)

@@ -20,7 +20,13 @@ import numpy as np
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
-from lftkit.tuning.frequency_domain import Descent, DescentOptions, DescentState, ResponseProblem, descend
+from lftkit.tuning.frequency_domain import (
+    DescentState,
+    ResponseDescent,
+    ResponseDescentOptions,
+    ResponseProblem,
+    descend,
+)
 from los_design.search.worst_case_search import Search, SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, Samples, limits, named, pair_problem
@@ -150,7 +156,7 @@ def design_in_rounds(
         def step(iteration: int, value: float, number: int = state.number + 1) -> None:
             report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
 
-        options = DescentOptions(
+        options = ResponseDescentOptions(
             iterations=iterations, target=effort.target, wall_limit=left, confirm=not effort.searches
         )
         if state.descent is None:
@@ -258,10 +264,10 @@ def _stabilising(
     task: Task,
     problem: ResponseProblem,
     state: RoundState,
-    options: DescentOptions,
+    options: ResponseDescentOptions,
     step: Callable[[int, float], None],
     kept: Kept | None,
-) -> Descent:
+) -> ResponseDescent:
     """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
     state.watched = state.watched or [{}]
@@ -328,7 +334,7 @@ def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[
     return worst, {name: _value(task, name, point) for name, point in worst.items()}
 
 
-def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent) -> list[WorstPoint]:
+def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: ResponseDescent) -> list[WorstPoint]:
     """Worst points above what the descent reached, the largest first; none if none of them is above 1."""
     values = [(_value(task, name, point), point) for name, points in found.items() for point in points]
     if not any(value > max(1.0, descent.value) * (1.0 + SLACK) for value, _ in values):
@@ -377,7 +383,7 @@ def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:
         task.samples.add_around(omega, at)
 
 
-def _tuned(problem: ResponseProblem, descent: Descent) -> dict[str, float]:
+def _tuned(problem: ResponseProblem, descent: ResponseDescent) -> dict[str, float]:
     names = [gain.name for gain in problem.gains] + [noise.name for noise in problem.noises]
     return dict(zip(names, np.concatenate([descent.values, descent.noise]).tolist()))
 
@@ -385,7 +391,7 @@ def _tuned(problem: ResponseProblem, descent: Descent) -> dict[str, float]:
 def _line(
     number: int,
     problem: ResponseProblem,
-    descent: Descent,
+    descent: ResponseDescent,
     worst: Mapping[str, WorstPoint],
     values: Mapping[str, float],
     seconds: float,

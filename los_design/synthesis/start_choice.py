@@ -14,7 +14,7 @@ import numpy as np
 
 from lftkit import SampledSystem, StateSpace
 from lftkit.arrays import FloatArray
-from lftkit.tuning.frequency_domain import DescentOptions, ResponseProblem, descend, parameters_of
+from lftkit.tuning.frequency_domain import ResponseDescentOptions, ResponseProblem, descend, parameters_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
 from los_design.synthesis.rounds import Task, first_points
@@ -128,7 +128,7 @@ def descended(task: Task, problem: ResponseProblem, x: FloatArray) -> FloatArray
     """Result of a short descent."""
     if not np.isfinite(largest(problem, x)):
         return x
-    return descend(problem, x, task.stable, DescentOptions(iterations=STEPS, target=0.97)).x
+    return descend(problem, x, task.stable, ResponseDescentOptions(iterations=STEPS, target=0.97)).x
 
 
 def largest(problem: ResponseProblem, x: FloatArray) -> float:

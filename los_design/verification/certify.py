@@ -198,7 +198,7 @@ def parts_of(band: Interval) -> list[Interval]:
 
 
 @dataclass(frozen=True)
-class Part:
+class ProofPart:
     """A part of a band to be proven."""
 
     model: LoopModel
@@ -225,7 +225,7 @@ class PartResult:
     finished: bool
 
 
-def prove_part(part: Part) -> PartResult:
+def prove_part(part: ProofPart) -> PartResult:
     """Prove a part, or read what was proven before."""
     parameters = len(part.box)
     if part.file.exists():
@@ -262,7 +262,7 @@ def _strips(file: Path) -> tuple[Strip, ...]:
     return unpacked(arrays, arrays["boxes"].shape[1])
 
 
-def _useful(part: Part, strips: tuple[Strip, ...]) -> bool:
+def _useful(part: ProofPart, strips: tuple[Strip, ...]) -> bool:
     """Whether strips of another proof cover a part, and most of some windows hold for it."""
     try:
         names = ("",) * len(part.box)
@@ -356,7 +356,7 @@ def certify_figure(
 
 def _parts(
     model: LoopModel, box: Box, level: float, until: float, folder: Path, stage: str, metric: LoopMetric
-) -> list[Part]:
+) -> list[ProofPart]:
     """Parts of a band; their files are in a folder ``STAGE-FIGURE-DIGEST-LEVEL``."""
     start = f"{stage}-{metric.name}-{_digest(model, box)}-"
     kept = folder / f"{start}{level!r}"
@@ -370,7 +370,7 @@ def _parts(
     for band in parts_of(metric.band):
         file = f"{band[0]:.9g}-{band[1]:.9g}.npz"
         same = tuple(other / file for *_, other in sorted(others) if other != kept and (other / file).exists())
-        found.append(Part(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
+        found.append(ProofPart(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
     return found
 
 

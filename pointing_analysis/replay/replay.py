@@ -4,7 +4,7 @@ Through the recorded controllers, the replay gives the recorded estimates and co
 that the bag holds all that the loop saw. Through others it gives what they would have estimated and commanded on the
 same sensors (open loop: the plant does not answer to the new commands).
 
-This module imports no controller: `Estimator` and `Controller` say what one must have.
+This module imports no controller: `EstimatorCore` and `ControllerCore` say what one must have.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ COMMANDS = max(columns.stop for columns in COMMAND.values())
 PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
 
 
-class Estimator(Protocol):
+class EstimatorCore(Protocol):
     """Observer at run time, of a node as of a replay: a measurement (22,) to an estimate (2,) [rad]."""
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
@@ -49,7 +49,7 @@ class Estimator(Protocol):
         """Back to the zero state."""
 
 
-class Controller(Protocol):
+class ControllerCore(Protocol):
     """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
@@ -186,8 +186,8 @@ def _gaps(stamp: Stamps, period: int, part: slice) -> list[int]:
 
 def replay(
     run: Run,
-    estimator: Estimator,
-    controller: Controller,
+    estimator: EstimatorCore,
+    controller: ControllerCore,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replayed:
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.

@@ -18,9 +18,9 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.text import Requirement, RequirementError, from_entries, load, parse
 
 __all__ = [
+    "IndexSamples",
     "Requirement",
     "RequirementError",
-    "Samples",
     "Status",
     "Verdict",
     "decide",
@@ -92,7 +92,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Samples:
+class IndexSamples:
     """Samples of the index of one run, or of one pair of runs for the PRE.
 
     Attributes
@@ -141,7 +141,9 @@ def _index(e: FloatArray, dt: float, requirement: Requirement) -> tuple[FloatArr
     return _norm(samples, requirement), cap
 
 
-def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
+def _reproducibility(
+    requirement: Requirement, runs: Sequence[Recording], transient: float | None
+) -> list[IndexSamples]:
     """Samples of the PRE of every pair of runs: each window of the one against each of the other.
 
     The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
@@ -158,7 +160,7 @@ def _reproducibility(requirement: Requirement, runs: Sequence[Recording], transi
             pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end
             missing = math.inf if cut else float(max(pairs - len(values), 0))
-            found.append(Samples(values, weight, first.duration + second.duration, missing))
+            found.append(IndexSamples(values, weight, first.duration + second.duration, missing))
     return found
 
 
@@ -247,7 +249,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
 
 
-def _collect(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[Samples]:
+def _collect(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[IndexSamples]:
     """Of each run, and for the PRE of each pair: the samples of the index."""
     if requirement.index == "PRE":
         return _reproducibility(requirement, runs, transient)
@@ -262,5 +264,5 @@ def _collect(requirement: Requirement, runs: Sequence[Recording], transient: flo
         if not values.size:
             raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
         effective = min(cap, confidence.effective_number(values))
-        collected.append(Samples(values, effective, series.duration, missing))
+        collected.append(IndexSamples(values, effective, series.duration, missing))
     return collected

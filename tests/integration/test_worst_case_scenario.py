@@ -77,9 +77,9 @@ def test_no_other_tone_of_unit_norm_is_worse() -> None:
 
 def loop_response(loop, plant, omega: float, amplitude: np.ndarray) -> np.ndarray:
     """Phasor of the line of sight by the periodic solve of the tone model, which shares no code with the search."""
-    from los_loop.tone_model import LoopModel
+    from los_loop.tone_model import ToneModel
 
-    model = LoopModel(loop, plant, np.array([omega]), amplitude[:, None], np.full(COMMANDS, 1.0))
+    model = ToneModel(loop, plant, np.array([omega]), amplitude[:, None], np.full(COMMANDS, 1.0))
     return model.settled()[:, 0]
 
 

@@ -7,7 +7,7 @@ import pytest
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
 from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
-from lftkit.proofs.state_space.barrier import FULL, REAL, Block, find_scalings
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
 
 LONG = 3600.0
 """Wall limit [s] that no machine reaches; the number of cells ends a computation."""
@@ -33,7 +33,7 @@ def test_the_example_of_slicot_ab13md() -> None:
     ]
 
     def passes(level: float) -> bool:
-        blocks = [Block(kind, matrix[part] / level, inputs[part]) for kind, part in structure]
+        blocks = [BarrierBlock(kind, matrix[part] / level, inputs[part]) for kind, part in structure]
         return find_scalings(blocks, precision=1e-12).margin > 0.0
 
     assert passes(41.74753408 * (1 + 1e-7))

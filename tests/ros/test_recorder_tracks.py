@@ -13,7 +13,7 @@ from los_testbed.loop.source_guard import OURS, Endpoint, SourceGuard
 from los_testbed.nodes.recorder import Recorder
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
-from los_testbed.topics import TOPICS, Topic
+from los_testbed.topics import TOPICS, TopicDefinition
 
 from titop_plant.interface import TICK_NS
 
@@ -24,7 +24,7 @@ HOLD = 0
 class Queue:
     """A subscription without middleware."""
 
-    def __init__(self, topic: Topic) -> None:
+    def __init__(self, topic: TopicDefinition) -> None:
         self.topic, self.guard, self.waiting = topic, SourceGuard("/telescope/node"), deque()
 
     def send(self, stamp: int) -> None:

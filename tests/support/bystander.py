@@ -17,7 +17,7 @@ from los_testbed.nodes.support.middleware import (
 )
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.node_launch import RANGE_VARIABLE
-from los_testbed.topics import Topic
+from los_testbed.topics import TopicDefinition
 from rclpy.context import Context
 from rclpy.node import Node
 
@@ -46,8 +46,8 @@ class Bystander:
     def __init__(
         self,
         domain: int,
-        sends: Sequence[Topic] = (),
-        hears: Sequence[Topic] = (),
+        sends: Sequence[TopicDefinition] = (),
+        hears: Sequence[TopicDefinition] = (),
         wait: bool = True,
         pause: float = 0.3,
         name: str = "bystander",
@@ -75,7 +75,7 @@ class Bystander:
         known = {n: output._publisher.get_subscription_count() for n, output in self._outputs.items()}
         return heard and all(known[n] >= count[n] for n in known)
 
-    def next(self, topic: Topic, newer_than: int = 0, timeout: float = 30.0) -> int:
+    def next(self, topic: TopicDefinition, newer_than: int = 0, timeout: float = 30.0) -> int:
         """Stamp of a message on `topic` that comes after this call and is newer than a stamp."""
         source = self._inputs[topic.name]
         while source.take() is not None:
@@ -88,10 +88,10 @@ class Bystander:
             time.sleep(1e-3)
         raise TimeoutError(f"nothing newer than {newer_than} on {topic.path} within {timeout:g} s")
 
-    def send(self, topic: Topic, data: bytes | bytearray) -> None:
+    def send(self, topic: TopicDefinition, data: bytes | bytearray) -> None:
         self._outputs[topic.name].publish(data)
 
-    def send_until_counted(self, topic: Topic, data: bytes | bytearray, node: str, count: str) -> int:
+    def send_until_counted(self, topic: TopicDefinition, data: bytes | bytearray, node: str, count: str) -> int:
         """Send a message again and again until the reports of a node of the run have this count; how often it was sent.
 
         Readers of the loop are best effort: one that has not yet found this publisher gets nothing, and neither the

@@ -23,7 +23,7 @@ from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.premises import require_box
 from lftkit.proofs.sampled_loop.proof import Interval, Strip
-from lftkit.proofs.sampled_loop.scalings import CellTest, NodeScalings
+from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
 from lftkit.support.threads import one_thread
 
 Box = tuple[Interval, ...]
@@ -227,7 +227,7 @@ class _State:
 
         Returns the frequency reached, the losses of the parameters there and whether there are scalings at `low`.
         """
-        first = CellTest(self.model, box, max(low, self.lowest), aim, static)
+        first = ScalingTest(self.model, box, max(low, self.lowest), aim, static)
         node, y = self._centre(first, [])
         losses = first.losses(y)
         if node is None:
@@ -237,7 +237,7 @@ class _State:
         while nodes[-1].omega < high and time.monotonic() <= self.until:
             omega = max(nodes[-1].omega, self.lowest) * (1.0 + step)
             omega = high if omega > high / (1.0 + 0.5 * step) else omega
-            test = CellTest(self.model, box, omega, aim, static)
+            test = ScalingTest(self.model, box, omega, aim, static)
             following, y = self._centre(test, nodes[-2:])
             windows = 0
             if following is not None:
@@ -255,7 +255,7 @@ class _State:
             self.found.strips.append(strip_of(box, nodes))
         return nodes[-1].omega, losses, True
 
-    def _centre(self, test: CellTest, before: Sequence[NodeScalings]) -> tuple[NodeScalings | None, FloatArray]:
+    def _centre(self, test: ScalingTest, before: Sequence[NodeScalings]) -> tuple[NodeScalings | None, FloatArray]:
         """Centred scalings at a frequency, None if there are none; the variables reached.
 
         At most two nodes before it say where to begin.

@@ -18,7 +18,7 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
-from lftkit.proofs.sampled_loop.scalings import CellTest
+from lftkit.proofs.sampled_loop.scalings import ScalingTest
 
 Box = tuple[Interval, ...]
 HELD = 0.02
@@ -115,7 +115,7 @@ class Branching:
     def _holds(self, box: Box, omega: float, number: int) -> bool:
         if time.monotonic() > self.until:
             return False
-        return CellTest(self.model, box, omega, self.level * math.pow(RATIO, number)).feasible()[0] is not None
+        return ScalingTest(self.model, box, omega, self.level * math.pow(RATIO, number)).feasible()[0] is not None
 
 
 def _without_circles(losses: FloatArray, box: Box) -> FloatArray:

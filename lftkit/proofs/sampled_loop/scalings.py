@@ -20,8 +20,8 @@ from lftkit.proofs.state_space.barrier import (
     FULL,
     GROWTH,
     REAL,
-    Block,
-    Problem,
+    BarrierBlock,
+    BarrierProblem,
     newton_step,
 )
 from lftkit.proofs.state_space.cells import balanced
@@ -42,7 +42,7 @@ class NodeScalings:
     factor: float
 
 
-class CellTest:
+class ScalingTest:
     """Test whether the gain at a frequency is below a level in a whole box.
 
     Parameters
@@ -82,10 +82,10 @@ class CellTest:
         self.factors = [_factors(angle, *ends) for angle, ends in zip(model.angle, box)]
         kind = COMPLEX if static else REAL
         kinds = [ANY_REAL if angle and is_circle(*ends) else kind for angle, ends in zip(model.angle, box)]
-        self.problem = Problem(
+        self.problem = BarrierProblem(
             [
-                *(Block(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),
-                Block(FULL, maps[q:], inputs[q:]),
+                *(BarrierBlock(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),
+                BarrierBlock(FULL, maps[q:], inputs[q:]),
             ],
             PENALTY,
         )

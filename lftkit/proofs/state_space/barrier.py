@@ -30,7 +30,7 @@ CENTRED = 0.3
 
 
 @dataclass(frozen=True)
-class Block:
+class BarrierBlock:
     """One block of uncertainty of norm at most 1.
 
     Parameters
@@ -67,13 +67,13 @@ class Scalings:
 
 
 def find_scalings(
-    blocks: Sequence[Block], *, iterations: int = 80, until: float = np.inf, precision: float = 1e-7
+    blocks: Sequence[BarrierBlock], *, iterations: int = 80, until: float = np.inf, precision: float = 1e-7
 ) -> Scalings:
     """Scalings of trace one with a margin as large as it gets, or as soon as the sign of it is certain.
 
     Parameters
     ----------
-    blocks : sequence of Block
+    blocks : sequence of BarrierBlock
         N is the same for all; together the W have rank N.
     iterations : int
         Most Newton steps.
@@ -82,7 +82,7 @@ def find_scalings(
     precision : float
         Smallest distance to the optimal margin that is worth a step.
     """
-    problem = Problem(blocks)
+    problem = BarrierProblem(blocks)
     y = problem.start()
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):
@@ -103,18 +103,18 @@ def find_scalings(
     return problem.result(y)
 
 
-class Problem:
+class BarrierProblem:
     """Variables y = (s, coordinates of the scalings); minimise s with ``s I - F(y) > 0``.
 
     Parameters
     ----------
-    blocks : sequence of Block
+    blocks : sequence of BarrierBlock
     penalty : float
         Weight of ``|G|^2 / 2`` in the objective with barrier. Where all responses are nearly real, G costs nothing and
         its centre is far out, so that the inequality is lost in rounding.
     """
 
-    def __init__(self, blocks: Sequence[Block], penalty: float = 0.0) -> None:
+    def __init__(self, blocks: Sequence[BarrierBlock], penalty: float = 0.0) -> None:
         self.blocks = tuple(blocks)
         self.N = self.blocks[0].Z.shape[1]
         self.slices: list[tuple[slice | None, slice | None]] = []

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.state_space.barrier import FULL, REAL, Block, Scalings, find_scalings
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, Scalings, find_scalings
 from lftkit.systems.uncertain_system import UncertainSystem
 
 NARROW = 1e-7
@@ -201,17 +201,17 @@ class CellTest:
         widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
         return 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal), widths
 
-    def _blocks(self, M: ComplexArray, scale: FloatArray, level: float) -> list[Block]:
+    def _blocks(self, M: ComplexArray, scale: FloatArray, level: float) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
         inputs = np.eye(M.shape[1], dtype=complex)
         scaled = M / _column_scale(scale, M.shape[1])
         scaled[:total] *= scale[:total, None]
         blocks, at = [], 0
         for size in ([n] if n else []) + self.sizes:
-            blocks.append(Block(REAL, scaled[at : at + size], inputs[at : at + size]))
+            blocks.append(BarrierBlock(REAL, scaled[at : at + size], inputs[at : at + size]))
             at += size
         if self.gain:
-            blocks.append(Block(FULL, scaled[total:] * (scale[total] / level), inputs[total:]))
+            blocks.append(BarrierBlock(FULL, scaled[total:] * (scale[total] / level), inputs[total:]))
         return blocks
 
     def _axis(self, found: Scalings, cell: Cell) -> int:

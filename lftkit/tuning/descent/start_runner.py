@@ -2,7 +2,7 @@
 
 Given starts run first, then batches of random ones: all of a batch are screened in short rounds and the best carried
 on. Batches follow until one finds nothing better. What is done depends on the work only, never on the clock: the
-deadline is a cap, and :attr:`Search.complete` says whether it was reached.
+deadline is a cap, and :attr:`StartSearch.complete` says whether it was reached.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SAME = 1e-4  # relative difference of values after the screening up to which two
 
 
 @dataclass(frozen=True)
-class Search:
+class StartSearch:
     """Results of the starts that were begun, and whether those were all."""
 
     results: tuple[StartResult, ...]
@@ -62,7 +62,7 @@ def run_starts(
     workers: int,
     progress: Progress,
     batches: int = MAX_BATCHES,
-) -> Search:
+) -> StartSearch:
     """The given starts, then batches of others until one finds nothing better.
 
     Parameters
@@ -104,7 +104,7 @@ def run_starts(
     unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
     if unfinished and batches > 1 and runner.best.soft > VANISHING * negligible_value(problem):
         runner.run(_full, [Start(0, runner.best.x)])
-    return Search(tuple(runner.results), runner.complete)
+    return StartSearch(tuple(runner.results), runner.complete)
 
 
 def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:

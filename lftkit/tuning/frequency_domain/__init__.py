@@ -7,7 +7,7 @@ function at every step, and the result belongs to a search for worse parameters.
 """
 
 from lftkit.tuning.frequency_domain.blocks import ControllerBlock, ControllerResponse, gain_matrices, parameters_of
-from lftkit.tuning.frequency_domain.descent import Descent, DescentOptions, DescentState, descend
+from lftkit.tuning.frequency_domain.descent import DescentState, ResponseDescent, ResponseDescentOptions, descend
 from lftkit.tuning.frequency_domain.gains import ResponseGain, ResponseNoise
 from lftkit.tuning.frequency_domain.problem import ResponseProblem
 from lftkit.tuning.frequency_domain.samples import GrowingSamples, PlantSamples
@@ -15,11 +15,11 @@ from lftkit.tuning.frequency_domain.samples import GrowingSamples, PlantSamples
 __all__ = [
     "ControllerBlock",
     "ControllerResponse",
-    "Descent",
-    "DescentOptions",
     "DescentState",
     "GrowingSamples",
     "PlantSamples",
+    "ResponseDescent",
+    "ResponseDescentOptions",
     "ResponseGain",
     "ResponseNoise",
     "ResponseProblem",

@@ -40,7 +40,7 @@ RIDGE, PROPORTION = 1e-4, 1e-2
 
 
 @dataclass(frozen=True)
-class DescentOptions:
+class ResponseDescentOptions:
     """Limits of a descent.
 
     Parameters
@@ -65,7 +65,7 @@ class DescentOptions:
 
 
 @dataclass(frozen=True)
-class Descent:
+class ResponseDescent:
     """Result of a descent.
 
     Parameters
@@ -146,11 +146,11 @@ def descend(
     problem: ResponseProblem,
     x: FloatArray,
     stable: Callable[[FloatArray], bool],
-    options: DescentOptions | None = None,
+    options: ResponseDescentOptions | None = None,
     report: Callable[[int, float], None] = lambda iteration, value: None,
     keep: Callable[[DescentState], None] = lambda state: None,
     goes_on: DescentState | None = None,
-) -> Descent:
+) -> ResponseDescent:
     """Lower the largest value from a stabilising start.
 
     Parameters
@@ -160,7 +160,7 @@ def descend(
         Start, :func:`lftkit.tuning.frequency_domain.parameters_of`.
     stable : callable
         Whether the loop is stable with these parameters; steps to others are not taken.
-    options : DescentOptions, optional
+    options : ResponseDescentOptions, optional
     report : callable
         Receives the iteration and the largest value at each look at all pairs.
     keep : callable
@@ -173,7 +173,7 @@ def descend(
     ValueError
         A start that is not stable or has values that are not finite.
     """
-    options = options or DescentOptions()
+    options = options or ResponseDescentOptions()
     if not stable(x):
         raise ValueError("start must be a stabilising controller, got one that is not")
     given, x = x, with_least_decay(problem.blocks, np.array(x, dtype=float))
@@ -335,7 +335,7 @@ def _factor(H: FloatArray, sizes: FloatArray) -> tuple[FloatArray, bool]:
     return factor[0], bool(factor[1])
 
 
-def _result(x: FloatArray, raw: FloatArray, noise: FloatArray, status: str, iterations: int) -> Descent:
+def _result(x: FloatArray, raw: FloatArray, noise: FloatArray, status: str, iterations: int) -> ResponseDescent:
     values, worst_pair = raw.max(axis=1), raw.argmax(axis=1)
     value = max(float(values.max()), float(noise.max(initial=0.0)))
-    return Descent(x, value, values, noise, worst_pair, status, iterations)
+    return ResponseDescent(x, value, values, noise, worst_pair, status, iterations)

@@ -17,7 +17,7 @@ ORIGIN = 1e-12  # [rad/s] frequency at which the limit of an integrator at zero 
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerFactors:
     """Controller at N frequencies, with the factors of its derivative ``dK(jw) = left dK right``.
 
     Parameters
@@ -49,12 +49,12 @@ def controller_response(K: FloatArray, order: int, omega: FloatArray) -> Complex
     return controller_at(K, order, omega).response
 
 
-def controller_at(K: FloatArray, order: int, omega: FloatArray) -> Controller:
+def controller_at(K: FloatArray, order: int, omega: FloatArray) -> ControllerFactors:
     """Controller with the gain matrix `K` (order + u, order + y) at the frequencies `omega` (N,), infinity allowed."""
     n = order
     if n == 0:
         response = np.broadcast_to(K, (len(omega), *K.shape)).astype(complex)
-        return Controller(response, response[:, :, :0], response[:, :0])
+        return ControllerFactors(response, response[:, :, :0], response[:, :0])
     finite = np.isfinite(omega)
     w = np.where(finite, np.where(omega == 0.0, ORIGIN, omega), 1.0)
     poles, left, right = controller_modes(K, n)
@@ -62,13 +62,13 @@ def controller_at(K: FloatArray, order: int, omega: FloatArray) -> Controller:
         r = 1.0 / (1j * w[:, None] - poles)
         r[~finite] = 0.0
         state = _sums(r, left[:n], right[:, n:])
-        return Controller(K[n:, n:] + _sums(r, left[n:], right[:, n:]), _sums(r, left[n:], right[:, :n]), state)
+        return ControllerFactors(K[n:, n:] + _sums(r, left[n:], right[:, n:]), _sums(r, left[n:], right[:, :n]), state)
     resolvent = solve(
         1j * w[:, None, None] * np.eye(n) - K[:n, :n], np.broadcast_to(np.eye(n, dtype=complex), (len(w), n, n))
     )
     resolvent[~finite] = 0.0
     output, state = K[n:, :n] @ resolvent, resolvent @ K[:n, n:]
-    return Controller(K[n:, n:] + K[n:, :n] @ state, output, state)
+    return ControllerFactors(K[n:, n:] + K[n:, :n] @ state, output, state)
 
 
 Modes = tuple[ComplexArray, ComplexArray | None, ComplexArray | None]

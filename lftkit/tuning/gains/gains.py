@@ -20,7 +20,7 @@ NEAR_MULTIPLE = 0.98  # singular values this close to the largest give subgradie
 
 
 @dataclass(frozen=True)
-class Peak:
+class GainPeak:
     """A local maximum of the gain: value, frequency [rad/s] and gradient with respect to the gain matrix."""
 
     value: float
@@ -63,7 +63,7 @@ class LoopGains:
         floor: float = 0.0,
         max_peaks: int = 24,
         gradients: bool = True,
-    ) -> list[list[Peak]]:
+    ) -> list[list[GainPeak]]:
         """For each requirement the local maxima above `band` times its largest gain (and above `floor`).
 
         Parameters
@@ -92,7 +92,7 @@ class LoopGains:
         omega = np.concatenate([arrays.omega for arrays in sets])
         index = np.argsort(omega, kind="stable")
         omega = omega[index]
-        found: list[list[Peak]] = []
+        found: list[list[GainPeak]] = []
         for i in which:
             parts = [gains_above(response[i], min(band, 0.5)) for response in responses]
             w, gains = self._split_high_cells(omega, np.concatenate(parts)[index], gain_matrix, order, i)
@@ -144,13 +144,13 @@ class LoopGains:
 
     def _with_gradients(
         self, K: FloatArray, order: int, i: int, omega: FloatArray, value: FloatArray, gradients: bool
-    ) -> list[Peak]:
+    ) -> list[GainPeak]:
         if not gradients:
-            return [Peak(float(v), float(w), None) for v, w in zip(value, omega)]
+            return [GainPeak(float(v), float(w), None) for v, w in zip(value, omega)]
         s, rows, columns = singular_slopes(self.plant, self.plant.arrays(omega, (i,)), K, order, i)
         return sorted(
             (
-                Peak(float(s[j, k]), float(omega[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
+                GainPeak(float(s[j, k]), float(omega[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
                 for j in range(len(omega))
                 for k in range(s.shape[1])
                 if s[j, k] >= NEAR_MULTIPLE * s[j, 0]

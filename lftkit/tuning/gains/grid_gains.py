@@ -12,7 +12,7 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import determinants, leading_pairs, smooth_gains, smooth_slopes, solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from lftkit.tuning.gains.controller_response import Controller, controller_modes
+from lftkit.tuning.gains.controller_response import ControllerFactors, controller_modes
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
 
 EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
@@ -25,7 +25,7 @@ MAX_GRAMS = 64  # frequencies in the Gauss-Newton matrix of one requirement and 
 class _Closed:
     """Controller, closed-loop responses, ``S = I - K P22`` and ``M = S^-1 K`` on the grid."""
 
-    own: Controller
+    own: ControllerFactors
     responses: dict[int, ComplexArray]
     S: ComplexArray
     M: ComplexArray

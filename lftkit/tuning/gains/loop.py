@@ -140,7 +140,7 @@ def extended_plant(
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class LoopSpectrum:
     """Poles of a closed loop with the factors of their derivatives.
 
     Parameters
@@ -175,16 +175,16 @@ class Spectrum:
         return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
 
 
-def spectrum(loop: ClosedLoop, *, derivatives: bool) -> Spectrum:
+def spectrum(loop: ClosedLoop, *, derivatives: bool) -> LoopSpectrum:
     """Poles of the closed loop, with derivatives if asked for."""
     if not derivatives:
-        return Spectrum(np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex))
+        return LoopSpectrum(np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex))
     found: Any = linalg.eig(loop.A, left=True, right=True, check_finite=False)  # the stubs say two results
     values, left, right = cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
     scale = np.sum(left.conj() * right, axis=0)
     # a defective pole has no derivative; a large finite one still points downhill
     scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
-    return Spectrum(
+    return LoopSpectrum(
         np.asarray(values, dtype=complex), loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
     )
 

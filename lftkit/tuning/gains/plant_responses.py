@@ -18,7 +18,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.state_space import StateSpace
-from lftkit.tuning.gains.controller_response import Controller, controller_at
+from lftkit.tuning.gains.controller_response import ControllerFactors, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
 from lftkit.tuning.requirements import H2Gain, HinfGain
 
@@ -148,7 +148,7 @@ class PlantResponses:
             P21[i] = shared[self.groups[i]]
         return Arrays(omega, P11, P12, P21, P[:, nz:, nw:])
 
-    def controller(self, K: FloatArray, order: int, omega: FloatArray) -> Controller:
+    def controller(self, K: FloatArray, order: int, omega: FloatArray) -> ControllerFactors:
         """The controller with its delay, as the plant after its pre-feedback sees it."""
         own = controller_at(K, order, omega)
         if not self._delay:
@@ -157,7 +157,7 @@ class PlantResponses:
         return replace(own, response=own.response * turn - self._F, turn=turn)
 
     def closed(
-        self, arrays: Arrays, K: Controller, which: tuple[int, ...]
+        self, arrays: Arrays, K: ControllerFactors, which: tuple[int, ...]
     ) -> tuple[dict[int, ComplexArray], ComplexArray, ComplexArray]:
         """Closed-loop responses of the requirements `which`, ``S = I - K P22`` and ``M = S^-1 K``.
 

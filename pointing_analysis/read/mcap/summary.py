@@ -37,7 +37,7 @@ MAX_SUMMARY = 64_000_000
 
 
 @dataclass
-class Summary:
+class SummarySection:
     """Places of records.
 
     Attributes
@@ -51,7 +51,7 @@ class Summary:
     times: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
-def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> Summary | None:
+def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection | None:
     """Read the summary into `info`; None without one that is whole."""
     size = stream.seek(0, os.SEEK_END)
     if size < _TAIL + len(MAGIC):
@@ -67,7 +67,7 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> Summary | None
     data = stream.read(size - _TAIL - start)
     if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
         return None
-    found, at = Summary(), 0
+    found, at = SummarySection(), 0
     stop = offsets - start if offsets else len(data)
     try:
         while at + RECORD.size <= stop:
@@ -87,7 +87,7 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> Summary | None
     return found if all(inside) else None
 
 
-def _place(found: Summary, op: int, body: bytes) -> None:
+def _place(found: SummarySection, op: int, body: bytes) -> None:
     if op == OP_CHUNK_INDEX:
         first, last, at, length, n = struct.unpack_from("<QQQQI", body)
         found.anchors[at] = (OP_CHUNK, length - RECORD.size)

@@ -49,7 +49,7 @@ from pointing_analysis.read.mcap.records import (
     read_side_record,
     with_article,
 )
-from pointing_analysis.read.mcap.summary import Summary, read_summary
+from pointing_analysis.read.mcap.summary import SummarySection, read_summary
 
 PLAIN_BLOCK = 4 << 20  # unchunked files are read in blocks of this size [byte]
 MAX_RATIO, MAX_SPARE = 100, 1 << 30
@@ -67,7 +67,7 @@ class _Walk:
         self.indexed: list[bytes] = []
         size = stream.seek(0, os.SEEK_END)
         self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
-        self.summary = read_summary(stream, info, where) or Summary()
+        self.summary = read_summary(stream, info, where) or SummarySection()
         self.framing = Framing(stream, size, self.summary.anchors)
 
     def blocks(self) -> Iterator[Block]:

@@ -20,7 +20,7 @@ from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs
 from los_design.verification.certify import (
     NYQUIST,
-    Part,
+    ProofPart,
     box_of,
     certify_figure,
     figures_of,
@@ -53,9 +53,9 @@ def loop(system, parameters) -> ImplementedLoop:
 
 
 @pytest.fixture(scope="module")
-def part(loop: ImplementedLoop, tmp_path_factory: pytest.TempPathFactory) -> Part:
+def part(loop: ImplementedLoop, tmp_path_factory: pytest.TempPathFactory) -> ProofPart:
     model = telescope_model(loop, figures_of(loop.parameters, loop.stage)["fast"])
-    return Part(model, box_of(loop), BAND, 1.0, math.inf, tmp_path_factory.mktemp("parts") / "000.npz")
+    return ProofPart(model, box_of(loop), BAND, 1.0, math.inf, tmp_path_factory.mktemp("parts") / "000.npz")
 
 
 def deviations(loop: ImplementedLoop, points) -> np.ndarray:
@@ -90,7 +90,7 @@ def test_bands_and_parts_leave_no_frequency_out(parameters) -> None:
         assert all(before[1] == after[0] for before, after in itertools.pairwise(parts))
 
 
-def test_a_part_of_the_band_is_proven_checked_and_kept(part: Part, loop: ImplementedLoop) -> None:
+def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: ImplementedLoop) -> None:
     found = prove_part(part)
     assert found.finished and not found.uncovered and part.file.exists()
     again = prove_part(part)
@@ -105,7 +105,7 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: Part, loop: Impleme
         check_loop_proof(dataclasses.replace(proof, band=(199.0, 212.0)))
 
 
-def test_a_part_of_another_level_is_used(part: Part, tmp_path: Path) -> None:
+def test_a_part_of_another_level_is_used(part: ProofPart, tmp_path: Path) -> None:
     """What holds for the lower level is taken from the part before: the strips are its own."""
     first = prove_part(part)
     lower = dataclasses.replace(part, level=0.97, file=tmp_path / "000.npz", others=(part.file,))
@@ -117,7 +117,7 @@ def test_a_part_of_another_level_is_used(part: Part, tmp_path: Path) -> None:
     assert check_loop_proof(LoopProof(part.model, tuple("1234567"), part.box, BAND, 0.97, found.strips)).level == 0.97
 
 
-def test_a_part_without_time_is_open_and_not_kept(part: Part, tmp_path: Path) -> None:
+def test_a_part_without_time_is_open_and_not_kept(part: ProofPart, tmp_path: Path) -> None:
     late = dataclasses.replace(part, until=time.monotonic() - 1.0, file=tmp_path / "000.npz")
     found = prove_part(late)
     assert not found.finished and found.uncovered == [BAND] and not late.file.exists()
@@ -137,7 +137,7 @@ def test_the_level_of_a_known_worst_point_is_violated(system, parameters, tmp_pa
     assert not list(tmp_path.glob("*.npz"))
 
 
-def test_no_part_is_proven_below_a_gain_that_is_reached(part: Part, tmp_path: Path) -> None:
+def test_no_part_is_proven_below_a_gain_that_is_reached(part: ProofPart, tmp_path: Path) -> None:
     """A level 2 % below the gain of a member in the band: never covered."""
     rng = np.random.default_rng(0)
     members = np.array(part.box)[:, 0] + rng.uniform(size=(40, 7)) * np.ptp(np.array(part.box), axis=1)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lftkit.tuning.frequency_domain import Descent, DescentState
+from lftkit.tuning.frequency_domain import DescentState, ResponseDescent
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis import rounds
@@ -68,7 +68,9 @@ class Bench:
         self.tuned.append(len(problem.samples))
         report(0, 0.9)
         values, noise = np.array([0.9, 0.5]), np.array([0.8])
-        return Descent(x + 1.0, self.value, values, noise, np.zeros(2, dtype=int), self.status, options.iterations)
+        return ResponseDescent(
+            x + 1.0, self.value, values, noise, np.zeros(2, dtype=int), self.status, options.iterations
+        )
 
     def search(self, task, x, stage, options):
         def run(names, known, workers):

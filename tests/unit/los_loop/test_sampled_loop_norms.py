@@ -12,7 +12,7 @@ from small_loop import DT, small_controllers, small_plant
 from los_loop import sampled_loop_norms
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
-from los_loop.tone_model import LoopModel
+from los_loop.tone_model import ToneModel
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.parameters import load_parameters
 
@@ -29,9 +29,9 @@ def closed(frame_ticks: int, stage: str = "fsm+pma") -> SampledLoop:
     return sampled_loop(small_plant(), *small_controllers(), loop=stage, frame_ticks=frame_ticks)
 
 
-def model(loop: SampledLoop, omega: float) -> LoopModel:
+def model(loop: SampledLoop, omega: float) -> ToneModel:
     """One tone of unit amplitude on each of the 22 inputs in turn."""
-    return LoopModel(loop, small_plant(), np.full(22, omega), np.eye(22, dtype=complex), np.full(8, 1e9))
+    return ToneModel(loop, small_plant(), np.full(22, omega), np.eye(22, dtype=complex), np.full(8, 1e9))
 
 
 def stepped(loop: SampledLoop, omega: float) -> np.ndarray:

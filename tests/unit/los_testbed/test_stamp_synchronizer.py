@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 
 from pointing_analysis.read.messages.message_types import VECTOR3
 
@@ -15,9 +15,9 @@ MS = 1_000_000
 def make(camera_every=2):
     codec = Codec(VECTOR3, 2, "f")
     parts = [
-        Part(codec, slice(0, 2)),
-        Part(codec, slice(2, 4), every=camera_every, nan_allowed=True),
-        Part(codec, slice(4, 6)),
+        TickPart(codec, slice(0, 2)),
+        TickPart(codec, slice(2, 4), every=camera_every, nan_allowed=True),
+        TickPart(codec, slice(4, 6)),
     ]
     return StampSynchronizer(parts, 6)
 

@@ -24,7 +24,7 @@ from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, desi
 
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
-    from los_loop.tone_model import LoopModel
+    from los_loop.tone_model import ToneModel
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig
     from titop_plant.simulation.driven_plant import DrivenPlant
@@ -345,7 +345,7 @@ def _physical(config: RunConfig) -> PlantConfig:
 
 def tone_model(
     config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None, start: RunStart | None = None
-) -> LoopModel:
+) -> ToneModel:
     """Model of the loop that runs, with its tones, for comparisons with a record.
 
     Parameters
@@ -361,14 +361,14 @@ def tone_model(
     ValueError
         A telescope outside its family, a file that is missing or no controller.
     """
-    from los_loop.tone_model import LoopModel
+    from los_loop.tone_model import ToneModel
 
     if controllers is None:
         controllers = load_controllers(config)
     if start is None:
         start = run_start(config, controllers)
     with one_thread():
-        return LoopModel.of(
+        return ToneModel.of(
             plant_config(config, start),
             controllers,
             loop=config.loop,

@@ -151,7 +151,7 @@ def _computed(
     config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
 ) -> RunStart:
     from los_loop.steady_state import steady_start
-    from los_loop.tone_model import LoopModel
+    from los_loop.tone_model import ToneModel
     from titop_plant.simulation.build import sensor_bias
 
     notes: list[str] = []
@@ -159,7 +159,7 @@ def _computed(
     states = None
     if config.start == "steady":
         chosen = with_tones(physical, RunStart(tone)) if tone else physical
-        model = LoopModel.of(chosen, controllers, loop=config.loop, authority=authority)
+        model = ToneModel.of(chosen, controllers, loop=config.loop, authority=authority)
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
             states = steady_start(model, sensor_bias(physical), orders)
@@ -176,14 +176,14 @@ def _tone(
     notes: list[str],
 ) -> WorstTone:
     """Worst tone of the loop; of the telescope without fine control where the loop is not stable."""
-    from los_loop.tone_model import LoopModel
+    from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import worst_tone
     from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
     parameters = load_parameters(config.parameters or REFERENCE)
     open_loop = "isolator" if physical.isolated else "none"
     for loop in (config.loop, open_loop):
-        model = LoopModel.of(physical, controllers, loop=loop, authority=authority)
+        model = ToneModel.of(physical, controllers, loop=loop, authority=authority)
         try:
             found = worst_tone(
                 model.loop, model.plant, parameters, index=config.worst_of, stage=config.loop, closed=loop != open_loop

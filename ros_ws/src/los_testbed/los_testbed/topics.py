@@ -18,7 +18,7 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 @dataclass(frozen=True)
-class Topic:
+class TopicDefinition:
     """One stream of messages of the loop.
 
     Parameters
@@ -65,17 +65,23 @@ class Topic:
         return int(self.columns.stop) - int(self.columns.start)
 
 
-ISOLATOR_ACCEL = Topic(
+ISOLATOR_ACCEL = TopicDefinition(
     "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", COLUMNS["accel_Ip"], unit="m/s2,rad/s2"
 )
-M1_ACCEL = Topic("m1/accel", ACCEL, "m1", "plant", "measurement", COLUMNS["accel_M1"], unit="m/s2,rad/s2")
-M2_ACCEL = Topic("m2/accel", ACCEL, "m2", "plant", "measurement", COLUMNS["accel_M2"], unit="m/s2,rad/s2")
-CAMERA_LOS = Topic("camera/los", VECTOR3, "line_of_sight", "plant", "measurement", COLUMNS["camera_los"], rate="camera")
-FSM_ANGLE = Topic("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", COLUMNS["fsm_angle"])
-TRUTH_LOS = Topic("truth/los", VECTOR3, "line_of_sight", "plant", "truth", COLUMNS["los_controlled"])
-LOS_ESTIMATE = Topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", COLUMNS["los_estimate"])
-FSM_COMMAND = Topic("fsm/command", VECTOR3, "fsm", "controller", "command", COLUMNS["fsm_command"])
-PMA_COMMAND = Topic("pma/command", JOINT_STATE, "pma", "controller", "command", COLUMNS["pma_force"], unit="N")
+M1_ACCEL = TopicDefinition("m1/accel", ACCEL, "m1", "plant", "measurement", COLUMNS["accel_M1"], unit="m/s2,rad/s2")
+M2_ACCEL = TopicDefinition("m2/accel", ACCEL, "m2", "plant", "measurement", COLUMNS["accel_M2"], unit="m/s2,rad/s2")
+CAMERA_LOS = TopicDefinition(
+    "camera/los", VECTOR3, "line_of_sight", "plant", "measurement", COLUMNS["camera_los"], rate="camera"
+)
+FSM_ANGLE = TopicDefinition("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", COLUMNS["fsm_angle"])
+TRUTH_LOS = TopicDefinition("truth/los", VECTOR3, "line_of_sight", "plant", "truth", COLUMNS["los_controlled"])
+LOS_ESTIMATE = TopicDefinition(
+    "los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", COLUMNS["los_estimate"]
+)
+FSM_COMMAND = TopicDefinition("fsm/command", VECTOR3, "fsm", "controller", "command", COLUMNS["fsm_command"])
+PMA_COMMAND = TopicDefinition(
+    "pma/command", JOINT_STATE, "pma", "controller", "command", COLUMNS["pma_force"], unit="N"
+)
 
 SENSORS = (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, CAMERA_LOS, FSM_ANGLE)
 """Sent by the plant in this order; the strain gauge comes last and wakes the estimator."""

@@ -13,10 +13,10 @@ from scipy import linalg
 
 from lftkit.tuning.frequency_domain import (
     ControllerBlock,
-    DescentOptions,
     DescentState,
     GrowingSamples,
     PlantSamples,
+    ResponseDescentOptions,
     ResponseGain,
     ResponseNoise,
     ResponseProblem,
@@ -283,13 +283,13 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     for seed in (1, 2, 3):
         x, seen = controller(seed, 0.05), []
         assert stable(x)
-        found = descend(one, x, stable, DescentOptions(60, 1e-4), lambda i, v, seen=seen: seen.append(v))
+        found = descend(one, x, stable, ResponseDescentOptions(60, 1e-4), lambda i, v, seen=seen: seen.append(v))
         assert stable(found.x) and found.status in ("stalled", "iterations")
         assert all(b <= a for a, b in itertools.pairwise(seen)) and found.value < seen[0]
         assert found.values[1] <= 1.0 + 1e-9
         ends.append(found.values[0])
     assert max(ends) < 0.3 * 3.7  # of the least start
-    again = descend(one, x, stable, DescentOptions(60, 1e-4))
+    again = descend(one, x, stable, ResponseDescentOptions(60, 1e-4))
     np.testing.assert_array_equal(again.x, found.x)
 
 
@@ -297,22 +297,24 @@ def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     """Random directions of another seed than the descent's own find nothing 0.1 % lower; a start is not converged."""
     omega = np.geomspace(0.02, 50.0, 40)
     one = ResponseProblem(BLOCKS, samples(omega), GAINS[:1])
-    found = descend(one, controller(1, 0.05), stable, DescentOptions(2000, 1e-3, confirm=True))
+    found = descend(one, controller(1, 0.05), stable, ResponseDescentOptions(2000, 1e-3, confirm=True))
     assert found.status == "converged"
     rng, sizes = np.random.default_rng(77), entry_sizes(BLOCKS, found.x)
     for length in (1e-3, 1e-2, 1e-1):
         for _ in range(50):
             x = found.x + length * sizes * rng.standard_normal(len(found.x))
             assert one.values(x).max() > 0.999 * found.value or not stable(x)
-    further = descend(one, found.x, stable, DescentOptions(60, 1e-6))
+    further = descend(one, found.x, stable, ResponseDescentOptions(60, 1e-6))
     assert further.value > 0.995 * found.value, "a descent that goes on from there"
-    assert descend(one, controller(1, 0.05), stable, DescentOptions(6, 1e-3, confirm=True)).status == "iterations"
+    assert (
+        descend(one, controller(1, 0.05), stable, ResponseDescentOptions(6, 1e-3, confirm=True)).status == "iterations"
+    )
 
 
 def test_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
     """From looks at all pairs at the beginning and at the end of a `converged` descent, through JSON."""
     one, states = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1]), []
-    options = DescentOptions(2000, 1e-3, confirm=True)
+    options = ResponseDescentOptions(2000, 1e-3, confirm=True)
     whole = descend(one, controller(1, 0.05), stable, options, keep=states.append)
     assert len(states) > 8
     for state in [states[1], states[-2]]:
@@ -326,9 +328,9 @@ def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:
     one = problem(OMEGA)
     x = controller(1, 0.05)
     start = one.values(x).max()
-    assert descend(one, x, stable, DescentOptions(target=2.0 * start)).status == "target"
-    assert descend(one, x, stable, DescentOptions(iterations=0)).status == "iterations"
-    late = descend(one, x, stable, DescentOptions(wall_limit=0.0))
+    assert descend(one, x, stable, ResponseDescentOptions(target=2.0 * start)).status == "target"
+    assert descend(one, x, stable, ResponseDescentOptions(iterations=0)).status == "iterations"
+    late = descend(one, x, stable, ResponseDescentOptions(wall_limit=0.0))
     assert late.status == "out_of_time"
     np.testing.assert_array_equal(late.x, x)
 
@@ -391,7 +393,7 @@ def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
     for decay in (None, 1.2):
         own = tuple(replace(b, least_decay=decay) for b in BLOCKS)
         one = ResponseProblem(own, samples(np.geomspace(0.02, 50.0, 150)), gains)
-        found = descend(one, controller(1, 0.05), stable, DescentOptions(60, 1e-4))
+        found = descend(one, controller(1, 0.05), stable, ResponseDescentOptions(60, 1e-4))
         poles = [np.linalg.eigvals(M[: b.order, : b.order]) for b, M in zip(own, gain_matrices(own, found.x))]
         slowest[decay] = max(p.real.max() for p in poles)
     assert slowest[None] > -1.1 and slowest[1.2] <= -1.2 + 1e-9

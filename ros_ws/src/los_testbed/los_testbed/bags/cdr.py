@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.topics import Topic
+from los_testbed.topics import TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
 from pointing_analysis.read.messages.message_types import JOINT_STATE
@@ -76,6 +76,6 @@ def stamp_of(data: bytes | bytearray) -> int:
     return int(seconds) * NS_PER_S + int(rest)
 
 
-def codec_for(topic: Topic) -> Codec:
+def codec_for(topic: TopicDefinition) -> Codec:
     """Codec of a row of the table of topics."""
     return Codec(topic.type_name, topic.size, topic.frame_id)

@@ -29,7 +29,7 @@ from titop_plant.simulation.sampled_plant import SampledPlant
 
 
 class Signals(Protocol):
-    """Ticks of one loop, as :class:`los_testbed.loop.simulate.Block` holds them."""
+    """Ticks of one loop, as :class:`los_testbed.loop.simulate.SampleBlock` holds them."""
 
     @property
     def measurement(self) -> FloatArray:

@@ -30,13 +30,13 @@ from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay.replay import Controller, Estimator
+    from pointing_analysis.replay.replay import ControllerCore, EstimatorCore
 
 BLOCK = 1000
 """Ticks that are simulated before they are written: one chunk of the bag."""
 
 SIGNALS = ("measurement", "truth", "los_estimate", "command")
-"""Vectors of a `Block`."""
+"""Vectors of a `SampleBlock`."""
 
 SIMULATED_START_NS = 1_000_000_000
 """Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
@@ -59,7 +59,7 @@ def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
 
 
 @dataclass(frozen=True)
-class Block:
+class SampleBlock:
     """Signals of some consecutive ticks; row i belongs to stamp i."""
 
     size: int
@@ -78,10 +78,10 @@ class Block:
 
 def simulate(
     plant: Plant,
-    estimator: Estimator,
-    controller: Controller,
+    estimator: EstimatorCore,
+    controller: ControllerCore,
     ticks: int,
-    sink: Callable[[Block, int], None],
+    sink: Callable[[SampleBlock, int], None],
     first_command: FloatArray | None = None,
 ) -> None:
     """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
@@ -102,7 +102,7 @@ def simulate(
     RunFailedError
         Plant, observer or controller raised an exception; what was computed until then is in the sink.
     """
-    block = Block(BLOCK)
+    block = SampleBlock(BLOCK)
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     plant_step, estimate, control = plant.step, estimator.step, controller.step
@@ -144,7 +144,7 @@ class BagSink:
         self._frame_ns = frame_ticks * TICK_NS
         self._codecs = [(topic, codec_for(topic)) for topic in TOPICS]
 
-    def __call__(self, block: Block, rows: int) -> None:
+    def __call__(self, block: SampleBlock, rows: int) -> None:
         """Write the first `rows` ticks of the block as one chunk."""
         stamps = block.stamps[:rows]
         frames = stamps % self._frame_ns == 0
@@ -201,7 +201,7 @@ def run_in_process(
     bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config, start)}, attachments(config, start))
     sink, done = BagSink(bag, plant.frame_ticks), 0
 
-    def write(block: Block, rows: int) -> None:
+    def write(block: SampleBlock, rows: int) -> None:
         nonlocal done
         sink(block, rows)
         done += rows

@@ -16,7 +16,7 @@ HOLD_STAMP = 0
 """Stamp of the plant's messages before the run begins: no time has passed."""
 
 
-class Part:
+class TickPart:
     """One topic's share of a tick: its bytes, its columns, and when it is due.
 
     Parameters
@@ -46,7 +46,7 @@ class StampSynchronizer:
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of TickPart
         Topics to join.
     size : int
         Length of the joined vector; what is not due is NaN.
@@ -54,7 +54,7 @@ class StampSynchronizer:
     Examples
     --------
     >>> codec = Codec("geometry_msgs/msg/Vector3Stamped", 2, "fsm")
-    >>> synchronizer = StampSynchronizer([Part(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
+    >>> synchronizer = StampSynchronizer([TickPart(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
     >>> message = bytes(codec.encode(5_000_000, np.array([1.0, 2.0])))
     >>> synchronizer.put(1, message) is None
     True
@@ -64,7 +64,7 @@ class StampSynchronizer:
 
     SLOTS = 64
 
-    def __init__(self, parts: Sequence[Part], size: int) -> None:
+    def __init__(self, parts: Sequence[TickPart], size: int) -> None:
         self.parts = tuple(parts)
         self.rejected: Counter[str] = Counter()
         self.gaps = 0

@@ -14,7 +14,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_controller, check_controllers, telescope_basis
 from los_testbed.loop.changes import ACTIVE, Apply, Fade
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
@@ -25,14 +25,16 @@ from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay.replay import Controller
+    from pointing_analysis.replay.replay import ControllerCore
 
 ESTIMATE = slice(0, LOS_ESTIMATE.size)
 ACCEL = slice(ESTIMATE.stop, ESTIMATE.stop + ISOLATOR_ACCEL.size)
 """Columns of what this node takes in at a tick."""
 
 
-def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Controller] = build_controller) -> int:
+def main(
+    arguments: Sequence[str] | None = None, build: Callable[[RunConfig], ControllerCore] = build_controller
+) -> int:
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
@@ -42,8 +44,8 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
         if not own:
             context.warn_alone(check_controllers(context.config))
         parts = [
-            Part(codec_for(ISOLATOR_ACCEL), ACCEL),
-            Part(codec_for(LOS_ESTIMATE), ESTIMATE),
+            TickPart(codec_for(ISOLATOR_ACCEL), ACCEL),
+            TickPart(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
         command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
@@ -74,7 +76,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Co
     return run_node("controller", arguments, body)
 
 
-def _appliers(controller: Controller) -> dict[str, Apply]:
+def _appliers(controller: ControllerCore) -> dict[str, Apply]:
     """Settings that a controller can change, those of the package's own at least."""
     if not isinstance(controller, FsmPmaController):
         return {}

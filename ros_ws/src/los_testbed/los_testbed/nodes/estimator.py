@@ -13,7 +13,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_estimator
 from los_testbed.loop.changes import ACTIVE, Fade
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, Part, StampSynchronizer
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, settle
@@ -24,10 +24,10 @@ from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
 
 if TYPE_CHECKING:
-    from pointing_analysis.replay.replay import Estimator
+    from pointing_analysis.replay.replay import EstimatorCore
 
 
-def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Estimator] = build_estimator) -> int:
+def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], EstimatorCore] = build_estimator) -> int:
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
@@ -35,7 +35,9 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         estimator = made_by(build, context.config, "estimator") if own else build(context.config)
         estimate, reset = watched(estimator.step, "step"), watched(estimator.reset, "reset")
         every = context.config.frame_ticks
-        parts = [Part(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS]
+        parts = [
+            TickPart(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS
+        ]
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)

@@ -23,7 +23,7 @@ from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.domains import domain_lock
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, Topic
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import Replayed
@@ -119,7 +119,7 @@ class _Player:
         self._inputs = {t.name: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
         self._taken: dict[str, list[bytes]] = {topic.name: [] for topic in ANSWERS}
 
-    def _output(self, topic: Topic, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], FloatArray]:
+    def _output(self, topic: TopicDefinition, run: Run) -> tuple[RawPublisher, Codec, NDArray[np.int64], FloatArray]:
         """Publisher, codec, row of the topic on each tick (-1: nothing is due), values."""
         rows = np.full(len(self.stamps), -1)
         rows[np.searchsorted(self.stamps, run[topic.name].stamp)] = np.arange(len(run[topic.name]))

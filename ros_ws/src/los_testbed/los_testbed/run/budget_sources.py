@@ -17,7 +17,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_loop.sampled_loop import SampledLoop
-from los_loop.tone_model import LoopModel
+from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import requirements_of, tone_model
 from pointing_analysis.budget import sources as kinds
@@ -77,7 +77,7 @@ def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:
     return tuple(r for r in requirements_of(config) if not r.loops or config.loop in r.loops)
 
 
-def _tones(path: tuple[str, ...], model: LoopModel, unit: float) -> list[Source]:
+def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]:
     """One source for each tone; tones of one frequency on several channels are one."""
     with one_thread():
         phasors = model.settled() / unit

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_loop.tone_model import ToneResponse, tone_responses
+from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, plant_config, tone_model
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
-from los_testbed.run.worst_case_rows import WORST_INDICES, WorstTone, worst_tone_of
+from los_testbed.run.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, random_member, worst_member
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
@@ -156,12 +156,12 @@ class StageResult:
         By :data:`METRICS`; NaN where the loop diverged.
     transient : float
         Seconds of start-up left out.
-    tones : tuple of ToneResponse
+    tones : tuple of StageTones
         Of runs with the disturbance alone.
     bag : Path or None
         Where it is kept.
     note : str
-    worst : WorstTone or None
+    worst : WorstToneRun or None
         Of runs of the scenario worst_case with the disturbance alone.
     summary : Summary or None
         All metrics; None where the loop diverged.
@@ -170,10 +170,10 @@ class StageResult:
     run: StageRun
     metrics: Mapping[str, float]
     transient: float
-    tones: tuple[ToneResponse, ...] = ()
+    tones: tuple[StageTones, ...] = ()
     bag: Path | None = None
     note: str = ""
-    worst: WorstTone | None = None
+    worst: WorstToneRun | None = None
     summary: Summary | None = None
 
     def model(self) -> tuple[FloatArray, FloatArray]:

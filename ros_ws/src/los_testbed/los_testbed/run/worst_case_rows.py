@@ -34,7 +34,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
-class WorstTone:
+class WorstToneRun:
     """One tone of unit norm: what the model says of it and what a record shows.
 
     Parameters
@@ -64,7 +64,7 @@ class WorstTone:
         return {k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in asdict(self).items()}
 
 
-def worst_tone_of(run: Run) -> WorstTone | None:
+def worst_tone_of(run: Run) -> WorstToneRun | None:
     """The tone of a run without noise, fitted to its record; None where the bag holds no worst-case tone."""
     data = run.attachments.get(START_FILE)
     tone = None if data is None else RunStart.from_bytes(data).tone
@@ -77,7 +77,7 @@ def worst_tone_of(run: Run) -> WorstTone | None:
     unit, weight = RAD_PER_ARCSEC, 1.0
     if tone.index != "APE":
         unit, weight = RAD_PER_MAS, float(rpe_weight(tone.omega, WINDOW))
-    return WorstTone(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
+    return WorstToneRun(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
 
 
 def level(summary: Summary, index: str, errors: float = 0.0) -> float:
@@ -142,7 +142,7 @@ HEADS = (
 )
 
 
-def rows(cells: Sequence[tuple[str, WorstTone, Summary]], requirements: Sequence[Requirement]) -> list[list[str]]:
+def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Sequence[Requirement]) -> list[list[str]]:
     """Rows of the table: stage, tone, run with noise, limits of the telescope that it keeps."""
     table = []
     for loop, tone, summary in cells:
@@ -164,4 +164,4 @@ def rows(cells: Sequence[tuple[str, WorstTone, Summary]], requirements: Sequence
     return table
 
 
-__all__ = ["HEADS", "WORST_INDICES", "WorstTone", "level", "limits_kept", "rows", "worst_tone_of"]
+__all__ = ["HEADS", "WORST_INDICES", "WorstToneRun", "level", "limits_kept", "rows", "worst_tone_of"]

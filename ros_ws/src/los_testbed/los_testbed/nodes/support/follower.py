@@ -13,7 +13,7 @@ from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawSubscription, Waiter
-from los_testbed.topics import Topic
+from los_testbed.topics import TopicDefinition
 from titop_plant.interface import TICK_NS
 
 WAIT_NS = 50_000_000
@@ -36,7 +36,7 @@ class Follower:
     ----------
     context : NodeContext
         The node.
-    topics : sequence of Topic
+    topics : sequence of TopicDefinition
         Inputs, in the order of the synchronizer's parts; the last one is published last and wakes the loop.
     synchronizer : StampSynchronizer
         Joins them by stamp.
@@ -49,7 +49,7 @@ class Follower:
     def __init__(
         self,
         context: NodeContext,
-        topics: Sequence[Topic],
+        topics: Sequence[TopicDefinition],
         synchronizer: StampSynchronizer,
         tick: Tick,
         changes: Changes,

@@ -9,7 +9,7 @@ from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.support.source_watch import SourceWatch
-from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, Topic
+from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS
 
@@ -20,7 +20,7 @@ class PlantIo:
     def __init__(self, context: NodeContext) -> None:
         config, node = context.config, context.node
 
-        def output(topic: Topic) -> tuple[Topic, RawPublisher]:
+        def output(topic: TopicDefinition) -> tuple[TopicDefinition, RawPublisher]:
             return topic, RawPublisher(node, topic.name, topic.type_name)
 
         self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
@@ -28,7 +28,7 @@ class PlantIo:
         self._frame_ns = config.frame_ticks * TICK_NS
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
-        def subscribe(topic: Topic) -> RawSubscription:
+        def subscribe(topic: TopicDefinition) -> RawSubscription:
             return RawSubscription(node, topic.name, topic.type_name, READER_DEPTH, every, topic.publisher)
 
         self.fsm_input = subscribe(FSM_COMMAND)
