@@ -97,7 +97,7 @@ class Still(SimpleTelescope):
 
 
 def test_recording_adds_no_work_per_tick(config, tmp_path):
-    """Calls per tick: one step of the plant, six of both laws, eight checksums of messages; and about two of the blocks.
+    """Calls per tick: one step of the plant, six of both laws, eight checksums of messages, and two of the blocks.
 
     The laws' six: observer, camera hold, K_FSM, controller, K_PMA, command (the hold and the command are functions of
     their own because campaigns call them).

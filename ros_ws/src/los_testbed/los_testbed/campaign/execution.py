@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import shutil
+import ssl
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +26,7 @@ from los_testbed import __version__
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.local_cluster import local_cluster
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
-from los_testbed.campaign.tls_files import TlsFiles, client_security
+from los_testbed.campaign.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.config import RunConfig
 from los_testbed.factories import controller_files, requirements_of
 
@@ -153,7 +154,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
     except MemoryError:  # for a length that is none
         reason = "what answers is not Dask"
     except Exception as error:  # whatever Dask makes of the bytes of another program
-        reason = _first_cause(error)
+        reason = _first_cause(error, scheduler)
     else:
         if kind == "Scheduler":
             return
@@ -161,10 +162,21 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
     raise ValueError(f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {reason}")
 
 
-def _first_cause(error: BaseException) -> str:
-    """What Dask's exception came from, such as a certificate that was refused, in one line."""
+def _first_cause(error: BaseException, scheduler: str) -> str:
+    """What Dask's exception came from, in one line.
+
+    A scheduler that refuses this client's certificate does so after the handshake (TLS 1.3): the client sees its alert,
+    or only the end of the connection, whichever comes first.
+    """
     while error.__cause__ is not None:
         error = error.__cause__
+    ended = isinstance(error, (ssl.SSLEOFError, ConnectionError)) or "_ALERT_" in str(error)
+    if scheduler.startswith(SCHEME) and ended and not isinstance(error, ConnectionRefusedError):
+        return f"it ended the connection: it must know the authority of --tls-cert ({_one_line(error)})"
+    return _one_line(error)
+
+
+def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
