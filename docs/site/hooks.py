@@ -13,23 +13,17 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from pointing_analysis.files.structured_text import load_toml
+
 ROOT = Path(__file__).parents[2]
 OUTSIDE = {"README.md": "overview.md"} | {
     page: page for page in ("CONTRIBUTING.md", "CHANGELOG.md", "bags/README.md", "ros_ws/README.md")
 }
 """Pages of the repository outside docs/ that are part of the site, and their names there (index.md is the start)."""
 PACKAGES = {
-    name: ROOT / name
-    for name in (
-        "lftkit",
-        "titop_plant",
-        "los_estimator",
-        "fsm_pma_controller",
-        "los_loop",
-        "los_design",
-        "pointing_analysis",
-    )
-} | {"los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed"}
+    name: ROOT / name if (ROOT / name).is_dir() else ROOT / "ros_ws/src/los_testbed" / name
+    for name in load_toml((ROOT / "pyproject.toml").read_text("utf-8"), "pyproject.toml")["tool"]["mypy"]["packages"]
+}
 LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")

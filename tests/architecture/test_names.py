@@ -7,19 +7,13 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from support.packages import LIBRARIES, ROOT
 from support.skip_remedies import REMEDIES, remedy
 
-ROOT = Path(__file__).parents[2]
 CODE = sorted(
     path
     for folder in (
-        "lftkit",
-        "titop_plant",
-        "los_estimator",
-        "fsm_pma_controller",
-        "los_loop",
-        "los_design",
-        "pointing_analysis",
+        *LIBRARIES,
         "ros_ws/src",
         "tests",
         "benchmarks",

@@ -13,18 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[2]
-ROS_PACKAGE = Path("ros_ws/src/los_testbed")
-LIBRARIES = (
-    "lftkit",
-    "titop_plant",
-    "los_estimator",
-    "fsm_pma_controller",
-    "los_loop",
-    "los_design",
-    "pointing_analysis",
-)
-PACKAGES = (*LIBRARIES, str(ROS_PACKAGE / "los_testbed"))
+from support.packages import FOLDERS, ROOT, ROS_PACKAGE
+
 STEP = re.compile(
     r"^[^\n]*?(?P<verb>[Ww]rite|[Aa]dd to) `(?P<target>[^`]+)`(?: in `(?P<file>[^`]+)`)?(?:, before `(?P<before>\w+)`)?"
     r"[^\n`]*:\n\n```(?P<language>\w+)\n(?P<block>.*?)^```"
@@ -56,7 +46,7 @@ class PackageCopy:
     @classmethod
     def of(cls, folder: Path) -> PackageCopy:
         """Copy the packages to `folder`, with the reference bag beside them."""
-        for name in PACKAGES:
+        for name in FOLDERS:
             shutil.copytree(ROOT / name, folder / name)
         (folder / "bags").mkdir()
         (folder / "bags/reference").symlink_to(ROOT / "bags/reference")
@@ -83,7 +73,7 @@ class PackageCopy:
 
     def file(self, name: str) -> Path:
         """File of the copy that a page names."""
-        path = self.folder / (ROS_PACKAGE / name if name.startswith("los_testbed/") else name)
+        path = self.folder / (Path(ROS_PACKAGE) / name if name.startswith("los_testbed/") else name)
         if not path.is_file():
             raise ValueError(f"{name} must be a file of the repository, got none")
         return path

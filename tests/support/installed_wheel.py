@@ -11,16 +11,11 @@ import tarfile
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from support.packages import LIBRARIES, ROOT
+
 NAME = "los-testbed"
 PARTS = (
-    "lftkit",
-    "titop_plant",
-    "los_estimator",
-    "fsm_pma_controller",
-    "los_loop",
-    "los_design",
-    "pointing_analysis",
+    *LIBRARIES,
     "ros_ws",
     "pyproject.toml",
     "MANIFEST.in",
