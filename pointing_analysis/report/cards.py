@@ -12,7 +12,7 @@ from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.rows import css_class, digits, overall
-from pointing_analysis.requirements.summary import Summary
+from pointing_analysis.requirements.summary import WINDOW, Summary
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
@@ -91,7 +91,8 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "limits": s.rows,
         "data": (
             f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "
-            f"{digits(s.windows, 6)} windows of 20 ms, {s.windows_skipped} skipped; {s.samples_lost} samples lost"
+            f"{digits(s.windows, 6)} windows of {1e3 * WINDOW:g} ms, {s.windows_skipped} skipped; "
+            f"samples lost: {s.lost_text()}"
         ),
         "problems": s.problems,
         "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],

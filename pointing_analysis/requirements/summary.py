@@ -178,6 +178,19 @@ class Summary:
         )
         return tuple(figure for figure in found if not math.isnan(figure.value))
 
+    def lost_text(self, lost: int | None = None) -> str:
+        """Number of lost samples in words: of a recording that was cut off, only a part of them is known.
+
+        Parameters
+        ----------
+        lost : int, optional
+            Those that are known; default: :attr:`samples_lost`.
+        """
+        known = self.samples_lost if lost is None else lost
+        if not self.open_end:
+            return str(known)
+        return f"at least {known}" if known else "unknown"
+
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
         return {
@@ -196,6 +209,7 @@ class Summary:
             "windows": self.windows,
             "windows_skipped": self.windows_skipped,
             "samples_lost": self.samples_lost,
+            "cut_off": self.open_end,
             "camera_dropped": self.camera_dropped,
             "knowledge": None
             if self.knowledge is None

@@ -94,7 +94,7 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
         table.add_column(head, justify="right")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
-        table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", str(s.samples_lost))
+        table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", s.lost_text())
     console.print(table)
     if not all(s.requirements_known for s in found):
         say(console, UNKNOWN, "note")

@@ -177,10 +177,8 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
         if figure.quantity not in judged:
             table.add_row(figure.name, f"{digits(figure.value)} {figure.unit}")
     lost = metrics["samples_lost"]
-    if summary.open_end and not lost:
-        table.add_row("samples lost", "unknown", "0", "", "not known: cut off")
-    else:
-        table.add_row("samples lost", f"at least {lost}" if summary.open_end else str(lost), "0", "", met(not lost))
+    verdict = "not known: cut off" if summary.open_end and not lost else met(not lost)
+    table.add_row("samples lost", summary.lost_text(lost), "0", "", verdict)
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:
         share = 100.0 * missed / max(periods, 1)  # a missed tick is a held command or a lost period: at most all
