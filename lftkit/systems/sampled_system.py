@@ -32,6 +32,7 @@ from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system_summary import named_line
 
 if TYPE_CHECKING:
     import control
@@ -103,6 +104,9 @@ class SampledSystem:
         object.__setattr__(self, "_next", np.zeros(n))
         object.__setattr__(self, "_feed", np.zeros(n))
         object.__setattr__(self, "_through", np.zeros(p))
+
+    def __repr__(self) -> str:
+        return named_line(self, self.name, f"dt {self.dt:g} s")
 
     @property
     def order(self) -> int:

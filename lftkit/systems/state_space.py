@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray, IntArray, Matrices
 from lftkit.systems.control_conversion import continuous_only, control_system, ports_and_matrices
 from lftkit.systems.ports import Port, as_ports, port_indices, read_only, total_size
+from lftkit.systems.system_summary import named_line
 
 if TYPE_CHECKING:
     import control
@@ -64,6 +65,9 @@ class StateSpace:
             raise ValueError(f"{self.name}: {error}") from None
         for key, matrix in zip("ABCD", matrices):
             object.__setattr__(self, key, matrix)
+
+    def __repr__(self) -> str:
+        return named_line(self, self.name)
 
     @property
     def order(self) -> int:

@@ -1,4 +1,4 @@
-"""What an uncertain system consists of, as one line, as text and as HTML for notebooks."""
+"""What a system consists of, as one line; of an uncertain one also as text and as HTML for notebooks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ if TYPE_CHECKING:
     from lftkit.uncertainty.parameters import RealParameter
 
 Row = tuple[str, ...]
+SHOWN = 6
+"""Ports of a side that a line names."""
 
 
-class Summarised(Protocol):
-    """What a summary needs of a system: ports, parameters, number of states, occurrences of each parameter."""
+class WithPorts(Protocol):
+    """What the line needs of a system: ports and number of states."""
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -27,13 +29,17 @@ class Summarised(Protocol):
         ...
 
     @property
-    def parameters(self) -> tuple[RealParameter, ...]:
-        """Uncertain parameters."""
-        ...
-
-    @property
     def order(self) -> int:
         """Number of states."""
+        ...
+
+
+class Summarised(WithPorts, Protocol):
+    """What a summary needs of an uncertain system: its parameters and their occurrences as well."""
+
+    @property
+    def parameters(self) -> tuple[RealParameter, ...]:
+        """Uncertain parameters."""
         ...
 
     def occurrences(self) -> dict[str, int]:
@@ -41,20 +47,33 @@ class Summarised(Protocol):
         ...
 
 
-def one_line(system: Summarised) -> str:
-    """Order and counts: what stands in a session or a debugger.
+def one_line(system: WithPorts, *facts: str) -> str:
+    """Type, order, counts and further `facts`: what stands in a session or a debugger.
 
     Examples
     --------
-    >>> from lftkit import Port, RealParameter, UncertainSystem
+    >>> from lftkit import Port, RealParameter, StateSpace, UncertainSystem
     >>> k = RealParameter("k", 2.0, 1.0, 3.0, "N/m")
     >>> u, y = (Port("u", 1, "m"),), (Port("y", 1, "N"),)
     >>> UncertainSystem([], [], [], [[0.0, 1.0], [1.0, 2.0]], u, y, ("k",), (k,))
     UncertainSystem(order 0, 1 input, 1 output, parameters k (1))
+    >>> StateSpace.static(2.0, u, y, "spring")
+    StateSpace('spring', order 0, input u (1), output y (1))
     """
     counts = [_count(sum(p.size for p in ports), kind) for ports, kind in _sides(system)]
-    used = ", ".join(f"{name} ({n})" for name, n in system.occurrences().items())
-    return f"UncertainSystem(order {system.order}, {', '.join(counts)}, {f'parameters {used}' if used else 'certain'})"
+    return f"{type(system).__name__}({', '.join([f'order {system.order}', *counts, *facts])})"
+
+
+def named_line(system: WithPorts, name: str, *facts: str) -> str:
+    """Type, name, order, the first ports by name and size, and further `facts`."""
+    sides = [_named_ports(ports, kind) for ports, kind in _sides(system)]
+    return f"{type(system).__name__}({', '.join([repr(name), f'order {system.order}', *sides, *facts])})"
+
+
+def _named_ports(ports: Sequence[Port], kind: str) -> str:
+    shown = ", ".join(f"{port.name} ({port.size})" for port in ports[:SHOWN])
+    more = f" and {len(ports) - SHOWN} more" if len(ports) > SHOWN else ""
+    return f"{kind}{'' if len(ports) == 1 else 's'} {shown or 'none'}{more}"
 
 
 def text(system: Summarised) -> str:
@@ -80,7 +99,7 @@ def html(system: Summarised) -> str:
     return f"<div>{''.join(parts)}</div>"
 
 
-def _sides(system: Summarised) -> tuple[tuple[tuple[Port, ...], str], ...]:
+def _sides(system: WithPorts) -> tuple[tuple[tuple[Port, ...], str], ...]:
     return (system.inputs, "input"), (system.outputs, "output")
 
 

@@ -82,7 +82,8 @@ class UncertainSystem:
         object.__setattr__(self, "parameters", used)
 
     def __repr__(self) -> str:
-        return one_line(self)
+        used = ", ".join(f"{name} ({n})" for name, n in self.occurrences().items())
+        return one_line(self, f"parameters {used}" if used else "certain")
 
     def _repr_html_(self) -> str:
         return html(self)

@@ -24,7 +24,7 @@ def digits(value: float, places: int = 3) -> str:
         return ABSENT
     if math.isinf(value):
         return "no bound yet"
-    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1000 else f"{value:.{places}g}"
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.{places}g}"
 
 
 def number(value: float) -> float | None:

@@ -15,7 +15,7 @@ which must be positive semidefinite (:mod:`titop_plant.structures.residual_mass`
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +43,7 @@ class ChildPort:
 
     name: str
     position: FloatArray
-    shapes: FloatArray
+    shapes: FloatArray = field(repr=False)
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -98,10 +98,10 @@ class ModalData:
     name: str
     parent: str
     parent_position: FloatArray
-    mass_matrix: FloatArray
-    frequencies: FloatArray
-    damping: FloatArray
-    participation: FloatArray
+    mass_matrix: FloatArray = field(repr=False)
+    frequencies: FloatArray = field(repr=False)
+    damping: FloatArray = field(repr=False)
+    participation: FloatArray = field(repr=False)
     children: tuple[ChildPort, ...] = ()
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ integrated twice: the realisation is minimal by construction (204 states for the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Telescope:
     """
 
     system: UncertainSystem
-    inertia: FloatArray
+    inertia: FloatArray = field(repr=False)
     bodies: tuple[ModalData, ModalData, ModalData]
 
 

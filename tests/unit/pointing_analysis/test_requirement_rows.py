@@ -40,8 +40,8 @@ NOT_JUDGED = verdict(
         (12.3456, "12.3"),
         (0.00123456, "0.00123"),
         (999.4, "999"),
-        (1000.0, "1\u202f000"),
-        (-1234567.8, "-1\u202f234\u202f568"),
+        (1000.0, "1000"),
+        (-1234567.8, "-1234568"),
         (math.nan, "–"),
         (math.inf, "no bound yet"),
         (0.0, "0"),
@@ -49,7 +49,7 @@ NOT_JUDGED = verdict(
 )
 def test_digits(value: float, text: str) -> None:
     assert digits(value) == text
-    assert digits(123456.0, 6) == "123\u202f456" and digits(12.3456, 5) == "12.346"
+    assert digits(123456.0, 6) == "123456" and digits(12.3456, 5) == "12.346"
 
 
 def test_numbers_for_json() -> None:
@@ -61,7 +61,7 @@ def test_a_row() -> None:
     assert cells(row) == ("|RPE(250 ms)|, 75 %, mixed", "30 mas", "40 mas", "36 mas at 90 %", "compliant")
     assert len(HEADS) == len(cells(row))
     assert (row.run, row.name, row.text, row.css, row.remark) == ("run", "long", str(RULE), "ok", "")
-    assert (row.exceeding_text, row.effective_text) == ("12.5 %", "50 of 2\u202f000")
+    assert (row.exceeding_text, row.effective_text) == ("12.5 %", "50 of 2000")
     assert (row.margin_text, row.margin_css) == ("margin +10 mas (25 %)", "ok")
     assert row.as_dict() == {
         "name": "long",

@@ -1,0 +1,6 @@
+"""``python -m los_testbed`` is the command ``los-testbed``."""
+
+from los_testbed.cli.app import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())
