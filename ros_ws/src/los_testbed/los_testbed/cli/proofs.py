@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop import CheckedLoop
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
+    from los_design.verification.proof_comparison import ProofComparison
     from los_loop.implemented_loop import ImplementedLoop
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
@@ -57,9 +58,14 @@ The check has its own short code (`lftkit/proofs/state_space/checker.py`; for th
 `lftkit/proofs/sampled_loop/checker.py` and what it imports): it optimises nothing. Exit code 1 if the
 proof is refused.
 
-**Example**
+The words in a file prove nothing of whom it is about: a proof of `design certify` is compared with the shipped
+controllers and telescope, or with those of `--of FOLDER`, and refused if it is not of these.
+
+**Examples**
 
     los-testbed design check-proof proof.json
+
+    los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --of designs/soft
 """
 
 SUMMARY = "bounds.json"
@@ -213,6 +219,9 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
 
 def check_proof(
     file: Annotated[Path, typer.Argument(help="Proof file (.json, or .npz of `design certify`).")],
+    of: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
+    ] = None,
     workers: WorkersOption = 0,
     json_: Json = False,
 ) -> None:
@@ -224,9 +233,11 @@ def check_proof(
     count = processes(workers)
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
+    if of is not None and file.suffix != ".npz":
+        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
     try:
         if file.suffix == ".npz":
-            _check_loop(file, count, json_)
+            _check_loop(file, count, of, json_)
             return
         with one_thread():
             checked = check(file)
@@ -247,18 +258,30 @@ def check_proof(
     sys.stdout.write(f"{checked.cells} cells; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
 
 
-def _check_loop(file: Path, count: int, json_: bool) -> None:
-    """Check a proof of a sampled loop."""
+def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
+    """Check a proof of a sampled loop, and of which loop it is."""
     from lftkit.proofs.sampled_loop import check_loop_proof
+    from lftkit.proofs.state_space.checker import ProofError
     from lftkit.support.threads import one_thread
     from lftkit.support.workers import Workers
 
+    whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
+    compared = _compared(file, of)
+    if of is not None and not compared.same:
+        raise ProofError(f"it is not of {whose}: other {', '.join(compared.mismatches)}")
     with one_thread(), Workers(count) as pool:
         checked = check_loop_proof(file, pool.each)
     if json_:
         below = checked.stable_below if math.isfinite(checked.stable_below) else None
-        print_json({**vars(checked), "stable_below": below})
+        mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
+        print_json({**vars(checked), "stable_below": below, **mismatches})
         return
+    if compared.same:
+        close = f"to {compared.difference:.1g} of the responses, compared and not proven"
+        sys.stdout.write(f"of {whose} ({close})\n")
+    else:
+        other = ", ".join(compared.mismatches)
+        sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
     box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
@@ -266,6 +289,19 @@ def _check_loop(file: Path, count: int, json_: bool) -> None:
     sys.stdout.write(f"{_stability(checked)}\n")
     sys.stdout.write(f"for all deviations from the nominal values {box} (of an angle [rad])\n")
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
+
+
+def _compared(file: Path, of: Path | None) -> ProofComparison:
+    """Of which loop a proof is: that of the stage and figure that it names."""
+    from lftkit.proofs.sampled_loop import LoopProof
+    from los_design.verification.proof_comparison import ProofComparison, compare_proof
+
+    proof = LoopProof.from_file(file)
+    stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
+    if stage not in MIRROR_STAGES:
+        return ProofComparison((f"stage, got {stage}",))
+    loops, _ = _loops(of, [stage])
+    return compare_proof(proof, loops[stage], figure)
 
 
 def _stability(checked: CheckedLoop) -> str:

@@ -1,0 +1,126 @@
+"""Whether a proof is of given controllers, telescope, stage and figure: its model is made again and compared.
+
+The words in a proof file are for people and prove nothing. What counts is its model: here that of a loop is made anew,
+and every entry that is not a matrix must be the same. The matrices are in modal coordinates, which differ from machine
+to machine: their poles and their responses are compared, at each resonance and between them. **This comparison is a
+numerical one**: a difference below the tolerance is not part of the proof.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof
+from lftkit.proofs.sampled_loop.proof import Interval
+from los_design.verification.certify import box_of, figures_of, telescope_model
+from los_loop.implemented_loop import ImplementedLoop
+
+SAME = 1e-6
+"""Largest difference of responses, of the largest entry at their frequency, and of poles, of their modulus."""
+EXACT = ("dt", "frame", "groups", "angle", "weights", "window", "rows", "scale", "commands")
+"""Fields of a model that are the same on every machine."""
+POLES = {"poles": "telescope", "K_poles": "controllers"}
+LOWEST, BETWEEN = 1e-3, 50
+"""First frequency [rad/s] and number of frequencies between the resonances."""
+
+
+@dataclass(frozen=True)
+class ProofComparison:
+    """What a comparison of a proof with a loop found.
+
+    Parameters
+    ----------
+    mismatches : tuple of str
+        What is another one in the proof than in the loop, a phrase each; empty if it is a proof of the loop.
+    difference : float
+        Largest difference of the responses, of the largest entry at its frequency; NaN if they were not compared.
+    frequency : float
+        Where that is [rad/s].
+    """
+
+    mismatches: tuple[str, ...]
+    difference: float = np.nan
+    frequency: float = np.nan
+
+    @property
+    def same(self) -> bool:
+        """Whether the proof is of the loop."""
+        return not self.mismatches
+
+
+def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> ProofComparison:
+    """Compare a proof with a loop.
+
+    Parameters
+    ----------
+    proof : LoopProof
+    loop : ImplementedLoop
+        Controllers, telescope and stage.
+    figure : str
+        One of :func:`los_design.verification.certify.figures_of`.
+    """
+    metric = figures_of(loop.parameters, loop.stage).get(figure)
+    if metric is None:
+        return ProofComparison((f"stage {loop.stage} has no figure {figure}",))
+    model = telescope_model(loop, metric)
+    found = [name for name in EXACT if not _equal(getattr(model, name), getattr(proof.model, name))]
+    if proof.names != tuple(p.name for p in loop.system.parameters):
+        found.append("names of the parameters")
+    elif not all(map(_covers, proof.box, box_of(loop))):
+        found.append("box of the parameters")
+    if not _covers(proof.band, metric.band):
+        found.append("band of frequencies")
+    for name, where in POLES.items():
+        if not _same_poles(getattr(proof.model, name), getattr(model, name)):
+            found.append(f"poles of the {where}")
+    if found or _shapes(proof.model) != _shapes(model):
+        return ProofComparison(tuple(found) or ("sizes of telescope or controllers",))
+    omega = _frequencies(model, metric.band)
+    differences = np.array([_difference(proof.model, model, at) for at in omega])
+    worst = int(np.argmax(differences))
+    wrong = () if differences[worst] <= SAME else ("responses of telescope or controllers",)
+    return ProofComparison(wrong, float(differences[worst]), float(omega[worst]))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+
+
+def _shapes(model: LoopModel) -> tuple[tuple[int, ...], ...]:
+    return tuple(getattr(model, name).shape for name in ("C", "B", "D", "K_C", "K_B", "K_D"))
+
+
+def _covers(proven: Interval, needed: Interval) -> bool:
+    """Whether an interval holds another one, but for rounding."""
+    slack = 1e-12 * max(abs(needed[0]), abs(needed[1]))
+    return proven[0] <= needed[0] + slack and proven[1] >= needed[1] - slack
+
+
+def _same_poles(one: ComplexArray, other: ComplexArray) -> bool:
+    """Whether two sets agree, each pole with the nearest of the other set that is left."""
+    if len(one) != len(other):
+        return False
+    left = list(other)
+    for pole in one:
+        nearest = int(np.argmin(np.abs(np.array(left) - pole)))
+        if abs(left.pop(nearest) - pole) > SAME * max(abs(pole), 1e-3):
+            return False
+    return True
+
+
+def _frequencies(model: LoopModel, band: Interval) -> FloatArray:
+    """Resonances of telescope and controllers in a band, and frequencies between them."""
+    low, high = max(band[0], LOWEST), band[1]
+    resonances = np.abs(model.poles.imag), np.abs(np.angle(model.K_poles)) / model.dt
+    found: FloatArray = np.unique(np.concatenate([*resonances, np.geomspace(low, high, BETWEEN)]))
+    return found[(found >= low) & (found <= high)]
+
+
+def _difference(one: LoopModel, other: LoopModel, omega: float) -> float:
+    """Largest difference of the responses at a frequency, of the largest entry of each."""
+    pairs = zip(one.at(omega), other.at(omega))
+    return max(float(np.abs(a - b).max() / max(np.abs(b).max(), np.finfo(float).tiny)) for a, b in pairs)
