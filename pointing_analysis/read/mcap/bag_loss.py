@@ -19,6 +19,8 @@ from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_
 from pointing_analysis.read.mcap.records import Block, FileInfo
 
 NANO = 1e9
+REPEATED = "repeated"
+"""Entry in the record of a repair: by topic, messages of the new bag whose number others of it have as well."""
 NUMBERED = "los-testbed"
 """Begin of the name of the library whose files number the messages of each topic."""
 ENDS = "ends"
@@ -145,9 +147,18 @@ def _ends_before_repair(infos: Sequence[FileInfo], topic: str) -> tuple[int, int
     return found[0], found[1]
 
 
-def repair_entries(infos: Sequence[FileInfo], losses: Sequence[TopicLoss]) -> dict[str, str]:
-    """What the record of a repair says of losses, for those who read the new bag."""
+def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
+    """Messages that the statistics of a repaired bag count a second time."""
+    count = _of_repair(infos, REPEATED).get(topic, 0)
+    return count if _is_count(count) else 0
+
+
+def repair_entries(
+    infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int]
+) -> dict[str, str]:
+    """What the record of a repair says of losses and of repeated numbers, for those who read the new bag."""
     found: dict[str, Mapping[str, object]] = {
+        REPEATED: repeated,
         "lost": {loss.topic: loss.missing for loss in losses},
         "expected": {loss.topic: loss.missing + loss.recovered for loss in losses},
     }
@@ -230,9 +241,10 @@ class LossLedger:
         expected = [info.expected[number] for number in channels if number in info.expected]
         total = max([e.last_sequence for e in expected], default=0)
         if info.statistics is not None:
-            total = max([total, *(info.statistics.get(number, 0) for number in channels)])
+            counted = max((info.statistics.get(number, 0) for number in channels), default=0)
+            total = max(total, counted - _repeated_in_repair(infos, topic))
         elif topic in counts:
-            total = max(total, counts[topic])
+            total = max(total, counts[topic] - _repeated_in_repair(infos, topic))
         total = max(total, _before_repair(infos).get(topic, 0))
         if topic in self._topics and self._topics[topic].incomplete:
             count = self._topics[topic].count

@@ -66,7 +66,8 @@ class Manifest:
         return np.append(0, np.cumsum(lengths))
 
 
-def _digest(content: bytes | bytearray) -> bytes:
+def content_digest(content: bytes | bytearray) -> bytes:
+    """BLAKE2b digest (16 bytes) of the content of a chunk."""
     return hashlib.blake2b(content, digest_size=16).digest()
 
 
@@ -79,7 +80,7 @@ def encode_manifest(content: bytes, runs: Sequence[tuple[int, ...]]) -> bytes:
         checksums += [zlib.crc32(view[i : i + length]) for i in range(at, end, length)]
         at = end
     crcs = np.array(checksums, "<u4").tobytes()
-    rest = _HEAD.pack(0, zlib.crc32(content), len(content), VERSION, _digest(content))[4:]
+    rest = _HEAD.pack(0, zlib.crc32(content), len(content), VERSION, content_digest(content))[4:]
     rest += struct.pack("<I", rows.nbytes) + rows.tobytes() + struct.pack("<I", len(crcs)) + crcs
     return struct.pack("<I", zlib.crc32(rest)) + rest
 
@@ -169,7 +170,7 @@ def _mended(content: bytearray, manifest: Manifest, wrong: Sequence[int]) -> byt
         changed = bytearray(content)
         for at, pattern in [trial] if trial is not None else [options[0] for options in choices]:
             _add(pattern, changed, at)
-        if _digest(changed) == manifest.digest:
+        if content_digest(changed) == manifest.digest:
             return bytes(changed)
     return None
 

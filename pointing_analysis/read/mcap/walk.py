@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 import zstandard
 
+from pointing_analysis.read.mcap.chunk_copies import ChunkCopies
 from pointing_analysis.read.mcap.chunks import (
     ZSTD,
     Unpacked,
@@ -65,6 +66,7 @@ class _Walk:
         self.manifest: Manifest | None = None
         self.chunk: tuple[Frame, bytes] | None = None
         self.indexed: list[bytes] = []
+        self.copies = ChunkCopies()
         size = stream.seek(0, os.SEEK_END)
         self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
         self.summary = read_summary(stream, info, where) or SummarySection()
@@ -184,7 +186,12 @@ class _Walk:
         if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
             self.left = 0
             found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
-        if found.reason and not cut:
+        again = False
+        if found.content:
+            found, manifest, again = self.copies.new_part(found, manifest)
+        if again:
+            self.info.note(self.where, frame.at, "a chunk stands twice in the file: its messages count once")
+        elif found.reason and not cut:
             self._lost(frame, found.reason)
         if found.whole is not None and manifest is not None:
             return whole_records(self.info, found, manifest, self.where, frame.at)

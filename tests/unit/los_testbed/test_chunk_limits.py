@@ -131,7 +131,7 @@ def test_trials_to_undo_damage_are_limited(monkeypatch: pytest.MonkeyPatch) -> N
     runs = [(0, 1, 90_000, 0, 0, 0), (0, 1, 60_000_000, 0, 0, 0)]
     content = bytes(60_090_000)
     manifest, made = decode_manifest(encode_manifest(content, runs)), []
-    monkeypatch.setattr(chunk_manifest, "_digest", lambda _: made.append(1) or b"")
+    monkeypatch.setattr(chunk_manifest, "content_digest", lambda _: made.append(1) or b"")
     assert manifest is not None
     assert salvage(b"\1" * 40_000 + content[40_000:], manifest)[1].tolist() == [False, True]
     assert 1 <= len(made) <= 40

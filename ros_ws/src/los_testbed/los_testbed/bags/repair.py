@@ -7,7 +7,7 @@ the new bag holds what an analysis of the damaged one uses, and says the same of
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -35,7 +35,7 @@ class RepairResult:
     messages : messages in the new bag
     copied : messages of each topic in the new bag
     losses : what was recorded and cannot be read, topic by topic
-    repeated : messages of each topic that stand in the file more than once, and in the new bag as well
+    repeated : messages of each topic whose number others have, in both bags; copies of a whole chunk are not copied
     damage : offset [byte] in the file and description of each damaged place
     problems : the same and further defects as sentences
     finished : whether the file has the end of its data; False if the recorder was killed or the file cut off
@@ -54,7 +54,7 @@ class RepairResult:
     def sentences(self) -> list[str]:
         """What is lost and what is damaged, one sentence each."""
         found = [*(str(loss) for loss in self.losses), *self.problems]
-        found += [f"{topic}: {count} messages stand in the file twice" for topic, count in self.repeated.items()]
+        found += [f"{topic}: {n} messages have a number that others have, too" for topic, n in self.repeated.items()]
         if not self.finished:
             found.append("the recording was cut off: what came after its last message is not in the file")
         return found or ["nothing is lost"]
@@ -85,8 +85,6 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     ledger = LossLedger()
     with atomic_folder(target) as folder:
         result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
-        result.losses = ledger.losses([info], found.counts)
-        result.repeated = ledger.repeated([info])
         result.damage, result.finished = tuple(info.damage), info.finished
         result.problems = (*found.problems, *info.problems)
         if not result.messages and not info.channels and not info.metadata:
@@ -118,8 +116,8 @@ def _copy(
                 result.last_stamp = max(result.last_stamp, int(block.heads["log"][part].max()))
             bag.end_chunk()
         info.problems += problems
-        losses = ledger.losses([info], counts)
-        bag.close({REPAIR_NAME: _record(file, info, losses, result)})
+        result.losses, result.repeated = ledger.losses([info], counts), ledger.repeated([info])
+        bag.close({REPAIR_NAME: _record(file, info, result)})
     return result
 
 
@@ -141,14 +139,14 @@ def _namespace(beside: FileInfo) -> str | None:
     return next(iter(found)) if len(found) == 1 else None
 
 
-def _record(file: Path, info: FileInfo, losses: Sequence[TopicLoss], result: RepairResult) -> Mapping[str, str]:
+def _record(file: Path, info: FileInfo, result: RepairResult) -> Mapping[str, str]:
     """What every later reader of the new bag shows."""
-    notes = [*(str(loss) for loss in losses), *info.problems]
+    notes = [*(str(loss) for loss in result.losses), *info.problems]
     return {
         "source": file.name,
         "messages": str(result.messages),
         "finished": json.dumps(info.finished),
-        **repair_entries([info], losses),
+        **repair_entries([info], result.losses, result.repeated),
         **{f"note_{i:03d}": text for i, text in enumerate(notes[:200])},
     }
 
