@@ -245,4 +245,4 @@ def read_external(
     loss = next((loss for loss in reading.losses() if loss.topic == chosen.topic), None)
     before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)
     judged = replace(found.topic, lost_before=before, lost_after=after, open_end=reading.cut)
-    return replace(found, topic=judged, losses=reading.losses())
+    return replace(found, topic=judged, losses=reading.losses(), contradictions=reading.contradictions)

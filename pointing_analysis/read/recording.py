@@ -35,6 +35,10 @@ class Recording(Protocol):
         """What is known to be lost, by topic."""
 
     @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Where the recording contradicts its own digests: nothing of it is judged then."""
+
+    @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics, sorted."""
 

@@ -203,6 +203,11 @@ class Run:
         return tuple(self._losses.values())
 
     @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Where the bag says, with right checksums, what its own digests refute, one sentence each."""
+        return self._read.contradictions
+
+    @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics that can be read, without the namespace, sorted."""
         return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))

@@ -57,6 +57,7 @@ class Series:
     problems : defects, one sentence each
     attachments : none
     losses : what is known to be lost, by topic
+    contradictions : where a bag contradicts its own digests
     """
 
     topic: Topic
@@ -65,6 +66,7 @@ class Series:
     problems: tuple[str, ...] = ()
     attachments: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     losses: tuple[TopicLoss, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from pointing_analysis.indices.errors import (
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.rows import RequirementRow, number
@@ -127,6 +128,7 @@ class Summary:
     verdicts : one per requirement
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
+    contradictions : where the bag contradicts its own digests, one sentence each; in `problems` as well
     rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
     requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
     open_end : whether the recording was cut off and nothing says how many samples are missing at its end
@@ -155,6 +157,7 @@ class Summary:
     verdicts: tuple[Verdict, ...]
     problems: tuple[str, ...]
     losses: tuple[TopicLoss, ...] = ()
+    contradictions: tuple[str, ...] = ()
     budget: ToneBudget | None = None
     rpe_windows_p997: float = math.nan
     requirements_known: bool = True
@@ -225,6 +228,7 @@ class Summary:
             },
             "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
+            "contradictions": list(self.contradictions),
         }
 
 
@@ -336,10 +340,16 @@ def summarise(
     Raises
     ------
     BagError
-        No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give.
+        No truth topic, only transient, or a time axis that is not uniform: there is no verdict to give. A
+        `RefutedBagError` where the bag contradicts its own digests.
     """
     known, damaged = (requirements, "") if requirements is not None else _recorded(run)
-    series = performance_error(run, transient)
+    try:
+        series = performance_error(run, transient)
+    except BagError as refusal:
+        if run.contradictions:
+            raise RefutedBagError(f"{refusal}; the bag contradicts its own digests: {run.contradictions[0]}") from None
+        raise
     error, budget = Performance.of(series.values, series.dt), None
     whole = metrics.is_whole(WINDOW, series.dt)
     if whole and series.duration >= WINDOW and motion_of(run) is None:
@@ -374,6 +384,7 @@ def summarise(
         requirements_known=known is not None,
         problems=tuple(problems),
         losses=run.losses,
+        contradictions=run.contradictions,
         open_end=run["truth/los"].open_end,
         budget=budget,
     )

@@ -223,11 +223,14 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
 
     With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
     worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
-    puts the samples of all runs together.
+    puts the samples of all runs together. Recordings that contradict their own digests are not judged.
     """
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
         return _not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
+    contradictions = [text for run in runs for text in run.contradictions]
+    if contradictions:
+        return _not_judged(requirement, f"the recording contradicts its own digests: {contradictions[0]}")
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:

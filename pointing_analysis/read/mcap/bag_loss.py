@@ -19,6 +19,8 @@ from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_
 from pointing_analysis.read.mcap.records import Block, FileInfo
 
 NANO = 1e9
+CONTRADICTIONS, MAX_TOLD = "contradictions", 200
+"""Entry in the record of a repair: contradictions in the bag that was repaired, so many at most."""
 REPEATED = "repeated"
 """Entry in the record of a repair: by topic, messages of the new bag whose number others of it have as well."""
 NUMBERED = "los-testbed"
@@ -156,15 +158,23 @@ def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
 def repair_entries(
     infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int]
 ) -> dict[str, str]:
-    """What the record of a repair says of losses and of repeated numbers, for those who read the new bag."""
-    found: dict[str, Mapping[str, object]] = {
+    """What the record of a repair says to those who read the new bag: losses, repeated numbers, contradictions."""
+    found: dict[str, object] = {
         REPEATED: repeated,
+        CONTRADICTIONS: contradictions(infos)[:MAX_TOLD],
         "lost": {loss.topic: loss.missing for loss in losses},
         "expected": {loss.topic: loss.missing + loss.recovered for loss in losses},
     }
     if not _numbered(infos):
         found[ENDS] = {loss.topic: [loss.before, loss.after] for loss in losses}
     return {name: json.dumps(table) for name, table in found.items()}
+
+
+def contradictions(infos: Sequence[FileInfo]) -> tuple[str, ...]:
+    """What is refuted by digests in the files, or was in those that were repaired."""
+    found = value_of(merged(infos, REPAIR_NAME)[0].get(CONTRADICTIONS, "[]"))
+    before = [text for text in found if isinstance(text, str)] if isinstance(found, list) else []
+    return tuple(dict.fromkeys([*(text for info in infos for text in info.contradictions), *before]))
 
 
 class LossLedger:

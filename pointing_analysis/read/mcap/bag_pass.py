@@ -13,7 +13,7 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mcap.bag_files import BagFiles
-from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss
+from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
 from pointing_analysis.read.mcap.records import MAX_CHUNK, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
@@ -102,6 +102,11 @@ class BagPass:
         if self._window == WHOLE:
             return self._ledger.losses(self.infos, self._bag.counts)
         return self._ledger.inner_losses(self.infos)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Where the files say, with right checksums, what their own digests refute."""
+        return contradictions(self.infos)
 
     def problems(self) -> list[str]:
         """Defects of the files and what they lack, one sentence each, each once."""

@@ -1,10 +1,42 @@
-"""Chunks that stand in a file more than once: a copy is known by its content, and gives no message a second time."""
+"""The digest of a chunk's content tells a copy of an earlier chunk, and a content that its manifest refutes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Container
+
+import numpy as np
+
 from pointing_analysis.arrays import BoolArray
-from pointing_analysis.read.mcap.chunks import Unpacked
-from pointing_analysis.read.mcap.manifest import Manifest, content_digest
+from pointing_analysis.read.mcap.chunks import Unpacked, block_of
+from pointing_analysis.read.mcap.manifest import Manifest
+from pointing_analysis.read.mcap.records import FileInfo
+
+
+def is_refuted(
+    found: Unpacked, manifest: Manifest, indexed: list[bytes], named: Callable[[], Container[bytes]]
+) -> bool:
+    """Whether a content with the right checksum is another one than the manifest in front of it names.
+
+    It is not if the manifest is that of another chunk: the content is then named by another manifest of the file, or
+    none of its messages has a number that this one names.
+
+    Parameters
+    ----------
+    found : the chunk
+    manifest : in front of it
+    indexed : index records of the chunk
+    named : digests in all manifests of the file
+    """
+    if not manifest.verified or found.digest == manifest.digest or found.digest in named():
+        return False
+    block = block_of(FileInfo(), found.content, indexed)
+    if block is None:
+        return False
+    channel, sequence = block.heads["channel"], block.heads["sequence"].astype(np.int64)
+    return any(
+        bool(np.any((channel == number) & (sequence >= first) & (sequence < first + count)))
+        for number, count, _, first, _, _ in manifest.runs[manifest.runs["channel"] != 0].tolist()
+    )
 
 
 class ChunkCopies:
@@ -28,7 +60,7 @@ class ChunkCopies:
         again : whether there was a copy before
         """
         damaged = found.whole is not None and manifest is not None
-        digest = manifest.digest if damaged and manifest is not None else content_digest(found.content)
+        digest = manifest.digest if damaged and manifest is not None else found.digest
         if digest not in self._given:
             self._given[digest] = manifest, found.whole
             return found, manifest, False

@@ -10,6 +10,7 @@ import io
 import struct
 import zlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import zstandard
@@ -17,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pointing_analysis.arrays import BoolArray, IntArray
-from pointing_analysis.read.mcap.manifest import Manifest, salvage
+from pointing_analysis.read.mcap.manifest import Manifest, content_digest, salvage
 from pointing_analysis.read.mcap.records import (
     BODY,
     HEAD,
@@ -68,6 +69,11 @@ class Unpacked:
     content: bytes
     whole: BoolArray | None = None
     reason: str = ""
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Digest of the content."""
+        return content_digest(self.content)
 
 
 def take_apart(body: bytes, cut: bool) -> Packed | None:

@@ -47,6 +47,12 @@ class BagError(ValueError):
     """The file is not a bag, or not one that can be read; the message says what it must be and what it is."""
 
 
+class RefutedBagError(BagError):
+    """What is left of the bag is not enough, because its own digests refute the rest."""
+
+    code = 5  # exit code of the command line
+
+
 @dataclass(frozen=True)
 class Channel:
     """One topic in one file.
@@ -116,6 +122,7 @@ class FileInfo:
     attachments : by name
     problems : defects, one sentence each
     damage : offset [byte] and description of each damaged place; those that lost nothing as well
+    contradictions : where the file says, with right checksums, what its own digests refute; in `problems` as well
     lost_chunks : chunks that could not be read and say in their index what they held
     expected : by channel, what the manifests of the chunks say
     statistics : messages of each channel as the summary counts them; None without a whole summary
@@ -130,6 +137,7 @@ class FileInfo:
     attachments: dict[str, Attachment] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     damage: list[tuple[int, str]] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
     lost_chunks: list[LostChunk] = field(default_factory=list)
     expected: dict[int, Expected] = field(default_factory=dict)
     statistics: dict[int, int] | None = None
@@ -156,6 +164,12 @@ class FileInfo:
             what = f"more than {MAX_NOTES} places are damaged; those from here on are not listed"
         self.damage.append((offset, what))
         self.problems.append(f"{where}, byte {offset}: {what}")
+
+    def contradict(self, where: str, offset: int, what: str) -> None:
+        """Keep a contradiction with its place."""
+        self.note(where, offset, what)
+        if len(self.contradictions) < MAX_NOTES:
+            self.contradictions.append(f"{where}, byte {offset}: {what}")
 
 
 @dataclass(frozen=True)

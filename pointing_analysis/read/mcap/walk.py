@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 import zstandard
 
-from pointing_analysis.read.mcap.chunk_copies import ChunkCopies
+from pointing_analysis.read.mcap.chunk_copies import ChunkCopies, is_refuted
 from pointing_analysis.read.mcap.chunks import (
     ZSTD,
     Unpacked,
@@ -26,7 +26,7 @@ from pointing_analysis.read.mcap.chunks import (
     whole_records,
 )
 from pointing_analysis.read.mcap.framing import Frame, Framing
-from pointing_analysis.read.mcap.manifest import Manifest, decode_manifest
+from pointing_analysis.read.mcap.manifest import Manifest, decode_manifest, salvage
 from pointing_analysis.read.mcap.records import (
     MAGIC,
     OP_ATTACHMENT,
@@ -67,6 +67,7 @@ class _Walk:
         self.chunk: tuple[Frame, bytes] | None = None
         self.indexed: list[bytes] = []
         self.copies = ChunkCopies()
+        self.digests: frozenset[bytes] | None = None
         size = stream.seek(0, os.SEEK_END)
         self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
         self.summary = read_summary(stream, info, where) or SummarySection()
@@ -186,6 +187,11 @@ class _Walk:
         if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
             self.left = 0
             found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
+        checked = found.content and found.whole is None and not found.reason
+        if checked and manifest is not None and is_refuted(found, manifest, indexed, self._named):
+            what = "a chunk is not what the digest in its manifest says: what agrees with its manifest is used"
+            self.info.contradict(self.where, frame.at, what)
+            found = Unpacked(*salvage(found.content, manifest))
         again = False
         if found.content:
             found, manifest, again = self.copies.new_part(found, manifest)
@@ -198,6 +204,15 @@ class _Walk:
         if not found.content:
             return None
         return block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+
+    def _named(self) -> frozenset[bytes]:
+        """Digests in all manifests of the file; looked for where a content is not what the nearest one names."""
+        if self.digests is None:
+            frames = (f for f in self.framing.frames(len(MAGIC)) if f.op == OP_MANIFEST and f.whole)
+            bodies = (self._body(frame) for frame in frames if frame.length <= self.info.max_chunk)
+            found = (decode_manifest(body) for body in bodies)
+            self.digests = frozenset(manifest.digest for manifest in found if manifest is not None)
+        return self.digests
 
     def _flush_plain(self) -> Iterator[Block]:
         if self.plain:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from pointing_analysis.files.atomic_output import atomic_folder, check_space
 from pointing_analysis.read.mcap.bag_files import bag_files
-from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, repair_entries
+from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions, repair_entries
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
 from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
@@ -38,6 +38,7 @@ class RepairResult:
     repeated : messages of each topic whose number others have, in both bags; copies of a whole chunk are not copied
     damage : offset [byte] in the file and description of each damaged place
     problems : the same and further defects as sentences
+    contradictions : where the file contradicts its own digests; in `problems` as well
     finished : whether the file has the end of its data; False if the recorder was killed or the file cut off
     last_stamp : log time of the newest message [ns]
     """
@@ -48,6 +49,7 @@ class RepairResult:
     repeated: Mapping[str, int] = field(default_factory=dict)
     damage: tuple[tuple[int, str], ...] = ()
     problems: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
     finished: bool = True
     last_stamp: int = 0
 
@@ -86,6 +88,7 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     with atomic_folder(target) as folder:
         result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
         result.damage, result.finished = tuple(info.damage), info.finished
+        result.contradictions = contradictions([info])
         result.problems = (*found.problems, *info.problems)
         if not result.messages and not info.channels and not info.metadata:
             raise BagError(f"{source} must hold records that can be read, got none")

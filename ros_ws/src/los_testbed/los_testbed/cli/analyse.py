@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
-from los_testbed.cli.output import chunk_limit, print_json, seconds
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
 from los_testbed.run.screen import Screen
 
 ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
@@ -63,3 +63,4 @@ def analyse(
     print_summary(Screen(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})
+    leave_if_contradicted(text for summary in summaries.summaries for text in summary.contradictions)

@@ -110,7 +110,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted", INTERRUPTED)
     except ValueError as error:
-        return _fail(str(error), 2)
+        return _fail(str(error), int(getattr(error, "code", 2)))
     except OSError as error:
         if error.errno in NO_PATH:
             return _fail(f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}", 2)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk
-from los_testbed.cli.output import chunk_limit, print_json
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
 from los_testbed.run.screen import Screen, say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
@@ -54,4 +54,6 @@ def repair(
     if json_:
         lost = {loss.topic: {"messages": loss.missing, "places": [str(s) for s in loss.spans]} for loss in found.losses}
         content = {"bag": str(target), "messages": found.messages, "copied": found.copied, "lost": lost}
-        print_json({**content, "finished": found.finished, "problems": list(found.problems)})
+        content |= {"finished": found.finished, "problems": list(found.problems)}
+        print_json({**content, "contradictions": list(found.contradictions)})
+    leave_if_contradicted(found.contradictions)

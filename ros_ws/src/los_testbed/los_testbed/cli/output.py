@@ -7,7 +7,10 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import typer
+
 from los_testbed.run.screen import printable
+from pointing_analysis.read.mcap.records import RefutedBagError
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
@@ -19,6 +22,16 @@ def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
 def warn(lines: Iterable[str]) -> None:
     """Write warnings to the error output, one line each."""
     sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)
+
+
+CONTRADICTORY = RefutedBagError.code
+"""Exit code of a command whose bag contradicts its own digests."""
+
+
+def leave_if_contradicted(contradictions: Iterable[str]) -> None:
+    """End the command with `CONTRADICTORY` if there is a contradiction."""
+    if any(contradictions):
+        raise typer.Exit(CONTRADICTORY)
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:

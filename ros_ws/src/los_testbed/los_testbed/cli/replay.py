@@ -13,7 +13,7 @@ from rich.table import Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
-from los_testbed.cli.output import chunk_limit, number, print_json, seconds, warn
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
 from los_testbed.config import RunConfig
 from los_testbed.run.screen import Screen, say
 
@@ -82,7 +82,10 @@ def replay(
     else:
         content = _through(console, run, (k_fsm, k_pma, loop), output, transient)
     if json_:
-        print_json(content)
+        print_json({**content, "contradictions": list(run.contradictions)})
+    for text in run.contradictions:
+        say(console, text, "note")
+    leave_if_contradicted(run.contradictions)
     if content["as_recorded"] and not content["identical"]:
         raise typer.Exit(DIFFERENT)
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
-from los_testbed.cli.output import chunk_limit, print_json, seconds
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
 from los_testbed.run.screen import Screen, say
 from pointing_analysis.files.atomic_output import check_output
 
@@ -80,6 +80,7 @@ def report(
     say(console, f"report  {target}")
     if json_:
         print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
+    leave_if_contradicted(text for s in found for text in s.contradictions)
 
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:

@@ -1,0 +1,78 @@
+"""A bag whose content was altered and has right checksums: its digests refute it, and every command says so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forged_bags import forge, places
+from fuzz.record_mutations import put_together, taken_apart
+from los_testbed.bags.repair import repair_bag
+from los_testbed.cli.output import CONTRADICTORY
+
+from pointing_analysis.read.mcap.records import OP_MANIFEST
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+
+
+def test_the_altered_messages_are_not_used_and_nothing_is_judged(bag: Path) -> None:
+    before = Run.open(bag)["truth/los"]
+    forge(bag)
+    run = Run.open(bag)
+    assert len(run.contradictions) == 1 and run.contradictions[0] in run.problems
+    left = run["truth/los"]
+    rows = np.searchsorted(before.stamp, left.stamp)
+    assert len(left) == 2000 and np.array_equal(left.values, before.values[rows])
+    assert len(run["los_estimate"]) == 3000, "what agrees with its checksum is used"
+    found = summarise(run)
+    assert found.verdicts and {verdict.status for verdict in found.verdicts} == {"not judged"}
+    assert all("contradicts its own digests" in verdict.note for verdict in found.verdicts)
+
+
+def test_a_chunk_altered_in_every_message_gives_none(bag: Path) -> None:
+    forge(bag, whole=True)
+    run = Run.open(bag)
+    assert len(run.contradictions) == 1 and len(run["truth/los"]) == len(run["los_estimate"]) == 2000
+
+
+@pytest.mark.parametrize("command", ["analyse", "report", "replay", "bag repair"])
+def test_each_command_says_it_and_ends_with_its_exit_code(
+    bag: Path, call: Callable[..., tuple[int, str, str]], command: str
+) -> None:
+    forge(bag)
+    code, out, err = call(*command.split(), bag, "--json")
+    assert code == CONTRADICTORY
+    content = json.loads(out.splitlines()[-1])
+    [text] = (content["runs"][0] if command == "report" else content)["contradictions"]
+    assert "not what the digest in its manifest says" in text and text in " ".join(err.split())
+    if command in ("analyse", "report"):
+        assert text in (bag / "report.html").read_text()
+
+
+def test_a_bag_of_which_too_little_is_left_is_refused_for_it(
+    bag: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
+    for number in (1, 2):
+        forge(bag, number)
+    code, _, err = call("analyse", bag, "--transient", "1")
+    assert code == CONTRADICTORY and "contradicts its own digests" in err and err.count("\n") == 1
+
+
+def test_the_repaired_bag_repeats_it(bag: Path) -> None:
+    forge(bag)
+    result = repair_bag(bag, bag.parent / "new")
+    assert result.contradictions == Run.open(bag).contradictions == Run.open(bag.parent / "new").contradictions
+    assert any("truth/los: 1000 of 3000 recorded messages are lost" in text for text in result.sentences())
+
+
+def test_exchanged_manifests_refute_nothing(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    found = taken_apart(file.read_bytes())
+    first, second, *_ = places(found, OP_MANIFEST)
+    found[first], found[second] = found[second], found[first]
+    file.write_bytes(put_together(found, True))
+    run = Run.open(bag)
+    assert not run.losses and len(run["truth/los"]) == 3000
