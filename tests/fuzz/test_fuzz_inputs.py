@@ -113,6 +113,9 @@ OPTIONS = {
     "analyse": ["--transient", "--los", "--unit", "--rate", "--time", "--requirements", "--report", "--max-chunk"],
     "budget": ["--output"],
     "bag topics": ["--json"],
+    "bag info": ["--max-chunk"],
+    "bag verify": ["--max-chunk", "--public-key"],
+    "bag sign": ["--max-chunk", "--key"],
     "stages": ["--scenario", "--samples", "--duration", "--seed", "--mode", "--k-fsm", "--designs", "--camera-rate"],
     "campaign": ["--samples", "--seed", "--sampling", "--depth", "--loop", "--duration", "--workers", "--keep"],
 }
@@ -159,7 +162,7 @@ def test_any_command_line(folder: Path, data: st.DataObject) -> None:
         arguments.append(f"--output={folder / 'bag'}")  # exists: no run begins
     if command == "campaign":
         arguments += [f"--output={folder / 'work' / 'new'}", "--scheduler=none://"]  # is no address: no campaign begins
-    if command in ("analyse", "bag topics", "budget"):
+    if command in ("analyse", "bag topics", "bag info", "bag verify", "bag sign", "budget"):
         arguments.append(str(folder / "bag" / "metadata.yaml"))
     if command == "design verify":
         arguments[-1] = f"--samples={data.draw(st.sampled_from(['-1', 'nan', 'x', '1e9', '9' * 400]))}"

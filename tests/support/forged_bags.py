@@ -9,9 +9,22 @@ from pathlib import Path
 import numpy as np
 import zstandard
 from fuzz.record_mutations import Record, put_together, taken_apart
+from mcap.data_stream import RecordBuilder
+from mcap.records import Metadata
 
+from pointing_analysis.read.mcap.chain import SEAL, Chain
 from pointing_analysis.read.mcap.chunks import block_of, take_apart, unpack_zstd
-from pointing_analysis.read.mcap.records import HEAD, MAX_CHUNK, OP_CHUNK, FileInfo
+from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest
+from pointing_analysis.read.mcap.records import (
+    HEAD,
+    MAX_CHUNK,
+    OP_ATTACHMENT,
+    OP_CHUNK,
+    OP_MANIFEST,
+    OP_METADATA,
+    FileInfo,
+    text_at,
+)
 
 TRUTH = "/telescope/truth/los"
 
@@ -52,3 +65,41 @@ def forge(bag: Path, number: int = 1, whole: bool = False) -> None:
     at = places(found, OP_CHUNK)[number]
     found[at] = (OP_CHUNK, scaled(found[at][1], whole=whole)[0])
     file.write_bytes(put_together(found, True))
+
+
+def forge_with_manifest(bag: Path, number: int = 1, chained: bool = False) -> None:
+    """Scale the true line of sight in one chunk and make its manifest anew.
+
+    It continues the chain of the manifest before it; with `chained` all that follow are made anew, too.
+    """
+    file = next(bag.glob("*.mcap"))
+    found = taken_apart(file.read_bytes())
+    at, manifests = places(found, OP_CHUNK)[number], places(found, OP_MANIFEST)
+    place, before = manifests[number], decode_manifest(found[manifests[max(number - 1, 0)]][1])
+    body, content = scaled(found[at][1])
+    found[at], old = (OP_CHUNK, body), decode_manifest(found[place][1])
+    assert old is not None and before is not None
+    chain = Chain(digest=before.link.digest, manifests=number)
+    found[place] = (OP_MANIFEST, encode_manifest(content, old.runs[:-1].tolist(), chain))
+    file.write_bytes(put_together(rechained(found) if chained else found, True))
+
+
+def rechained(found: list[Record]) -> list[Record]:
+    """The records with a chain that agrees with them."""
+    chain, made = Chain(), []
+    for op, body in found:
+        if op == OP_MANIFEST:
+            content = body[:4] + decode_manifest(body).link.content  # type: ignore[union-attr]
+            chain.add(op, content[4:])
+            chain.manifests += 1
+            end = 40 + struct.unpack_from("<I", body, 36)[0]
+            rest = content[4 : end - 16] + chain.digest + content[end:]
+            body = struct.pack("<I", zlib.crc32(rest)) + rest
+        elif op == OP_METADATA and text_at(body, 0)[0] == SEAL:
+            builder = RecordBuilder()
+            Metadata(name=SEAL, metadata=chain.seal()).write(builder)
+            body = builder.end()[9:]
+        elif op in (OP_METADATA, OP_ATTACHMENT):
+            chain.add(op, body)
+        made.append((op, body))
+    return made

@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pointing_analysis.arrays import IntArray
+from pointing_analysis.read.mcap.chain import Chain
 
 MAGIC = b"\x89MCAP0\r\n"
 OP_HEADER, OP_FOOTER, OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK, OP_INDEX = 1, 2, 3, 4, 5, 6, 7
@@ -125,6 +126,9 @@ class FileInfo:
     contradictions : where the file says, with right checksums, what its own digests refute; in `problems` as well
     lost_chunks : chunks that could not be read and say in their index what they held
     expected : by channel, what the manifests of the chunks say
+    chain : of manifests, metadata records and attachments
+    digests : chunks whose content was compared with the digest in their manifest, and agrees
+    chunks : chunks that were unpacked
     statistics : messages of each channel as the summary counts them; None without a whole summary
     finished : whether the file has the end of its data
     max_chunk : largest chunk that is unpacked [byte]
@@ -140,6 +144,9 @@ class FileInfo:
     contradictions: list[str] = field(default_factory=list)
     lost_chunks: list[LostChunk] = field(default_factory=list)
     expected: dict[int, Expected] = field(default_factory=dict)
+    chain: Chain = field(default_factory=Chain)
+    digests: int = 0
+    chunks: int = 0
     statistics: dict[int, int] | None = None
     library: str = ""
     finished: bool = False

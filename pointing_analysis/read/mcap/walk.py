@@ -14,6 +14,8 @@ from typing import BinaryIO
 
 import zstandard
 
+from pointing_analysis.read.mcap.bag_metadata import HASH, has_right_hash
+from pointing_analysis.read.mcap.chain import SEAL
 from pointing_analysis.read.mcap.chunk_copies import ChunkCopies, is_refuted
 from pointing_analysis.read.mcap.chunks import (
     ZSTD,
@@ -48,6 +50,7 @@ from pointing_analysis.read.mcap.records import (
     FileInfo,
     LostChunk,
     read_side_record,
+    text_at,
     with_article,
 )
 from pointing_analysis.read.mcap.summary import SummarySection, read_summary
@@ -94,12 +97,14 @@ class _Walk:
                     self.info.note(self.where, frame.at, "the end of the data stands in front of data")
                     continue
                 self.info.finished = True
+                self._refuted(frame, self.info.chain.check_end())
                 self._side_records_after(frame.end)
                 break
             self._defect(frame)
             if not frame.whole:
                 yield from self._cut_off(frame)
                 break
+            self._after_end(frame)
             yield from self._record(frame)
         else:
             cut = True
@@ -129,6 +134,9 @@ class _Walk:
             self.manifest = decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
             if self.manifest is not None and self.manifest.verified:
                 self.info.expect(self.manifest.runs)
+                self._refuted(frame, self.info.chain.follow(op, self.manifest.link))
+            else:
+                self.info.chain.lose()
             if (self.manifest is None or self.manifest.damaged) and not frame.defect:
                 self.info.note(self.where, frame.at, "the manifest of a chunk is damaged")
         elif op == OP_MESSAGE and frame.length <= self.info.max_chunk:
@@ -136,7 +144,33 @@ class _Walk:
             if len(self.plain) > PLAIN_BLOCK:
                 yield from self._flush_plain()
         elif op in SIDE_RECORDS and op != OP_STATISTICS and frame.length <= self.info.max_chunk:
-            read_side_record(self.info, op, self._body(frame), self.where, frame.at)
+            body, known = self._body(frame), len(self.info.damage)
+            read_side_record(self.info, op, body, self.where, frame.at)
+            self._chained(frame, op, body, len(self.info.damage) == known)
+
+    def _chained(self, frame: Frame, op: int, body: bytes, whole: bool) -> None:
+        """Take a record beside the messages into the chain, or compare the one at its end with it."""
+        if op not in (OP_METADATA, OP_ATTACHMENT):
+            return
+        name = text_at(body, 0)[0] if whole and op == OP_METADATA else ""
+        table = self.info.metadata[name][-1] if name in self.info.metadata else {}
+        if not whole or (HASH in table and not has_right_hash(table)):
+            self.info.chain.lose()  # damage that the record itself tells
+        elif name == SEAL:
+            self._refuted(frame, self.info.chain.check_seal(table))
+        else:
+            self.info.chain.add(op, body)
+
+    def _after_end(self, frame: Frame) -> None:
+        """Note what stands behind the end of the chain, and damage that leaves the chain open."""
+        if frame.op in (OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT):
+            self._refuted(frame, self.info.chain.check_after())
+        if frame.op != OP_CHUNK and (frame.defect or frame.length > self.info.max_chunk):
+            self.info.chain.lose()
+
+    def _refuted(self, frame: Frame, what: str) -> None:
+        if what:
+            self.info.contradict(self.where, frame.at, what)
 
     def _times(self, frame: Frame) -> tuple[int, int]:
         if frame.at in self.summary.times:
@@ -188,10 +222,14 @@ class _Walk:
             self.left = 0
             found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
         checked = found.content and found.whole is None and not found.reason
+        self.info.chunks += 1
+        self.info.digests += bool(checked) and manifest is not None and found.digest == manifest.digest
         if checked and manifest is not None and is_refuted(found, manifest, indexed, self._named):
             what = "a chunk is not what the digest in its manifest says: what agrees with its manifest is used"
             self.info.contradict(self.where, frame.at, what)
             found = Unpacked(*salvage(found.content, manifest))
+        elif checked and self._stranger(found, manifest):
+            self.info.contradict(self.where, frame.at, "no manifest names the content of this chunk")
         again = False
         if found.content:
             found, manifest, again = self.copies.new_part(found, manifest)
@@ -204,6 +242,13 @@ class _Walk:
         if not found.content:
             return None
         return block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+
+    def _stranger(self, found: Unpacked, manifest: Manifest | None) -> bool:
+        """Whether a chunk is named by no manifest of a chain that is whole up to here."""
+        chain = self.info.chain
+        if not chain.linked or chain.open or (manifest is not None and found.digest == manifest.digest):
+            return False
+        return found.digest not in self._named()
 
     def _named(self) -> frozenset[bytes]:
         """Digests in all manifests of the file; looked for where a content is not what the nearest one names."""

@@ -211,7 +211,7 @@ def test_other_records_are_passed_over(tmp_path: Path) -> None:
     content = channel(1, FIRST) + b"".join(others) + message(1, 5, b"a")
     result, file = repaired(tmp_path, *others, chunk(content), *others)
     assert messages(file) == [(FIRST, 5, 5, b"a")] and result.finished
-    assert set(tables(file)) == {"rosbag2", "los_testbed_repair"}
+    assert set(tables(file)) == {"rosbag2", "los_testbed_repair", "los_testbed_chain"}
 
 
 def test_the_last_record_of_a_chunk_may_be_cut(tmp_path: Path) -> None:

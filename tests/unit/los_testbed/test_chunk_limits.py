@@ -19,7 +19,7 @@ from pointing_analysis.read.mcap import chunks as mcap_chunks
 from pointing_analysis.read.mcap import manifest as chunk_manifest
 from pointing_analysis.read.mcap import walk as mcap_walk
 from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest, salvage
-from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_DATA_END, OP_SCHEMA, RECORD, FileInfo
+from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_SCHEMA, RECORD, FileInfo
 from pointing_analysis.read.run import Run
 
 EIGHT_GB = 8 << 30
@@ -49,7 +49,7 @@ def test_a_chunk_of_262_kb_that_unpacks_to_8_gb_is_left_out(made: Path, tmp_path
     assert len(packed) < 300_000
     head = struct.pack("<QQQI", 1, 2, declared, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
     good = made.read_bytes()
-    end = good.rindex(RECORD.pack(OP_DATA_END, 4))
+    end = good.index(b"los_testbed_chain") - 4 - RECORD.size  # in front of the end of the chain
     bomb = RECORD.pack(OP_CHUNK, len(head) + len(packed)) + head + packed
     (tmp_path / "bomb.mcap").write_bytes(good[:end] + bomb + good[end:])
     code = (
@@ -83,7 +83,7 @@ def chunk(content: bytes) -> bytes:
 
 def with_chunks(made: Path, target: Path, *chunks: bytes) -> Path:
     good = made.read_bytes()
-    end = good.rindex(RECORD.pack(OP_DATA_END, 4))
+    end = good.index(b"los_testbed_chain") - 4 - RECORD.size
     target.write_bytes(good[:end] + b"".join(chunks) + good[end:])
     return target
 

@@ -3,7 +3,8 @@
 The records themselves are those of the `mcap` package; only the message records and their index, which
 at 8 000 a second would cost more than the control loop, are laid out with numpy. A chunk is compressed
 with zstd and carries a checksum of its content. It can be read alone: it begins with all schemas and channels, and
-before it stands a manifest with a checksum of each of its records (`pointing_analysis.read.mcap.manifest`).
+before it stands a manifest with a checksum of each of its records (`pointing_analysis.read.mcap.manifest`). Manifests,
+metadata records and attachments are a hash chain (`pointing_analysis.read.mcap.chain`).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+from pointing_analysis.read.mcap.chain import SEAL, Chain
 from pointing_analysis.read.mcap.manifest import encode_manifest
 from pointing_analysis.read.mcap.records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_MANIFEST, RECORD
 
@@ -77,6 +79,7 @@ class McapBlockWriter:
         self._span: list[int] = []
         self.counts: dict[int, int] = {}
         self._sequences: dict[int, int] = {}
+        self._chain = Chain()
         self.start_time = 0
         self.end_time = 0
         self._file.write(MAGIC)
@@ -188,7 +191,7 @@ class McapBlockWriter:
             uncompressed_crc=zlib.crc32(content),
             uncompressed_size=len(content),
         )
-        body = encode_manifest(content, self._runs)
+        body = encode_manifest(content, self._runs, self._chain)
         self._file.write(RECORD.pack(OP_MANIFEST, len(body)) + body)
         offset, length = self._write(chunk)
         offsets, index_length = {}, 0
@@ -222,13 +225,13 @@ class McapBlockWriter:
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
         """Write a named table of strings."""
-        offset, length = self._write(Metadata(name=name, metadata=dict(content)))
+        offset, length = self._write(Metadata(name=name, metadata=dict(content)), bound=name != SEAL)
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write a whole file into this one."""
         record = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        offset, length = self._write(record)
+        offset, length = self._write(record, bound=True)
         self._attachments.append(
             AttachmentIndex(
                 offset=offset,
@@ -247,6 +250,8 @@ class McapBlockWriter:
         if not self._chunks:  # channels without a message
             self._begin()
             self._file.write(np.concatenate(self._blocks).tobytes())
+        if self._chain.manifests:
+            self.add_metadata(SEAL, self._chain.seal())
         self._write(DataEnd(data_section_crc=0))
         self._write_summary()
         self._file.write(MAGIC)
@@ -299,10 +304,13 @@ class McapBlockWriter:
             )
         )
 
-    def _write(self, record: McapRecord) -> tuple[int, int]:
+    def _write(self, record: McapRecord, bound: bool = False) -> tuple[int, int]:
+        """Write a record, and with `bound` take it into the chain; its place and length."""
         builder = RecordBuilder()
         record.write(builder)
         data = builder.end()
+        if bound:
+            self._chain.add(data[0], data[RECORD.size :])
         offset = self._file.tell()
         self._file.write(data)
         return offset, len(data)

@@ -21,6 +21,7 @@ from pointing_analysis.files.atomic_output import atomic_folder, check_space
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions, repair_entries
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
+from pointing_analysis.read.mcap.chain import SEAL
 from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
 from pointing_analysis.read.messages.topic_columns import KNOWN
@@ -130,7 +131,7 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
     tables = {
         name: records[-1]
         for name, records in beside.metadata.items()
-        if records and name not in ("rosbag2", METADATA_NAME)
+        if records and name not in ("rosbag2", METADATA_NAME, SEAL)
     }
     return ({METADATA_NAME: run} if run else {}) | tables, problems
 

@@ -16,6 +16,7 @@ import typer
 from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
+from los_testbed.cli.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
@@ -45,6 +46,9 @@ app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
+bag_app.command(name="info", help=INFO_EXAMPLES)(info)
+bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
+bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
 app.add_typer(bag_app, name="bag")
 app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")

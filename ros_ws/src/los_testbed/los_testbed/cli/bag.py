@@ -22,12 +22,14 @@ every later verdict about it repeats this.
     los-testbed bag repair bags/run-20260101-120000
 """
 
-bag_app = typer.Typer(help="Repair recorded runs.", no_args_is_help=True, rich_markup_mode="markdown")
+bag_app = typer.Typer(
+    help="Describe, check, sign and repair recorded runs.", no_args_is_help=True, rich_markup_mode="markdown"
+)
 
 
 @bag_app.callback()
 def bag_group() -> None:
-    """Repair recorded runs."""
+    """Describe, check, sign and repair recorded runs."""
 
 
 @bag_app.command(help=REPAIR_EXAMPLES)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,9 @@ from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import Screen, say
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 RESTARTED = 3
 """Exit code of a run that was finished although a node died and had to be started again."""
@@ -97,6 +100,9 @@ def run(
         ),
     ] = None,
     live_host: Annotated[str, typer.Option(metavar="ADDRESS", help="Where --live listens.")] = "127.0.0.1",
+    sign_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
     json_: Json = False,
 ) -> None:
@@ -107,13 +113,39 @@ def run(
     given |= _disturbance(disturbance, no_disturbance)
     chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
     if only is not None:
+        if sign_key is not None:
+            raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
         from los_testbed.run.node_launch import run_alone
 
         raise typer.Exit(run_alone(only, chosen))
-    _run_and_tell(chosen, live, live_host, report, json_)
+    key = None
+    if sign_key is not None:
+        from los_testbed.bags.signature import private_key
+
+        key = private_key("--sign-key", sign_key)
+    _run_and_tell(chosen, live, live_host, report, json_, key)
 
 
-def _run_and_tell(config: RunConfig, live: int | None, live_host: str, report: bool, json_: bool) -> None:
+def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
+    """Sign the bag of a run; a bag that is not whole is not signed."""
+    from los_testbed.bags.check import sign_bag
+
+    try:
+        say(console, f"signature {sign_bag(bag, key)}")
+    except ValueError as error:
+        say(console, f"not signed: {error}", "warning")
+        return False
+    return True
+
+
+def _run_and_tell(
+    config: RunConfig,
+    live: int | None,
+    live_host: str,
+    report: bool,
+    json_: bool,
+    key: Ed25519PrivateKey | None = None,
+) -> None:
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
     from los_testbed.run.summary import print_summary, summarise_runs
 
@@ -121,12 +153,15 @@ def _run_and_tell(config: RunConfig, live: int | None, live_host: str, report: b
     bag, results = execute(config, live=live, live_host=live_host)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
+    signed = key is None or _sign(console, bag, key)
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
     print_summary(console, summaries)
     if json_:
         print_json(summaries.runs[0])
     if results.interrupted or results.failures:
         raise typer.Exit(130 if results.interrupted else RESTARTED)
+    if not signed:
+        raise typer.Exit(1)
 
 
 def configure(

@@ -1,0 +1,214 @@
+"""Check of a bag: end of the data, checksums, digests, chain, counts, signature."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
+from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
+from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged
+from pointing_analysis.read.mcap.bag_pass import BagPass
+from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+State = Literal["agrees", "none", "damaged", "contradicts"]
+DAMAGED, CONTRADICTORY = 1, 5
+"""Exit codes of `bag verify`."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing that was checked: its name, whether it agrees, and what was found."""
+
+    name: str
+    state: State
+    found: str
+
+
+@dataclass(frozen=True)
+class BagCheck:
+    """Result of a check.
+
+    Attributes
+    ----------
+    path : the bag
+    rows : what was checked
+    contradictions : where it contradicts itself, one sentence each
+    problems : these and further defects
+    messages : that can be read, by topic
+    losses : what was recorded and cannot be read
+    """
+
+    path: Path
+    rows: tuple[Row, ...]
+    contradictions: tuple[str, ...]
+    problems: tuple[str, ...]
+    messages: dict[str, int]
+    losses: tuple[TopicLoss, ...]
+
+    @property
+    def code(self) -> int:
+        """Exit code: 0 whole, 1 damaged or incomplete, 5 contradictory."""
+        states = {row.state for row in self.rows}
+        return CONTRADICTORY if "contradicts" in states else DAMAGED if "damaged" in states else 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "bag": str(self.path),
+            "whole": self.code == 0,
+            "checks": [vars(row) for row in self.rows],
+            "messages": self.messages,
+            "lost": {loss.topic: loss.missing for loss in self.losses},
+            "contradictions": list(self.contradictions),
+            "problems": list(self.problems),
+        }
+
+
+def check_bag(path: Path, max_chunk: int = MAX_CHUNK, key: Ed25519PublicKey | None = None) -> BagCheck:
+    """Read a bag from one end to the other and compare all that it says of itself.
+
+    Parameters
+    ----------
+    path : of the bag
+    max_chunk : largest chunk that is unpacked [byte]; a larger one counts as lost
+    key : whose signature it must have; None: whoever's, which is not checked
+
+    Raises
+    ------
+    BagError
+        Not a bag.
+    """
+    return _check(path, max_chunk, key)[0]
+
+
+def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> Path:
+    """Sign a bag that is whole; the path of the signature.
+
+    Raises
+    ------
+    ValueError
+        It is damaged, contradicts itself, has several files, or no manifests.
+    """
+    found, infos, files = _check(path, max_chunk, None)
+    refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
+    if refused:
+        raise ValueError(f"a bag must be whole to be signed, got {path}, {refused}")
+    if len(infos) != 1 or not infos[0].chunks or infos[0].digests != infos[0].chunks:
+        raise ValueError(f"a bag must have one file with a manifest of each chunk to be signed, got {path} without")
+    return write_signature(files[0], infos[0].chain, key)
+
+
+def _check(
+    path: Path, max_chunk: int, key: Ed25519PublicKey | None
+) -> tuple[BagCheck, list[FileInfo], tuple[Path, ...]]:
+    bag = bag_files(path)
+    reading, messages = BagPass(path, bag, max_chunk), Counter[str]()
+    for info, block in reading.blocks():
+        for channel, places in block.by_channel(info.channels):
+            messages[channel.topic] += int(places.size)
+    infos, losses = reading.infos, reading.losses()
+    damage = _damage(reading, bag)
+    counts = _counts(infos, bag, messages, bool(losses or damage or reading.cut))
+    rows = (
+        Row("end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))),
+        Row("checksums", *(("damaged", _first(damage)) if damage else ("agrees", "no damage"))),
+        _digests(infos),
+        _chain(infos),
+        Row("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
+        counts,
+        Row("lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))),
+        _signature(bag, infos, key),
+    )
+    found = tuple(row for row in rows if row is not None)
+    told = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
+    problems = tuple(dict.fromkeys([*reading.problems(), *told]))
+    result = BagCheck(path, found, (*reading.contradictions, *told), problems, dict(messages), losses)
+    return result, infos, bag.files
+
+
+def _first(texts: list[str]) -> str:
+    return texts[0] if len(texts) == 1 else f"{texts[0]}; and {len(texts) - 1} more"
+
+
+def _before(reading: BagPass) -> list[str]:
+    """Contradictions of the bag that this one was made of."""
+    own = {text for info in reading.infos for text in info.contradictions}
+    return [text for text in reading.contradictions if text not in own]
+
+
+def _damage(reading: BagPass, bag: BagFiles) -> list[str]:
+    """Defects of the files that are no contradictions, and metadata records that disagree with their hash."""
+    own = {text for info in reading.infos for text in info.contradictions}
+    found = [text for info in reading.infos for text in info.problems if text not in own]
+    return [*bag.problems, *found, *merged(reading.infos, METADATA_NAME)[1]]
+
+
+def _of_chain(info: FileInfo, contradiction: str) -> bool:
+    return any(contradiction.endswith(f": {what}") for what in info.chain.broken)
+
+
+def _digests(infos: list[FileInfo]) -> Row:
+    chunks, agree = sum(info.chunks for info in infos), sum(info.digests for info in infos)
+    if not any(info.chain.manifests for info in infos):
+        return Row("digests of chunks", "none", "no manifests: another program has recorded it")
+    refuted = [text for info in infos for text in info.contradictions if not _of_chain(info, text)]
+    text = f"{agree} of {chunks} agree"
+    if refuted:
+        return Row("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
+    return Row("digests of chunks", "agrees" if agree == chunks else "damaged", text)
+
+
+def _chain(infos: list[FileInfo]) -> Row:
+    linked = [info for info in infos if info.chain.linked or info.chain.sealed]
+    if not linked:
+        return Row("chain of manifests", "none", "none: an older version or another program has recorded it")
+    broken = [text for info in linked for text in info.contradictions if _of_chain(info, text)]
+    if broken:
+        return Row("chain of manifests", "contradicts", _first(broken))
+    text = f"{sum(info.chain.manifests for info in linked)} manifests"
+    if any(info.chain.unchecked or info.chain.open or not info.chain.sealed for info in linked):
+        return Row("chain of manifests", "damaged", f"{text}, not all could be checked, or the end is missing")
+    return Row("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")
+
+
+def _counts(infos: list[FileInfo], bag: BagFiles, messages: Counter[str], incomplete: bool) -> Row:
+    """Messages against the summary of each file and metadata.yaml."""
+    summary = Counter[str]()
+    for info in infos:
+        for number, count in (info.statistics or {}).items():
+            summary[info.channels[number].topic if number in info.channels else f"channel {number}"] += count
+    sources = [("metadata.yaml", bag.counts)] if bag.counts else []
+    if all(info.statistics is not None for info in infos):
+        sources.append(("the summary", summary))
+    wrong = [
+        f"{topic}: {where} counts {known.get(topic, 0)} messages, {messages[topic]} can be read"
+        for where, known in sources
+        for topic in sorted({*known, *messages})
+        if known.get(topic, 0) != messages[topic]
+    ]
+    if wrong:
+        return Row("counts", "damaged" if incomplete else "contradicts", _first(wrong))
+    names = " and ".join(where for where, _ in sources)
+    text = f"{messages.total()} messages of {len(messages)} topics"
+    return Row("counts", "agrees", f"{text}, as in {names}") if sources else Row("counts", "none", text)
+
+
+def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> Row:
+    there = [file for file in bag.files if signature_file(file).is_file()]
+    if key is None:
+        return Row("signature", "none", "there, not checked: no --public-key" if there else "none")
+    if not there:
+        return Row("signature", "contradicts", "none, though one must be there (--public-key)")
+    info = infos[bag.files.index(there[0])]
+    if len(infos) != 1 or not is_signed_by(there[0], info.chain, key):
+        return Row("signature", "contradicts", "not that of this key for this bag")
+    if info.chain.unchecked or info.chain.open or info.digests != info.chunks:
+        return Row("signature", "damaged", "that of this key, but what is damaged is not covered by it")
+    return Row("signature", "agrees", "that of this key")

@@ -1,0 +1,187 @@
+"""Commands ``bag info``, ``verify`` and ``sign`` on whole, damaged and altered bags, and their exit codes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives import serialization as pem
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from forged_bags import forge, forge_with_manifest, places
+from fuzz.record_mutations import put_together, taken_apart
+from los_testbed.bags.check import CONTRADICTORY, DAMAGED
+from los_testbed.cli import output
+
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.records import OP_CHUNK
+from pointing_analysis.read.run import Run
+
+Call = Callable[..., tuple[int, str, str]]
+REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
+
+
+def told(call: Call, *arguments: object) -> tuple[int, dict[str, Any]]:
+    """Exit code and JSON of a command."""
+    code, out, _ = call(*arguments, "--json")
+    return code, json.loads(out.splitlines()[-1])
+
+
+def states(content: dict[str, Any]) -> dict[str, str]:
+    return {row["name"]: row["state"] for row in content["checks"]}
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> tuple[Path, Path, Path]:
+    """Files of a private key, its public key, and another public key."""
+    private, other = Ed25519PrivateKey.generate(), Ed25519PrivateKey.generate()
+    form = (pem.Encoding.PEM, pem.PrivateFormat.PKCS8, pem.NoEncryption())
+    (tmp_path / "key.pem").write_bytes(private.private_bytes(*form))
+    for name, key in (("public.pem", private), ("other.pem", other)):
+        content = key.public_key().public_bytes(pem.Encoding.PEM, pem.PublicFormat.SubjectPublicKeyInfo)
+        (tmp_path / name).write_bytes(content)
+    return tmp_path / "key.pem", tmp_path / "public.pem", tmp_path / "other.pem"
+
+
+def test_a_whole_bag_is_whole(bag: Path, call: Call) -> None:
+    code, content = told(call, "bag", "verify", bag)
+    assert code == 0 and content["whole"] and not content["problems"]
+    assert set(states(content).values()) == {"agrees", "none"} and states(content)["signature"] == "none"
+    assert content["messages"]["/telescope/truth/los"] == 3000
+    assert output.CONTRADICTORY == CONTRADICTORY
+
+
+def test_bags_without_chain_or_manifests_are_read_as_before(call: Call, tmp_path: Path) -> None:
+    code, content = told(call, "bag", "verify", REFERENCE)
+    assert code == 0 and states(content)["chain of manifests"] == "none"
+    assert states(content)["digests of chunks"] == "agrees"
+    other = write_bag(tmp_path / "other", {"truth/los": Run.open(REFERENCE)["truth/los"].values})
+    code, content = told(call, "bag", "verify", other)
+    assert code == 0 and states(content)["digests of chunks"] == "none"
+
+
+@pytest.mark.parametrize(
+    ("attack", "name"),
+    [
+        (forge, "digests of chunks"),
+        (forge_with_manifest, "chain of manifests"),
+    ],
+)
+def test_an_altered_bag_contradicts_itself(bag: Path, call: Call, attack: Callable[[Path], None], name: str) -> None:
+    attack(bag)
+    code, content = told(call, "bag", "verify", bag)
+    assert code == CONTRADICTORY and content["contradictions"] and states(content)[name] == "contradicts"
+    assert states(content)["checksums"] == "agrees"
+
+
+def test_a_damaged_and_a_cut_bag_are_not_whole(bag: Path, call: Call) -> None:
+    file = bag / "bag_0.mcap"
+    good = file.read_bytes()
+    file.write_bytes(good[: len(good) // 2] + bytes(3000) + good[len(good) // 2 + 3000 :])
+    code, content = told(call, "bag", "verify", bag)
+    assert code == DAMAGED and not content["contradictions"] and states(content)["checksums"] == "damaged"
+    assert states(content)["lost messages"] == "damaged" and content["lost"]
+    file.write_bytes(good[: len(good) // 2])
+    code, content = told(call, "bag", "verify", bag)
+    assert code == DAMAGED and not content["contradictions"] and states(content)["end of the data"] == "damaged"
+
+
+def test_other_counts_in_metadata_yaml_contradict_the_file(bag: Path, call: Call) -> None:
+    file = bag / "metadata.yaml"
+    file.write_text(file.read_text().replace("message_count: 150\n", "message_count: 149\n"))
+    code, content = told(call, "bag", "verify", bag)
+    assert code == CONTRADICTORY and states(content)["counts"] == "contradicts"
+    assert any("metadata.yaml counts 149 messages, 150 can be read" in text for text in content["contradictions"])
+
+
+def test_a_signature_finds_a_chain_made_anew(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
+    private, public, other = keys
+    before = (bag / "bag_0.mcap").read_bytes()
+    assert told(call, "bag", "verify", bag, "--public-key", public)[0] == CONTRADICTORY, "no signature is there"
+    assert call("bag", "sign", bag, "--key", private)[0] == 0
+    assert (bag / "bag_0.mcap").read_bytes() == before
+    assert told(call, "bag", "verify", bag, "--public-key", public)[0] == 0
+    assert told(call, "bag", "verify", bag, "--public-key", other)[0] == CONTRADICTORY
+    forge_with_manifest(bag, chained=True)
+    assert told(call, "bag", "verify", bag)[0] == 0, "the chain alone does not find it"
+    code, content = told(call, "bag", "verify", bag, "--public-key", public)
+    assert code == CONTRADICTORY and states(content)["signature"] == "contradicts"
+
+
+def test_damage_does_not_hide_behind_a_signature(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
+    """A chunk is altered and its manifest destroyed: the digest at the end is still the signed one."""
+    private, public, _ = keys
+    assert call("bag", "sign", bag, "--key", private)[0] == 0
+    forge(bag)
+    file = bag / "bag_0.mcap"
+    found = taken_apart(file.read_bytes())
+    at = places(found, OP_CHUNK)[1] - 1
+    found[at] = (found[at][0], bytes(50) + found[at][1][50:])
+    file.write_bytes(put_together(found, True))
+    code, content = told(call, "bag", "verify", bag, "--public-key", public)
+    assert code != 0 and states(content)["signature"] == "damaged"
+
+
+@pytest.mark.parametrize("attack", [forge, lambda bag: (bag / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")])
+def test_what_is_not_whole_is_not_signed(
+    bag: Path, call: Call, keys: tuple[Path, Path, Path], attack: Callable[[Path], object]
+) -> None:
+    attack(bag)
+    code, _, err = call("bag", "sign", bag, "--key", keys[0])
+    assert code == 2 and "must" in err and not list(bag.glob("*.sig"))
+
+
+def test_keys_of_other_kinds_are_refused_in_one_line(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
+    private, public, _ = keys
+    odd = private.with_name("odd.pem")
+    key = X25519PrivateKey.generate()
+    odd.write_bytes(key.private_bytes(pem.Encoding.PEM, pem.PrivateFormat.PKCS8, pem.NoEncryption()))
+    for option, line in (("--key", "sign"), ("--public-key", "verify")):
+        for file in (odd, public if line == "sign" else private, bag / "metadata.yaml", bag / "nothing"):
+            code, _, err = call("bag", line, bag, option, file)
+            assert code == 2 and err.count("\n") == 1 and f"{option} must be" in err, err
+
+
+def test_a_run_signs_its_bag(call: Call, made: Path, keys: tuple[Path, Path, Path]) -> None:
+    run = ["run", "--mode", "inprocess", "--duration", "3", "--plant", "simple_telescope:SimpleTelescope"]
+    run += ["--k-fsm", str(made / "k_fsm.json"), "--k-pma", str(made / "k_pma.json"), "--no-report"]
+    code, out, err = call(*run, "--output", "signed", "--sign-key", keys[0])
+    assert code == 0 and "signature signed/signed_0.mcap.sig" in out, err
+    assert told(call, "bag", "verify", "signed", "--public-key", keys[1])[0] == 0
+    code, _, err = call(*run, "--output", "unsigned", "--sign-key", "no.pem")
+    assert code == 2 and "--sign-key must be" in err and not Path("unsigned").exists()
+
+
+def test_info_describes_a_bag_of_this_testbed(bag: Path, call: Call) -> None:
+    code, content = told(call, "bag", "info", bag)
+    assert code == 0 and (content["start_ns"], content["duration_s"]) == (10**9, 2.999)
+    assert content["topics"]["/telescope/camera/los"] == {"type": "geometry_msgs/msg/Vector3Stamped", "messages": 150}
+    assert content["messages"] == sum(topic["messages"] for topic in content["topics"].values()) == 24_150
+    assert content["run"]["loop"] == "fsm+pma" and content["run"]["seed"] == 1 and "plant_hash" in content["hashes"]
+    files = Run.open(bag).attachments
+    sums = {name: about["sha256"] for name, about in content["attachments"].items()}
+    assert sums == {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    assert content["sha256"]["bag_0.mcap"] == hashlib.sha256((bag / "bag_0.mcap").read_bytes()).hexdigest()
+    _, out, _ = call("bag", "info", bag)
+    assert "2.999 s" in out and "/telescope/camera/los" in out and "1970-01-01 00:00:01 UTC" in out
+
+
+def test_info_counts_the_messages_of_other_programs_and_of_a_cut_bag(bag: Path, call: Call, tmp_path: Path) -> None:
+    other = write_bag(tmp_path / "other", {"truth/los": Run.open(REFERENCE)["truth/los"].values})
+    code, content = told(call, "bag", "info", other)
+    assert code == 0 and content["topics"]["/telescope/truth/los"]["messages"] == 4100
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    code, content = told(call, "bag", "info", bag)
+    assert code == 0 and content["topics"]["/telescope/truth/los"]["messages"] == 2000
+    assert any("cut off" in text for text in content["problems"])
+
+
+def test_info_says_what_contradicts_the_chain(bag: Path, call: Call) -> None:
+    forge_with_manifest(bag)
+    code, content = told(call, "bag", "info", bag)
+    assert code == CONTRADICTORY and content["contradictions"]
