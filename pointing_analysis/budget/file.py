@@ -313,6 +313,8 @@ class _Reader:
             raise self.wrong(path, "bag must name a bag or a table", None)
         bag = self.file.parent / str(table["bag"])
         run = open_los(bag, los=table.get("los"), unit=table.get("unit"), rate=table.get("rate"))
+        if run.contradictions:
+            raise self.wrong(path, f"bag must agree with its own digests: {run.contradictions[0]}", str(bag))
         series = performance_error(run, table.get("transient"))
         return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
 

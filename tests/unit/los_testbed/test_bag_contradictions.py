@@ -76,3 +76,12 @@ def test_exchanged_manifests_refute_nothing(bag: Path) -> None:
     file.write_bytes(put_together(found, True))
     run = Run.open(bag)
     assert not run.losses and len(run["truth/los"]) == 3000
+
+
+def test_a_budget_takes_no_such_bag(bag: Path, call: Callable[..., tuple[int, str, str]]) -> None:
+    forge(bag)
+    text = 'unit = "mas"\n[[requirement]]\ntext = "prob(|APE_x| < 10 mas) >= 0.9 at 95 % confidence"\n'
+    source = '[sources.a]\ntype = "measured"\nbag = "bag"\ntransient = 0.5\n'
+    (bag.parent / "budget.toml").write_text(text + source)
+    code, _, err = call("budget", bag.parent / "budget.toml")
+    assert code == 2 and "bag must agree with its own digests" in err and err.count("\n") == 1
