@@ -7,6 +7,7 @@ pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
 from los_testbed.loop.source_guard import OURS, SourceGuard
 from los_testbed.nodes.support import track as recording
+from los_testbed.nodes.support.serialized_reader import Taken
 from los_testbed.topics import FSM_COMMAND
 
 from titop_plant.interface import TICK_NS
@@ -26,7 +27,7 @@ class Stamps:
     def take(self):
         if not self.waiting:
             return None
-        return self.waiting.pop(0), {"received_timestamp": 1, "source_timestamp": 1}
+        return Taken(self.waiting.pop(0), 1, 1, b"\1")
 
     def sort(self, taken, now_ns):
         return OURS

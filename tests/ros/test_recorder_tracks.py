@@ -12,6 +12,7 @@ from los_testbed.bags.diagnostics import Status, write_diagnostics
 from los_testbed.loop.source_guard import OURS, Endpoint, SourceGuard
 from los_testbed.nodes.recorder import Recorder
 from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.serialized_reader import Taken
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
 from los_testbed.topics import TOPICS, TopicDefinition
 
@@ -31,7 +32,7 @@ class Queue:
         self.waiting.append(bytes(codec_for(self.topic).encode(stamp, np.zeros(self.topic.size))))
 
     def take(self):
-        return (self.waiting.popleft(), {"received_timestamp": 1, "source_timestamp": 1}) if self.waiting else None
+        return Taken(self.waiting.popleft(), 1, 1, b"\1") if self.waiting else None
 
     def sort(self, taken, now):
         return OURS
@@ -97,7 +98,7 @@ def test_a_publisher_that_is_found_again_is_of_the_node_that_it_was_of():
 @pytest.mark.parametrize("node", ["/telescope/node", ""])
 def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node):
     made, plant, followers = recorder()
-    endpoints = [Endpoint("1", "")]
+    endpoints = [Endpoint("01", "")]
     for queue in (*plant, *followers):
         queue.endpoints = lambda: endpoints
     made.reports, made.simulated, made._named, made._held_since = {}, True, False, 0
@@ -111,7 +112,7 @@ def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node)
 
     drained(made, HOLD, *plant, *followers)
     assert progress_at(1) == progress_at(UNKNOWN_NS) == []
-    endpoints[:] = [Endpoint("1", node)]
+    endpoints[:] = [Endpoint("01", node)]
     assert progress_at(UNKNOWN_NS + 1) == ([HOLD] if node else [])
     assert set(progress_at(UNKNOWN_NS + 2)) == {HOLD}
 
@@ -124,8 +125,8 @@ def test_a_report_waits_until_the_graph_knows_its_node():
     track = ReportTrack(queue)
     for publisher in ("01", "02"):
         status = Status(0, "telescope: plant", "", {"from": publisher})
-        data = write_diagnostics(0, publisher, status)
-        queue.take = iter([(data, {"received_timestamp": 1, "source_timestamp": 1}), None]).__next__
+        taken = Taken(write_diagnostics(0, "", status), 1, 1, bytes.fromhex(publisher))
+        queue.take = iter([taken, None]).__next__
         track.drain()
     assert (track.statistics, track.foreign) == ({}, 2)
     endpoints += [Endpoint("01", "/telescope/plant"), Endpoint("02", "/stranger")]
@@ -141,7 +142,7 @@ def test_a_report_that_comes_when_its_node_has_left_the_graph_is_taken():
     track = ReportTrack(queue)
     assert track.learn() == {"01": "/telescope/plant"}
     queue.endpoints = list
-    data = write_diagnostics(0, "01", Status(0, "telescope: plant", "", {"ticks": "7"}))
-    queue.take = iter([(data, {"received_timestamp": 1, "source_timestamp": 1}), None]).__next__
+    data = write_diagnostics(0, "", Status(0, "telescope: plant", "", {"ticks": "7"}))
+    queue.take = iter([Taken(data, 1, 1, b"\1"), None]).__next__
     track.drain()
     assert (track.statistics, track.foreign) == ({"ticks": "7"}, 0)

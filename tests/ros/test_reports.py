@@ -22,7 +22,7 @@ from pointing_analysis.read.run import Run
 pytestmark = pytest.mark.ros
 VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}
 TOPIC = "/telescope/truth/los"
-PLANT, STRANGER, PROGRAM = Endpoint("1", "/telescope/plant"), Endpoint("2", "/stranger"), Endpoint("3", "")
+PLANT, STRANGER, PROGRAM = Endpoint("01", "/telescope/plant"), Endpoint("02", "/stranger"), Endpoint("03", "")
 
 
 def report(count=2):
@@ -78,7 +78,8 @@ class Graph:
     """Node and subscription at once, with the publishers that a test gives it."""
 
     def __init__(self, *endpoints):
-        self.name, self.guard, self.seen = TOPIC, SourceGuard(node="/telescope/plant"), list(endpoints)
+        self.name, self.seen = TOPIC, list(endpoints)
+        self.guard = SourceGuard("/telescope/plant", node="/telescope/plant")
 
     def count_publishers(self, name):
         return len(self.seen)
@@ -112,10 +113,12 @@ def test_a_publisher_without_a_node_is_reported_when_none_becomes_known():
 
 
 def test_a_restarted_plant_is_no_second_publisher_and_interleaved_messages_of_its_name_are():
-    graph = Graph(PLANT, Endpoint("4", "/telescope/plant"))
+    graph = Graph(PLANT, Endpoint("04", "/telescope/plant"))
     watch = SourceWatch(graph, [graph])
     assert watch.look(0) == []
-    graph.guard.doubled = True
+    for gid in (b"\1", b"\4", b"\1"):
+        graph.guard.sort(gid, 0, b"")
+        graph.guard.decide([PLANT], 0)
     assert watch.look(0) == [(TOPIC, "of the same name")]
 
 

@@ -120,6 +120,7 @@ class PlantLoop:
         """Run, unless another plant does, and once more after every reset."""
         context = self.context
         context.become_real_time()
+        context.all_listed()
         wait_for_followers(context, self.io, lambda: self.services.may_begin, others.refuse_running)
         others.close()
         while True:
@@ -219,7 +220,7 @@ class PlantLoop:
         while (taken := io.fsm_input.take()) is not None:
             if io.fsm_gate.offer(taken[0], now, io.fsm_input.sort(taken, steady)):
                 tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
-                latency = taken[1]["received_timestamp"] - self._woke[tick % RING]
+                latency = taken.received - self._woke[tick % RING]
                 if 0 <= latency < CLOCK_STEP_NS:
                     self.latency.add(latency)
 

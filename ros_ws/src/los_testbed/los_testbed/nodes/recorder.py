@@ -102,6 +102,7 @@ class Recorder:
         context = self.context
         enlarge_receive_buffers(BUFFER_BYTES)
         context.become_real_time()
+        context.all_listed()
         context.event("ready")
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
         while True:

@@ -16,6 +16,7 @@ from typing import Any
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
+from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.loop.scheduling import MAX_BUSY_S
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
@@ -90,6 +91,7 @@ class Runner:
         self._before = 0
         self._parameters: MemoryFile | None = None
         self._statistics: MemoryFile | None = None
+        self._members: MemoryFile | None = None
         self._variables: Mapping[str, str] = {}
         self.results = Results()
 
@@ -127,8 +129,13 @@ class Runner:
             domain_lock(self.domain, self._config.namespace),
             memory_file(text, "run.yaml") as self._parameters,
             memory_file(b"", "statistics.json") as self._statistics,
+            memory_file(self._unlisted().encode(), "members") as self._members,
         ):
-            self._variables = {**environment(self._config), STATISTICS_VARIABLE: self._statistics.path}
+            self._variables = {
+                **environment(self._config),
+                STATISTICS_VARIABLE: self._statistics.path,
+                MEMBERS_VARIABLE: self._members.path,
+            }
             try:
                 self._perform()
             except RunError as error:
@@ -136,6 +143,12 @@ class Runner:
             finally:
                 self._end_all()
         return self.results
+
+    def _unlisted(self) -> str:
+        """Beginning of the list of members: programs of the user's own in a node's place may list nothing."""
+        space = self._config.namespace.rstrip("/")
+        own = [name for name in ("estimator", "controller") if self._commands[name] != node_command(name)]
+        return "".join(complete_line(f"{space}/{name}") for name in own)
 
     def _perform(self) -> None:
         try:
@@ -187,13 +200,13 @@ class Runner:
         lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
 
     def _start(self, name: str) -> None:
-        assert self._parameters is not None and self._statistics is not None
+        assert self._parameters is not None and self._statistics is not None and self._members is not None
         command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
         if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
-        files = [self._parameters.descriptor, self._statistics.descriptor]
+        files = [self._parameters.descriptor, self._statistics.descriptor, self._members.descriptor]
         node = self._nodes[name] = NodeProcess(name, command, self._variables, files)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)

@@ -12,7 +12,7 @@ from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawSubscription, Waiter
+from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
 from titop_plant.interface import TICK_NS
 
@@ -61,7 +61,10 @@ class Follower:
         self._start = 0
         every = context.config.mode == "lockstep"
         self._subscriptions = [
-            RawSubscription(context.node, t.name, t.type_name, READER_DEPTH, every, t.publisher) for t in topics
+            RawSubscription(
+                context.node, t.name, t.type_name, LOCKSTEP_DEPTH if every else READER_DEPTH, every, t.publisher
+            )
+            for t in topics
         ]
         self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
         self._on_any = Waiter(context.node, self._subscriptions)
@@ -80,6 +83,7 @@ class Follower:
         """Work until a signal comes."""
         context, synchronizer = self._context, self._synchronizer
         context.become_real_time()
+        context.all_listed()
         context.event("ready")
         paced = context.config.mode == "realtime"  # in lockstep no time is too early
         next_report, next_service, next_decision, last = time.monotonic_ns(), 0, 0, 0

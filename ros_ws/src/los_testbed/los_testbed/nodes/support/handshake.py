@@ -13,11 +13,13 @@ from collections.abc import Callable
 import numpy as np
 
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import RawSubscription
-from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL
+from los_testbed.nodes.support.serialized_reader import Taken
+from los_testbed.topics import ISOLATOR_ACCEL
 from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
@@ -59,8 +61,8 @@ class OtherPlants:
         """Wait as long as discovery takes; any sample is another plant's, a hold tick too."""
         start_time, name = time.monotonic(), self._listener.name
         while not context.stop:
-            if self._listener.take() is not None:
-                raise self._error()
+            if (taken := self._listener.take()) is not None:
+                raise self._error(taken)
             # a plant that was killed stays in the graph until its lease ends: only what is sent counts
             patience = 2 * LISTEN_S if context.node.count_publishers(name) else LISTEN_S
             if time.monotonic() - start_time > patience:
@@ -71,11 +73,14 @@ class OtherPlants:
         """Look at what came since, while this node sends hold ticks only: another stamp is of a plant that runs."""
         while (taken := self._listener.take()) is not None:
             if len(taken[0]) >= 12 and stamp_of(taken[0]) != HOLD_STAMP:
-                raise self._error()
+                raise self._error(taken)
 
-    def _error(self) -> ValueError:
+    def _error(self, taken: Taken) -> ValueError:
+        nodes = {endpoint.gid: endpoint.node for endpoint in self._listener.endpoints()}
+        sender = nodes.get(taken.gid.hex()) or "of unknown name"
         return ValueError(
-            f"ROS_DOMAIN_ID must be a domain without a plant, got one where {self._listener.name} is sent"
+            f"ROS_DOMAIN_ID must be a domain without a plant, got one where {self._listener.name} is sent "
+            f"(node {sender})"
         )
 
     def close(self) -> None:
@@ -119,10 +124,25 @@ def wait_for_followers(
             return
         elif time.monotonic() - start_time > context.config.start_timeout:
             _refuse_second_commander(context, io)
-            missing = ", ".join(subscription.name for subscription in waiting_for.values())
+            missing = ", ".join(
+                subscription.name + _strangers_on(subscription) for subscription in waiting_for.values()
+            )
             raise ValueError(
                 f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
             )
+
+
+def _strangers_on(subscription: RawSubscription) -> str:
+    """Who else sends on a topic, in brackets; empty if nobody does."""
+    guard = subscription.guard
+    nodes = sorted({_called(endpoint, guard) for endpoint in guard.strangers(subscription.endpoints())})
+    return f" (others send there: {', '.join(nodes)})" if nodes else ""
+
+
+def _called(endpoint: Endpoint, guard: SourceGuard) -> str:
+    """How the node of a stranger is called."""
+    same = endpoint.node == (guard.node or guard.expected)
+    return f"another node named {endpoint.node}" if same else endpoint.node
 
 
 def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
@@ -133,14 +153,13 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
     ValueError
         Another node has a publisher on a command topic.
     """
-    expected = f"{context.node.get_namespace().rstrip('/')}/{FSM_COMMAND.publisher}"
     end = time.monotonic() + LEASE_S
     for subscription in (io.fsm_input, io.pma_input):
         while True:
-            nodes = {endpoint.node for endpoint in subscription.endpoints() if endpoint.node}
-            if len(nodes) < 2 or context.stop:
+            strangers = subscription.guard.strangers(subscription.endpoints())
+            if not strangers or context.stop:
                 break
             if time.monotonic() > end:
-                others = ", ".join(sorted(nodes - {expected}))
+                others = ", ".join(sorted({_called(endpoint, subscription.guard) for endpoint in strangers}))
                 raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
             time.sleep(HOLD_PERIOD_S)

@@ -24,6 +24,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from los_testbed.bags.diagnostics import Status, write_diagnostics
 from los_testbed.config import NAMESPACE
 from los_testbed.loop.changes import ACTIVE, NAMES, Apply, Changes
+from los_testbed.loop.members import members
 from los_testbed.loop.scheduling import (
     CPU_INDEX,
     PRIORITIES,
@@ -35,10 +36,14 @@ from los_testbed.loop.scheduling import (
 from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
+from los_testbed.nodes.support.raw_topics import listed_publisher
 from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.security import refuse_missing_security
 from los_testbed.run.node_launch import EVENTS_VARIABLE
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
+
+NO_FRAME = ""
+"""Frame of a report: the state of a node has none."""
 
 REPORT_S = 5.0
 """Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
@@ -79,18 +84,15 @@ class NodeContext:
         self._requests = Requests(self.node)
         self._work: deque[Callable[[], None]] = deque()
         self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
-        own, depth = f"{name}/{OWN_DIAGNOSTICS}", QoSProfile(depth=10)
-        before = self._publishers(own)
+        own = f"{name}/{OWN_DIAGNOSTICS}"
         self._diagnostics = [
-            self.node.create_publisher(DiagnosticArray, topic, depth) for topic in (DIAGNOSTICS_TOPIC, own)
+            listed_publisher(self.node, DiagnosticArray, topic, 10) for topic in (DIAGNOSTICS_TOPIC, own)
         ]
-        self._identifier = next(iter(sorted(self._publishers(own) - before)), "")
         self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
 
-    def _publishers(self, topic: str) -> set[str]:
-        """Identifiers of this node's publishers on a topic."""
-        infos = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topic))
-        return {bytes(info.endpoint_gid).hex() for info in infos if info.node_name == self.node.get_name()}
+    def all_listed(self) -> None:
+        """Tell the other nodes of the run that all publishers of this one exist."""
+        members().complete(self.node.get_fully_qualified_name())
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop = True
@@ -166,8 +168,7 @@ class NodeContext:
             self._work.appendleft(lambda: write(status))
 
         def write(status: Status) -> None:
-            # the recorder tells its own nodes' reports by the identifier
-            data = write_diagnostics(max(stamp_ns, 0), self._identifier, status)
+            data = write_diagnostics(max(stamp_ns, 0), NO_FRAME, status)
             self._work.extendleft(partial(publisher.publish, data) for publisher in self._diagnostics)
 
         self._work.append(make)

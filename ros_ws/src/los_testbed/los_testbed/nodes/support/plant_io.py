@@ -7,7 +7,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.factories import telescope_basis
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, settle
+from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.messages.message_types import HEADER
@@ -29,13 +29,13 @@ class PlantIo:
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
         def subscribe(topic: TopicDefinition) -> RawSubscription:
-            return RawSubscription(node, topic.name, topic.type_name, READER_DEPTH, every, topic.publisher)
+            depth = LOCKSTEP_DEPTH if every else READER_DEPTH
+            return RawSubscription(node, topic.name, topic.type_name, depth, every, topic.publisher)
 
         self.fsm_input = subscribe(FSM_COMMAND)
         self.pma_input = subscribe(PMA_COMMAND)
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
-        self.progress_input.guard.paced = False
-        self.watch = SourceWatch(node, [self.fsm_input, self.pma_input])
+        self.watch = SourceWatch(node, [self.fsm_input, self.pma_input, self.progress_input])
         hold = config.hold_ticks, config.fade_ticks
         mirror, force = telescope_basis(config).authority
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import AccelStamped, Vector3Stamped
@@ -15,13 +16,18 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from los_testbed.loop.members import members
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
+from los_testbed.nodes.support.serialized_reader import SerializedReader, Taken, publisher_gid
 from los_testbed.topics import DEPTH
 from pointing_analysis.read.messages.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
 READER_DEPTH = 200
 """Messages that a reader of the loop keeps: a foreign publisher must not push the others out within a few ticks."""
+
+LOCKSTEP_DEPTH = 5000
+"""The same where time waits for every message: what is pushed out would never come again."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
@@ -42,11 +48,19 @@ class _NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
         return None
 
 
+def listed_publisher(node: Node, message: Any, name: str, depth: int) -> Any:
+    """A publisher of a node that is in the list of the run before it sends anything."""
+    publisher = node.create_publisher(message, name, QoSProfile(depth=depth))
+    with publisher.handle:
+        members().add(node.resolve_topic_name(name), publisher_gid(publisher.handle))
+    return publisher
+
+
 class RawPublisher:
     """Publisher of serialised messages on a topic relative to the node's namespace."""
 
     def __init__(self, node: Node, name: str, type_name: str, depth: int = DEPTH) -> None:
-        self._publisher = node.create_publisher(MESSAGES[type_name], name, QoSProfile(depth=depth))
+        self._publisher = listed_publisher(node, MESSAGES[type_name], name, depth)
         self._handle = self._publisher.handle
         self._handle.__enter__()  # keeps it alive; entered once instead of at every message
         self.publish = self._handle.publish_raw
@@ -99,7 +113,8 @@ class RawSubscription:
         self, node: Node, name: str, message: Any, depth: int = DEPTH, reliable: bool = True, publisher: str = ""
     ) -> None:
         self.name = node.resolve_topic_name(name)
-        self.guard = SourceGuard(f"{node.get_namespace().rstrip('/')}/{publisher}")
+        expected = f"{node.get_namespace().rstrip('/')}/{publisher}"
+        self.guard = SourceGuard(expected, partial(members().standing, self.name, expected))
         self.message = MESSAGES[message] if isinstance(message, str) else message
         self._node = node
         self._node_names: dict[str, str] = {}
@@ -110,25 +125,21 @@ class RawSubscription:
         )
         self.handle = self._subscription.handle
         self.handle.__enter__()
-        self._take = self.handle.take_message
+        self._reader = SerializedReader(self.handle)
+        self.take: Callable[[], Taken | None] = self._reader.take
+        """Oldest message with its times and its publisher, or None."""
 
-    def take(self) -> tuple[bytes, dict[str, int]] | None:
-        """Oldest message with its times, or None."""
-        return self._take(self.message, True)  # type: ignore[no-any-return, unused-ignore]
-
-    def sort(self, taken: tuple[bytes, dict[str, int]], now_ns: int) -> str:
+    def sort(self, taken: Taken, now_ns: int) -> str:
         """Whether a message is of the matched publisher: see :meth:`~los_testbed.loop.source_guard.SourceGuard.sort`.
 
         Parameters
         ----------
-        taken : (bytes, dict)
-            What :meth:`take` returned.
+        taken : Taken
+            What :attr:`take` returned.
         now_ns : int
             Steady clock [ns].
         """
-        data, times = taken
-        number, sent = times.get("publication_sequence_number"), times.get("source_timestamp", 0)
-        return self.guard.sort(number, sent, now_ns, data)
+        return self.guard.sort(taken.gid, now_ns, taken.data)
 
     def endpoints(self) -> list[Endpoint]:
         """Publishers of the topic that the graph knows; about 0.3 ms.
@@ -151,6 +162,7 @@ class RawSubscription:
 
     def close(self) -> None:
         """Release the handle and leave the topic."""
+        self._reader.close()
         self.handle.__exit__(None, None, None)
         self._node.destroy_subscription(self._subscription)
 

@@ -1,4 +1,4 @@
-"""Second publishers on the topics of a node: seen in the graph, or by the numbers of their messages."""
+"""Second publishers on the topics of a node: seen in the graph, or by their messages."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
+from los_testbed.loop.members import OPEN, PENDING
 from los_testbed.nodes.support.raw_topics import RawSubscription
 
+UNKNOWN_NODE, SAME_NAME = "unknown", "of the same name"
 UNKNOWN_LOOKS = 50
 """Looks at a publisher without a node name (a program without ROS) until it is reported as such."""
 
@@ -28,6 +30,7 @@ class SourceWatch:
         self._subscriptions = subscriptions
         self._settled: dict[str, int] = {}
         self._looks: dict[str, int] = {}
+        self._named: set[bytes] = set()
         self.found: dict[str, set[str]] = {}
 
     def look(self, now_ns: int) -> list[tuple[str, str]]:
@@ -40,16 +43,29 @@ class SourceWatch:
             if count != self._settled.get(name, 1):
                 for node in self._second(subscription, count):
                     news += self._note(name, node)
-            if guard.doubled and not self.found.get(name):
-                news += self._note(name, "of the same name")
+            intruders = [gid for gid in guard.intruders() if gid not in self._named]
+            for node in self._senders(subscription, intruders) if intruders else ():
+                news += self._note(name, node)
         return news
+
+    def _senders(self, subscription: RawSubscription, intruders: Sequence[bytes]) -> list[str]:
+        """Nodes of publishers that have sent; those without a name are waited for."""
+        nodes, found = {e.gid: e.node for e in subscription.endpoints()}, []
+        for gid in intruders:
+            node, key = nodes.get(gid.hex(), ""), f"{subscription.name} {gid.hex()}"
+            self._looks[key] = self._looks.get(key, 0) + 1
+            if node or self._looks[key] > UNKNOWN_LOOKS:
+                self._named.add(gid)
+                del self._looks[key]
+                found.append(_label(subscription, node) if node else UNKNOWN_NODE)
+        return found
 
     def _second(self, subscription: RawSubscription, count: int) -> list[str]:
         """Nodes with a publisher beside the matched one; those without a name are waited for."""
-        if not subscription.guard.node:
+        guard, name, endpoints = subscription.guard, subscription.name, subscription.endpoints()
+        if not guard.node and any(guard.standing(bytes.fromhex(e.gid)) in (OPEN, PENDING) for e in endpoints):
             return []
-        name, endpoints = subscription.name, subscription.endpoints()
-        nodes = [endpoint.node for endpoint in subscription.guard.strangers(endpoints)]
+        nodes = [_label(subscription, endpoint.node) for endpoint in guard.strangers(endpoints)]
         if all(endpoint.node for endpoint in endpoints):
             self._settled[name] = count
             return nodes
@@ -57,7 +73,7 @@ class SourceWatch:
         if self._looks[name] > UNKNOWN_LOOKS:
             self._looks[name] = 0
             self._settled[name] = count
-            nodes.append("unknown")
+            nodes.append(UNKNOWN_NODE)
         return nodes
 
     def _note(self, name: str, node: str) -> list[tuple[str, str]]:
@@ -68,8 +84,15 @@ class SourceWatch:
         return [(name, node)]
 
     def statistics(self) -> dict[str, str]:
-        """Second publishers by topic, and the messages that were not of the matched one."""
+        """Second publishers by topic, messages of others, and those of them that were used before that was known."""
         return {
             **{f"second_publishers_{name}": str(len(nodes)) for name, nodes in sorted(self.found.items())},
             **{f"foreign_{s.name}": str(s.guard.foreign) for s in self._subscriptions if s.guard.foreign},
+            **{f"misused_{s.name}": str(s.guard.misused) for s in self._subscriptions if s.guard.misused},
         }
+
+
+def _label(subscription: RawSubscription, node: str) -> str:
+    """How a node is called in a report."""
+    guard = subscription.guard
+    return SAME_NAME if node == (guard.node or guard.expected) else node

@@ -9,9 +9,11 @@ import numpy as np
 
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
 from los_testbed.bags.diagnostics import Status, read_diagnostics
+from los_testbed.loop.members import OPEN, OWN, PENDING
 from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.serialized_reader import Taken
 from los_testbed.topics import DIAGNOSTICS_TOPIC
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
 
@@ -26,8 +28,6 @@ UNKNOWN_NS = 5_000_000_000
 
 MAX_UNKNOWN = 100
 """Reports kept while the graph does not know their publisher's node."""
-
-Taken = tuple[bytes, dict[str, int]]
 
 
 class Track:
@@ -77,12 +77,12 @@ class Track:
             self.waiting = []
 
     def _keep(self, taken: Taken) -> None:
-        message, times = taken
+        message = taken.data
         self.held = bool(self.period_ns) and len(message) >= 12 and stamp_of(message) == HOLD_STAMP
         if not self.held:
             self.data.append(message)
-            self.received.append(times["received_timestamp"])
-            self.sent.append(times["source_timestamp"])
+            self.received.append(taken.received)
+            self.sent.append(taken.sent)
 
     def _readable(self, message: bytes) -> bool:
         """A message cut short would make the bag unreadable for others; it is counted instead."""
@@ -130,7 +130,7 @@ class Track:
 class ReportTrack(Track):
     """Diagnostics of one node, on the topic of its own; `status` is the last one.
 
-    A report names its publisher (``header.frame_id``), and the graph must know that as one of the node's.
+    The publisher of a report must be in the list of the run or, without one, known to the graph as one of the node's.
     """
 
     def __init__(self, subscription: RawSubscription) -> None:
@@ -156,7 +156,7 @@ class ReportTrack(Track):
         before, now = len(self.data), time.monotonic_ns()
         while (taken := self.subscription.take()) is not None:
             if self._readable(taken[0]):
-                self._undecided.append((now, read_diagnostics(taken[0])[0], taken))
+                self._undecided.append((now, taken.gid.hex(), taken))
         if self._undecided:
             self._decide(now)
         return len(self.data) - before
@@ -164,7 +164,11 @@ class ReportTrack(Track):
     def learn(self) -> dict[str, str]:
         """Ask the graph for the node of each publisher; those of the node stay known when it has left the graph."""
         nodes = {endpoint.gid: endpoint.node for endpoint in self.subscription.endpoints()}
-        self._known |= {gid for gid, node in nodes.items() if node == self.subscription.guard.expected}
+        guard = self.subscription.guard
+        for gid, node in nodes.items():
+            standing = guard.standing(bytes.fromhex(gid))
+            if standing == OWN or (standing == OPEN and node == guard.expected):
+                self._known.add(gid)
         return nodes
 
     def _readable(self, message: bytes) -> bool:
@@ -179,8 +183,13 @@ class ReportTrack(Track):
         """Keep the reports whose publisher is the node's; one that the graph does not know yet is waited for."""
         unknown: set[str] = set()
         if any(publisher not in self._known for _, publisher, _ in self._undecided):
-            nodes = self.learn()
-            unknown = {publisher for _, publisher, _ in self._undecided if not nodes.get(publisher)} - self._known
+            nodes, standing = self.learn(), self.subscription.guard.standing
+            for publisher in {publisher for _, publisher, _ in self._undecided} - self._known:
+                listed = standing(bytes.fromhex(publisher))
+                if listed == OWN:
+                    self._known.add(publisher)
+                elif listed == PENDING or (listed == OPEN and not nodes.get(publisher)):
+                    unknown.add(publisher)
         waiting: list[tuple[int, str, Taken]] = []
         for since, publisher, taken in self._undecided:
             if publisher in self._known:

@@ -1,0 +1,56 @@
+"""Strangers with the names of the nodes of a run: floods, early ones, requests; the verdict is right or refused."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+from attacker import EARLY, Attacker, Case
+from los_testbed.run.results import RunError
+from los_testbed.run.runner import Runner
+from ros_runs import PLANT, config_for, topic_hashes
+
+pytestmark = pytest.mark.ros
+DURATION = 2.0
+
+
+def attacked(folder, case, **values):
+    """Results of a run in lockstep beside a stranger."""
+    config = config_for(folder, duration=DURATION, mode="lockstep", **values)
+    stranger = Attacker(config.domain, case)
+    try:
+        return Runner(config, commands={"plant": PLANT}).run()
+    finally:
+        assert "sent" in stranger.close(), "it has sent"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    config = config_for(tmp_path_factory.mktemp("undisturbed"), duration=DURATION, mode="lockstep")
+    return topic_hashes(Runner(config, commands={"plant": PLANT}).run().bag)
+
+
+CASES = {
+    "truth 1000 s ahead by a second plant": Case("truth/los", "plant", "/telescope", "future", 4000.0),
+    "commands off the grid by a second controller": Case("fsm/command", "controller", "/telescope", "off_grid", 4000.0),
+    "commands of the next tick": Case("fsm/command", "controller", "/telescope", "next", 2000.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_flood_under_the_name_of_a_node_changes_no_message_of_the_bag(tmp_path, undisturbed, case):
+    results = attacked(tmp_path, case)
+    assert topic_hashes(results.bag) == undisturbed
+    (line,) = [text for text in results.failures if text.startswith(f"/telescope/{case.topic} ")]
+    assert "not used" in line and "of the same name" in line
+    assert int(results.statistics["recorder"][f"foreign_/telescope/{case.topic}"]) > 0
+
+
+@pytest.mark.parametrize("topic", ["recorder/progress", "truth/los", "isolator/accel", "los_estimate"])
+@pytest.mark.parametrize("stamps", ["hold", "future"])
+def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_path, undisturbed, topic, stamps):
+    case = Case(topic, stamps=stamps, begin=EARLY, rate=200.0, seconds=20.0)
+    refused = ""
+    try:
+        results = attacked(tmp_path, case)
+    except RunError as error:
+        refused = str(error)
+    assert "/stranger" in refused if refused else topic_hashes(results.bag) == undisturbed

@@ -1,0 +1,202 @@
+"""A stranger on the domain of a run, as a process of its own: it floods a topic or calls a service of the run.
+
+    python attacker.py DOMAIN CASE        CASE as JSON, see :class:`Case`
+
+It writes a line when it has begun, and ends on SIGTERM.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+STAMPS = ("future", "past", "hold", "off_grid", "next", "repeated")
+"""Stamps relative to those of the run: 1000 s ahead, 1000 s back, zero, between two ticks, of the next tick, equal."""
+
+SERVICES = ("plant/stop", "plant/start", "plant/reset", "plant/set_parameters", "controller/change_state")
+EARLY = -1
+"""Value of `begin` for a stranger that is there before the nodes of the run."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a stranger does.
+
+    Attributes
+    ----------
+    topic : name of a topic of the loop, or of ``recorder/progress``, or a diagnostics topic; or of a service
+    name, namespace : of its node
+    stamps : one of STAMPS
+    rate : messages a second
+    size : bytes added to each message (or cut from it, if negative)
+    begin : tick of the run at which it begins to send; EARLY: before
+    seconds : how long it sends
+    """
+
+    topic: str = "truth/los"
+    name: str = "stranger"
+    namespace: str = "/"
+    stamps: str = "future"
+    rate: float = 2000.0
+    size: int = 0
+    begin: int = 200
+    seconds: float = 3.0
+
+    @property
+    def node(self) -> str:
+        """Full name of its node."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+class Attacker:
+    """The process of a case."""
+
+    def __init__(self, domain: int, case: Case) -> None:
+        command = [sys.executable, __file__, str(domain), json.dumps(asdict(case))]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        if case.begin == EARLY:
+            assert self.process.stdout is not None
+            self.process.stdout.readline()
+
+    def close(self) -> str:
+        """End it; what it said since."""
+        self.process.terminate()
+        try:
+            return str(self.process.communicate(timeout=20.0)[0])
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return str(self.process.communicate()[0])
+
+
+def _stamp(kind: str, newest: int, count: int, start: int) -> int:
+    from titop_plant.interface import TICK_NS
+
+    return {
+        "future": newest + 1000 * 10**9 + count * TICK_NS,
+        "past": max(TICK_NS, newest - 1000 * 10**9 + count * TICK_NS),
+        "hold": 0,
+        "off_grid": newest + 123_457,
+        "next": newest + TICK_NS,
+        "repeated": newest or start,
+    }[kind]
+
+
+def main(domain: int, case: Case) -> None:
+    """Perform the case."""
+    from los_testbed.bags.cdr import stamp_of
+    from los_testbed.nodes.support.middleware import choose_middleware
+    from los_testbed.nodes.support.raw_topics import RawSubscription
+    from los_testbed.topics import TRUTH_LOS
+
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    choose_middleware(os.environ)
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    ended = []
+    signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
+    rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(case.name, namespace=case.namespace)
+    heard = RawSubscription(node, f"/telescope/{TRUTH_LOS.name}", TRUTH_LOS.type_name, 1)
+    newest, start = 0, time.time_ns() // 1_000_000 * 1_000_000
+
+    def listen() -> None:
+        nonlocal newest, first
+        while (taken := heard.take()) is not None:
+            stamp = stamp_of(taken[0]) if len(taken[0]) >= 12 else 0
+            if 0 < stamp < newest + 10**9 or not newest:
+                newest, first = max(newest, stamp), first or stamp
+
+    first = 0
+    while not ended and case.begin != EARLY and not (first and newest >= first + case.begin * 1_000_000):
+        listen()
+        time.sleep(0.002)
+    act = _caller(node, case.topic) if case.topic in SERVICES else _sender(node, case)
+    if case.begin == EARLY:
+        sys.stdout.write("begins\n")
+        sys.stdout.flush()
+    begun, count = time.monotonic(), 0
+    while not ended and time.monotonic() < begun + case.seconds:
+        listen()
+        act(_stamp(case.stamps, newest or start, count, start))
+        count += 1
+        rest = begun + count / case.rate - time.monotonic()
+        if rest > 0:
+            time.sleep(min(rest, 0.1))
+    sys.stdout.write(f"sent {count}\n")
+    sys.stdout.flush()
+    while not ended:
+        time.sleep(0.05)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _messages(name):
+    """Type of a topic's messages, and a function that makes one with a stamp."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from los_testbed.bags.cdr import codec_for
+    from los_testbed.bags.diagnostics import Status, write_diagnostics
+    from los_testbed.nodes.support.raw_topics import MESSAGES
+    from los_testbed.topics import PROGRESS_TOPIC, TOPICS
+
+    from pointing_analysis.read.messages.cdr import Encoder
+    from pointing_analysis.read.messages.message_types import HEADER
+
+    if name == PROGRESS_TOPIC:
+        return MESSAGES[HEADER], Encoder(HEADER, 0, "").encode
+    topic = next((topic for topic in TOPICS if topic.name == name), None)
+    if topic is not None:
+        codec, values = codec_for(topic), np.full(topic.size, 2e-4)
+        return MESSAGES[topic.type_name], lambda stamp: codec.encode(stamp, values)
+    status = Status(0, "telescope: plant", "running", {"missed_ticks": "0", "ticks": "7"})
+    return DiagnosticArray, lambda stamp: write_diagnostics(stamp, "", status)
+
+
+def _sender(node, case):
+    """A function that sends a message with a stamp."""
+    from rclpy.qos import QoSProfile
+
+    message, encode = _messages(case.topic)
+    publisher = node.create_publisher(message, f"/telescope/{case.topic}", QoSProfile(depth=1000))
+
+    def send(stamp: int) -> None:
+        data = bytes(encode(stamp))
+        publisher.publish(data + bytes(case.size) if case.size >= 0 else data[: case.size])
+
+    return send
+
+
+def _caller(node, name):
+    """A function that sends a request."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import Trigger
+
+    if name.endswith("set_parameters"):
+        faults = ['{"name": "camera_dropout", "value": "no"}', '{"name": "active", "value": false}', "{"]
+        parameters = [Parameter("fault", value=text).to_parameter_msg() for text in faults]
+        kind, request = SetParameters, SetParameters.Request(parameters=parameters)
+    elif name.endswith("change_state"):
+        kind, request = ChangeState, ChangeState.Request(transition=Transition(id=250, label="fly"))
+    else:
+        kind, request = Trigger, Trigger.Request()
+    client = node.create_client(kind, f"/telescope/{name}")
+
+    def call(stamp: int) -> None:
+        if client.service_is_ready():
+            client.call_async(request)
+
+    return call
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), Case(**json.loads(sys.argv[2])))
