@@ -1,12 +1,19 @@
 """Strangers with the names of the nodes of a run: floods, early ones, requests; the verdict is right or refused."""
 
+import json
+
 import pytest
 
 pytest.importorskip("rclpy")
+pytest.importorskip("std_srvs")
 from attacker import EARLY, Attacker, Case
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
+from los_testbed.run.screen import Screen
+from los_testbed.run.summary import print_summary, summarise_runs
 from ros_runs import PLANT, config_for, topic_hashes
+
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 DURATION = 2.0
@@ -54,3 +61,21 @@ def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_pat
     except RunError as error:
         refused = str(error)
     assert "/stranger" in refused if refused else topic_hashes(results.bag) == undisturbed
+
+
+def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_json(tmp_path, undisturbed):
+    """The services are for every node of the domain; who used them stands in the bag."""
+    results = attacked(tmp_path, Case("plant/stop", begin=500, rate=5.0))
+    run = Run.open(results.bag)
+    (row,) = json.loads(run.parameters["statistics"]["plant"]["changes"])
+    assert (row["name"], row["by"]) == ("stop", "/stranger")
+    assert 500 <= row["tick"] < 1000 * DURATION
+    assert int(results.statistics["plant"]["ticks"]) == row["tick"] + 1
+    found = summarise_runs([results.bag], tmp_path / "report.html", transient=0.1)
+    line = f"stopped by request at {row['tick'] / 1000:g} s, from /stranger"
+    assert line in found.runs[0]["remarks"]
+    assert line in (tmp_path / "report.html").read_text()
+    console = Screen()
+    with console.capture() as shown:
+        print_summary(console, found)
+    assert line in shown.get()

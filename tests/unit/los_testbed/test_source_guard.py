@@ -179,7 +179,8 @@ class Listed:
         return self.guard.sort(gid, now, message(tick))
 
     def add(self, gid):
-        self.writer.add("/telescope/truth/los", gid)
+        self.writer.join(NODE, gid)
+        self.writer.publishes("/telescope/truth/los")
 
 
 def test_with_a_list_an_early_impostor_is_never_matched(tmp_path):

@@ -99,6 +99,8 @@ class Changes:
         What each setting that may change does with a new value.
     limits : mapping of str to float
         Largest values of the authorities: those of the start.
+    who : callable
+        Name of the node that asks at this moment; empty if none does.
 
     Examples
     --------
@@ -114,13 +116,14 @@ class Changes:
     config: RunConfig
     appliers: Mapping[str, Apply]
     limits: Mapping[str, float] = field(default_factory=dict)
+    who: Callable[[], str] = str
     due: int = NEVER
     now: int = -1
     told: list[tuple[str, Any]] = field(default_factory=list)
-    _pending: list[tuple[int, str, Any]] = field(default_factory=list)
-    _applied: list[tuple[int, str, Any]] = field(default_factory=list)
+    _pending: list[tuple[int, str, Any, str]] = field(default_factory=list)
+    _applied: list[tuple[int, str, Any, str]] = field(default_factory=list)
     _changed: set[str] = field(default_factory=set)
-    _initial: list[tuple[int, str, Any]] = field(default_factory=list)
+    _initial: list[tuple[int, str, Any, str]] = field(default_factory=list)
 
     def check(self, name: str, value: Any, at: float | None = None) -> Any:
         """The value as the setting takes it.
@@ -154,11 +157,12 @@ class Changes:
             raise ValueError(f"at must be later than {max(self.now, 0) / 1e9:.3f} s, got {at:g} s")
         return checked
 
-    def enqueue(self, name: str, value: Any, due: int = 0) -> None:
-        """Apply a checked value `due` [ns] after the first tick; 0: at the next tick."""
-        self._pending.append((due, name, value))
+    def enqueue(self, name: str, value: Any, due: int = 0, by: str | None = None) -> None:
+        """Apply a checked value `due` [ns] after the first tick (0: at the next tick), asked for `by` a node."""
+        change = due, name, value, self.who() if by is None else by
+        self._pending.append(change)
         if self.now < 0 and name != ACTIVE:
-            self._initial.append((due, name, value))
+            self._initial.append(change)
         self._pending.sort(key=lambda change: change[0])
         self.due = self._pending[0][0]
 
@@ -170,13 +174,13 @@ class Changes:
         """Apply what is due at this tick, `since_start` [ns] after the first one."""
         self.now = since_start
         while since_start >= self.due:
-            _, name, value = self._pending.pop(0)
+            _, name, value, by = self._pending.pop(0)
             self.due = self._pending[0][0] if self._pending else NEVER
             self.appliers[name](value)
             self.told.append((name, value))
             self._changed.add(name)
             if len(self._applied) < MAX_KEPT:
-                self._applied.append((since_start // TICK_NS, name, value))
+                self._applied.append((since_start // TICK_NS, name, value, by))
 
     def restore(self) -> None:
         """Another run begins: the settings of the start, and the changes that were requested before it, once more.
@@ -194,8 +198,11 @@ class Changes:
         self.now = -1
 
     def record(self) -> dict[str, str]:
-        """The changes so far as a value of the statistics; nothing where there were none."""
-        rows = [{"tick": tick, "name": name, "value": value} for tick, name, value in self._applied]
+        """The changes so far, with who asked for them, as a value of the statistics; nothing where there were none."""
+        rows = [
+            {"tick": tick, "name": name, "value": value, **({"by": by} if by else {})}
+            for tick, name, value, by in self._applied
+        ]
         return {"changes": json.dumps(rows)} if rows else {}
 
 

@@ -1,7 +1,8 @@
-"""Publishers of a run as its own nodes list them, in a file that only processes of the runner have open.
+"""Processes of a run and the topics on which they send, in a list that only processes of the runner have open.
 
-A node lists a publisher before it sends anything: whoever sends on a topic and is not in the list, while the topic's
-node is, is not of the run, whatever its name. The file is in memory and inherited; another user cannot write to it.
+A process lists itself, and each topic, before it has a publisher there: whoever sends on a listed topic and is of no
+listed process is not of the run, whatever its name. The list is a file in memory and inherited; another user cannot
+write to it.
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ import os
 MEMBERS_VARIABLE = "LOS_TESTBED_MEMBERS"
 """Path of the list, if a runner started this node."""
 
+PREFIX_BYTES = 12
+"""The first bytes of an identifier are the same for everything in a process, and differ between processes."""
+
 OWN, OTHER, PENDING, OPEN = "own", "other", "pending", "open"
-"""What the list says of a publisher: of the run; not of it; the topic's node has not listed all of its own yet; the
+"""What the list says of a publisher: of the run; not of it; the topic's node has not listed all of its topics yet; the
 list says nothing about the topic (there is none, or something else stands between the node and the topic)."""
 
 
@@ -33,7 +37,8 @@ class Members:
     >>> with tempfile.NamedTemporaryFile() as file:
     ...     members = Members(file.name)
     ...     before = members.standing("/telescope/truth/los", "/telescope/plant", b"1")
-    ...     members.add("/telescope/truth/los", b"1")
+    ...     members.join("/telescope/plant", b"1")
+    ...     members.publishes("/telescope/truth/los")
     ...     members.complete("/telescope/plant")
     ...     [before, *(members.standing("/telescope/truth/los", "/telescope/plant", gid) for gid in (b"1", b"2"))]
     ['pending', 'own', 'other']
@@ -43,15 +48,20 @@ class Members:
         self._file = os.open(path, os.O_RDWR | os.O_APPEND) if path else -1
         self._size = 0
         self._rest = b""
-        self._own: dict[str, set[bytes]] = {}
+        self._processes: dict[str, set[bytes]] = {}
+        self._topics: set[str] = set()
         self._complete: set[str] = set()
 
-    def add(self, topic: str, gid: bytes) -> None:
-        """List a publisher of this node; nothing without a list."""
-        self._write(json.dumps({"topic": topic, "gid": gid.hex()}) + "\n")
+    def join(self, node: str, gid: bytes) -> None:
+        """List the process of a node by the identifier of anything in it; nothing without a list."""
+        self._write(json.dumps({"process": gid[:PREFIX_BYTES].hex(), "of": node}) + "\n")
+
+    def publishes(self, topic: str) -> None:
+        """List a topic on which this node will send; nothing without a list."""
+        self._write(json.dumps({"topic": topic}) + "\n")
 
     def complete(self, node: str) -> None:
-        """All publishers of a node are listed; nothing without a list."""
+        """All topics of a node are listed; nothing without a list."""
         self._write(complete_line(node))
 
     def _write(self, line: str) -> None:
@@ -66,12 +76,14 @@ class Members:
         self._size += len(data)
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            with contextlib.suppress(ValueError, KeyError):
+            with contextlib.suppress(ValueError, KeyError, TypeError):
                 row = json.loads(line)
                 if "node" in row:
                     self._complete.add(row["node"])
+                elif "topic" in row:
+                    self._topics.add(row["topic"])
                 else:
-                    self._own.setdefault(row["topic"], set()).add(bytes.fromhex(row["gid"]))
+                    self._processes.setdefault(row["of"], set()).add(bytes.fromhex(row["process"]))
 
     def standing(self, topic: str, node: str, gid: bytes) -> str:
         """:data:`OWN`, :data:`OTHER`, :data:`PENDING` or :data:`OPEN`.
@@ -88,18 +100,15 @@ class Members:
         if self._file < 0:
             return OPEN
         self._read()
-        if own := self._own.get(topic):
-            return OWN if gid in own else OTHER
+        if gid[:PREFIX_BYTES] in self._processes.get(node, ()):
+            return OWN
+        if topic in self._topics:
+            return OTHER
         return OPEN if node in self._complete else PENDING
-
-    def of_process(self, gid: bytes, length: int) -> bool:
-        """Whether a publisher of the run has an identifier that begins as this one does."""
-        self._read()
-        return any(own[:length] == gid[:length] for gids in self._own.values() for own in gids)
 
 
 def complete_line(node: str) -> str:
-    """Line of the list: a node has listed all of its publishers, or never will."""
+    """Line of the list: a node has listed all of its topics, or never will."""
     return json.dumps({"node": node}) + "\n"
 
 

@@ -1,8 +1,8 @@
 """One publisher for each topic of the loop: whose a message is follows from the identifier of its publisher.
 
 The middleware gives every publisher an identifier that no other one has, and tells it of every message. In a run with a
-runner the nodes list their own identifiers (:mod:`los_testbed.loop.members`), and nobody else can: all others are
-foreign. Without a list, as on several hosts, the publisher is found by the name of its node, or by its hold ticks; it
+runner the processes list themselves (:mod:`los_testbed.loop.members`), and nobody else can: all others are foreign.
+Without a list, as on several hosts, the publisher is found by the name of its node, or by its hold ticks; it
 is kept while it sends, replaced by a later one of the same node when it is silent, and has its place again when it
 comes back. Stamps, values and rates of a message say nothing about its sender, and are not looked at.
 """

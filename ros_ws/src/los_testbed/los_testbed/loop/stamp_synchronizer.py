@@ -54,7 +54,7 @@ class StampSynchronizer:
     Examples
     --------
     >>> codec = Codec("geometry_msgs/msg/Vector3Stamped", 2, "fsm")
-    >>> synchronizer = StampSynchronizer([TickPart(codec, slice(0, 2)), Part(codec, slice(2, 4))], 4)
+    >>> synchronizer = StampSynchronizer([TickPart(codec, slice(0, 2)), TickPart(codec, slice(2, 4))], 4)
     >>> message = bytes(codec.encode(5_000_000, np.array([1.0, 2.0])))
     >>> synchronizer.put(1, message) is None
     True

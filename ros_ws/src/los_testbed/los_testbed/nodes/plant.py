@@ -99,7 +99,7 @@ class PlantLoop:
         if change is not None:
             appliers.update({name: partial(change, name) for name in NAMES["plant"] if name not in appliers})
         self.changes = context.allow_changes(appliers)
-        self.services = RunServices(context.node, self.changes, context.config.wait_for_start)
+        self.services = RunServices(context.node, self.changes, context.config.wait_for_start, context.requesters)
         self._again = False
 
     def _begin_counts(self) -> None:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.screen import met, printable, say
 from pointing_analysis.files.atomic_output import check_output
@@ -100,7 +101,7 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
 
     effect = control_effect(run, summary)
     note = run.parameters.get("start_note", "")
-    return tuple(text for text in (effect.remark if effect else "", str(note)) if text)
+    return tuple(text for text in (effect.remark if effect else "", str(note), *requested(run)) if text)
 
 
 def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:

@@ -37,10 +37,16 @@ from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.raw_topics import listed_publisher
+from los_testbed.nodes.support.requesters import UNKNOWN, Requesters
 from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.security import refuse_missing_security
+from los_testbed.nodes.support.serialized_reader import publisher_gid
 from los_testbed.run.node_launch import EVENTS_VARIABLE
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
+
+CHANGING = "set_parameters", "set_parameters_atomically"
+"""Services of every node by which the run is changed. Those of the life cycle are made by a library below rclpy and
+have no introspection: who used them is not known."""
 
 NO_FRAME = ""
 """Frame of a report: the state of a node has none."""
@@ -77,6 +83,7 @@ class NodeContext:
         self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
         self.config = declare_config(self.node, NAMES.get(name, ()))
         self._changing: ChangingParameters | None = None
+        self.requesters: Requesters | None = None
         if isinstance(self.node, ManagedNode):
             self.node.begin()
         self._executor = SingleThreadedExecutor()
@@ -84,11 +91,14 @@ class NodeContext:
         self._requests = Requests(self.node)
         self._work: deque[Callable[[], None]] = deque()
         self._label = f"{self.config.namespace.strip('/') or 'root'}: {name}"
+        self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
+        with self._statistics.handle:
+            self._gid = publisher_gid(self._statistics.handle)
+        members().join(self.node.get_fully_qualified_name(), self._gid)
         own = f"{name}/{OWN_DIAGNOSTICS}"
         self._diagnostics = [
             listed_publisher(self.node, DiagnosticArray, topic, 10) for topic in (DIAGNOSTICS_TOPIC, own)
         ]
-        self._statistics = self.node.create_publisher(Float64MultiArray, "~/statistics", QoSProfile(depth=10))
 
     def all_listed(self) -> None:
         """Tell the other nodes of the run that all publishers of this one exist."""
@@ -105,10 +115,15 @@ class NodeContext:
         ValueError
             The parameter ``fault`` was given a value that is none.
         """
-        changes = Changes(self.config, appliers, limits or {})
+        requesters = Requesters(self.node, self._gid)
+        changes = Changes(self.config, appliers, limits or {}, requesters.who)
         if isinstance(self.node, ManagedNode):
-            self.node.on_active = lambda active: changes.enqueue(ACTIVE, active)
+            self.node.on_active = lambda active: changes.enqueue(ACTIVE, active, by=UNKNOWN)
         self._changing = ChangingParameters(self.node, changes)
+        for service in list(self.node.services):
+            if service.service_name.endswith(CHANGING):
+                requesters.watch(service)
+        self.requesters = requesters
         return changes
 
     def end(self, value: bool = True) -> None:
@@ -137,10 +152,14 @@ class NodeContext:
     def service(self) -> None:
         """Answer a request, if there is one."""
         if self._requests.waiting():
+            if self.requesters is not None:
+                self.requesters.begin()
             try:
                 self._executor.spin_once(timeout_sec=0.0)
             except rclpy_implementation.RCLError as error:  # a request that cannot be read must not end the loop
                 self.node.get_logger().error(f"request refused: {error}")
+            if self.requesters is not None:
+                self.requesters.end()
         if self._changing is not None:
             self._changing.follow()
         self.stop |= isinstance(self.node, ManagedNode) and self.node.ended

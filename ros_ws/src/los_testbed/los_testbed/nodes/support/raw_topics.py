@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 
 from los_testbed.loop.members import members
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
-from los_testbed.nodes.support.serialized_reader import SerializedReader, Taken, publisher_gid
+from los_testbed.nodes.support.serialized_reader import SerializedReader, Taken
 from los_testbed.topics import DEPTH
 from pointing_analysis.read.messages.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
 
@@ -49,11 +49,9 @@ class _NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
 
 
 def listed_publisher(node: Node, message: Any, name: str, depth: int) -> Any:
-    """A publisher of a node that is in the list of the run before it sends anything."""
-    publisher = node.create_publisher(message, name, QoSProfile(depth=depth))
-    with publisher.handle:
-        members().add(node.resolve_topic_name(name), publisher_gid(publisher.handle))
-    return publisher
+    """A publisher of a node, whose topic is in the list of the run before it is there."""
+    members().publishes(node.resolve_topic_name(name))
+    return node.create_publisher(message, name, QoSProfile(depth=depth))
 
 
 class RawPublisher:

@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from los_testbed.loop.changes import RESET, STOP, Changes
+from los_testbed.nodes.support.requesters import Requesters
 
 WAITING, RUNNING, OVER = "waiting for its start", "running", "over"
 
@@ -25,6 +26,8 @@ class RunServices:
         Stop and reset are changes: they apply at one tick and are recorded.
     waits : bool
         Whether a run begins only when it is started.
+    requesters : Requesters, optional
+        Tells who asks.
 
     Raises
     ------
@@ -32,7 +35,7 @@ class RunServices:
         A run that waits, without ``std_srvs``.
     """
 
-    def __init__(self, node: Node, changes: Changes, waits: bool) -> None:
+    def __init__(self, node: Node, changes: Changes, waits: bool, requesters: Requesters | None = None) -> None:
         self._changes = changes
         self._waits = waits
         self._asked = False
@@ -45,7 +48,9 @@ class RunServices:
         from std_srvs.srv import Trigger
 
         for name, answer in (("start", self._start), (STOP, self._end(STOP)), (RESET, self._end(RESET))):
-            node.create_service(Trigger, f"~/{name}", answer)
+            service = node.create_service(Trigger, f"~/{name}", answer)
+            if requesters is not None and name != "start":
+                requesters.watch(service)
 
     @property
     def may_begin(self) -> bool:

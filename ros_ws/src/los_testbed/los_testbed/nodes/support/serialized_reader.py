@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 GID_BYTES = 16
-PREFIX_BYTES = 12
-"""The first bytes of an identifier are the same for everything in a process."""
 
 _INFO = struct.Struct("<qqQQ8x16s")  # sent, received, two numbers, a pointer, identifier
 _INFO_BYTES = 512

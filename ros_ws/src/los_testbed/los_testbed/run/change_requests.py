@@ -1,0 +1,66 @@
+"""What other programs asked of a run while it went on, as the bag tells: by whom, what, and when."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from los_testbed.loop.changes import ACTIVE, RESET, STOP
+from los_testbed.topics import NODES
+from pointing_analysis.read.run import Run
+from titop_plant.interface import RATE
+
+SHOWN = 5
+"""Sentences about changes; of more there is their number."""
+LONGEST = 200
+WORDS = {STOP: "stopped", RESET: "reset"}
+
+
+def requested(run: Run) -> tuple[str, ...]:
+    """Sentences about the requests that changed or ended a run, in order of time.
+
+    Parameters
+    ----------
+    run : Run
+        Of any origin: what is no list of changes is left out.
+    """
+    statistics = run.parameters.get("statistics", {})
+    rows: list[tuple[float, str]] = []
+    for node in NODES:
+        values = statistics.get(node, {}) if isinstance(statistics, dict) else {}
+        told = values.get("changes", "") if isinstance(values, dict) else ""
+        rows += [(row["tick"] / RATE, _sentence(node, row)) for row in _rows(told)]
+    rows.sort(key=lambda row: row[0])
+    texts = [text for _, text in rows]
+    # the end of the run comes last and is always told
+    left = texts[: len(texts) - 1][SHOWN:]
+    if left:
+        texts = [*texts[:SHOWN], f"{len(left)} more changes by request", texts[-1]]
+    return tuple(texts)
+
+
+def _rows(text: Any) -> list[dict[str, Any]]:
+    """Changes that somebody asked for."""
+    try:
+        rows = json.loads(text)
+    except (ValueError, TypeError, RecursionError):
+        return []
+    return [
+        row
+        for row in (rows if isinstance(rows, list) else [])
+        if isinstance(row, dict)
+        and isinstance(row.get("by"), str)
+        and isinstance(row.get("name"), str)
+        and isinstance(row.get("tick"), int)
+        and 0 <= row["tick"] < 1e12
+    ]
+
+
+def _sentence(node: str, row: dict[str, Any]) -> str:
+    name, time = row["name"], f"at {row['tick'] / RATE:g} s"
+    by = row["by"][:LONGEST]
+    if name in WORDS:
+        return f"{WORDS[name]} by request {time}, from {by}"
+    if name == ACTIVE:
+        return f"{node} {'activated' if row.get('value') else 'deactivated'} by request {time}, from {by}"
+    return f"{name[:LONGEST]} set to {json.dumps(row.get('value'))[:LONGEST]} by request {time}, from {by}"
