@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 MINUTES ?= 10
+CASES ?= 200
+SEED ?= 0
 READY := .venv/.ready
 SKIPPED := .venv/skipped-tests.txt
 LANES := -n 2 --dist loadfile --no-loadscope-reorder
@@ -10,13 +12,14 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
+.PHONY: help run test test-slow fuzz attacks lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, all tests of ordinary length; at the end what was skipped and how to get it"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
+	@echo "make attacks CASES=200 SEED=0  runs beside random strangers on their domain (some seconds each)"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
@@ -58,6 +61,9 @@ test-slow: $(READY)
 
 fuzz: $(READY)
 	$(BIN)/python tests/fuzz/fuzz_for.py $(MINUTES)
+
+attacks: $(READY)
+	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(CASES) $(SEED)
 
 stages: $(READY)
 	$(BIN)/los-testbed stages

@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("std_srvs")
+from attack_campaign import GOOD, case_of, judge, messages_of, run_beside
 from attacker import EARLY, Attacker, Case
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -79,3 +80,15 @@ def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_js
     with console.capture() as shown:
         print_summary(console, found)
     assert line in shown.get()
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    return messages_of(run_beside(tmp_path_factory.mktemp("alone"), None).bag)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_cases_of_the_campaign_are_right_or_refused(tmp_path, expected, seed):
+    """All of them: make attacks."""
+    kind, said = judge(tmp_path, case_of(seed), expected)
+    assert kind in GOOD, said
