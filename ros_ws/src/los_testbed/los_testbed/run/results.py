@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,23 @@ class RunError(RuntimeError):
     def __init__(self, message: str, code: int = 1) -> None:
         super().__init__(message)
         self.code = code
+
+
+def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict[str, int]:
+    """Largest count that a node has of each topic, from the statistics whose names begin so.
+
+    Examples
+    --------
+    >>> counted({"plant": {"foreign_/a": "3"}, "recorder": {"foreign_/a": "5", "messages": "9"}}, "foreign_")
+    {'/a': 5}
+    """
+    found: dict[str, int] = {}
+    for values in statistics.values():
+        for name, text in values.items():
+            if name.startswith(beginning) and text.isdecimal():
+                topic = name.removeprefix(beginning)
+                found[topic] = max(found.get(topic, 0), int(text))
+    return found
 
 
 @dataclass

@@ -30,7 +30,7 @@ from los_testbed.run.node_launch import (
     ros_arguments,
 )
 from los_testbed.run.node_process import NodeProcess
-from los_testbed.run.results import Results, RunError
+from los_testbed.run.results import Results, RunError, counted
 from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE
@@ -186,6 +186,7 @@ class Runner:
         self._until("recorder", "done", 60.0)
         self._await_exit(("recorder", *served))
         self.results.statistics["recorder"] = self._seen[("recorder", "done")]["statistics"]
+        self._tell_counts()
         histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
         self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
         bag = self._seen[("recorder", "done")].get("bag")
@@ -198,6 +199,17 @@ class Runner:
         lines = self.results.failures if restarted else self.results.warnings
         what = "the plant was started again" if restarted else "the reset"
         lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
+
+    def _tell_counts(self) -> None:
+        """How many messages of second publishers came, and whether any of them was used."""
+        foreign, misused = (counted(self.results.statistics, kind) for kind in ("foreign_", "misused_"))
+        for topic, count in foreign.items():
+            if topic not in misused:
+                self.results.warnings.append(f"{topic}: {count} messages of second publishers were not used")
+        for topic, count in misused.items():
+            kept = [text for text in self.results.failures if not text.startswith(f"{topic} had a second publisher")]
+            what = f"{topic} had a second publisher: {count} of its messages were used while the own one was silent"
+            self.results.failures[:] = [*kept, what]
 
     def _start(self, name: str) -> None:
         assert self._parameters is not None and self._statistics is not None and self._members is not None
