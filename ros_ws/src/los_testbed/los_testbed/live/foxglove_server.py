@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import secrets
+import ssl
 from collections.abc import Mapping
 
 import foxglove
 from foxglove import Channel, Context, Schema
+from tornado.netutil import bind_sockets
 
 from los_testbed.bags.schemas import DEFINITIONS
+from los_testbed.live.access import FOXGLOVE_SITE, Access
+from los_testbed.live.gate import Gate
 
 BACKLOG = 16_384
 """Messages that are kept for a viewer that is slow, about 2 s or 3 MB; of older ones it gets none."""
@@ -16,12 +21,20 @@ BACKLOG = 16_384
 class FoxgloveServer:
     """One channel per topic; who subscribes is served in threads of the library, outside Python.
 
+    The library serves whoever connects. So it listens on a loopback address that is drawn at random of 2**24, which a
+    page in a browser cannot find, and a :class:`~los_testbed.live.gate.Gate` passes on who has access. Made inside the
+    event loop.
+
     Parameters
     ----------
     topics : mapping of str to str
         Message type of each topic.
     host, port : str, int
         Where to listen; port 0 takes a free one.
+    origins : tuple of str
+        Sites whose pages may connect, beside those of this machine and of Foxglove.
+    tls : ssl.SSLContext, optional
+        The certificate; then the address begins with wss.
 
     Raises
     ------
@@ -29,15 +42,26 @@ class FoxgloveServer:
         The port is in use, or no address of this machine.
     """
 
-    def __init__(self, topics: Mapping[str, str], host: str, port: int) -> None:
-        self._context = Context()  # nothing else keeps it alive
+    def __init__(
+        self,
+        topics: Mapping[str, str],
+        host: str,
+        port: int,
+        origins: tuple[str, ...] = (),
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
         try:
-            self._server = foxglove.start_server(
-                name="los-testbed", host=host, port=port, context=self._context, message_backlog_size=BACKLOG
-            )
-        except RuntimeError as error:
-            raise ValueError(f"live port must be free on {host}, got {port} ({error})") from None
-        self.port = int(self._server.port)
+            sockets = bind_sockets(port, host)
+        except OSError as error:
+            raise ValueError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
+        self.port = int(sockets[0].getsockname()[1])
+        self._context = Context()  # nothing else keeps it alive
+        inside = hidden_address()
+        self._server = foxglove.start_server(
+            name="los-testbed", host=inside, port=0, context=self._context, message_backlog_size=BACKLOG
+        )
+        self._gate = Gate(Access(host, (FOXGLOVE_SITE, *origins)), (inside, int(self._server.port)), tls)
+        self._gate.add_sockets(sockets)
         self._channels = {
             topic: Channel(
                 topic,
@@ -54,4 +78,10 @@ class FoxgloveServer:
 
     def stop(self) -> None:
         """Close all connections."""
+        self._gate.stop()
         self._server.stop()
+
+
+def hidden_address() -> str:
+    """A random address of this machine's loopback network, 127.1.0.0 to 127.254.255.255."""
+    return f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"

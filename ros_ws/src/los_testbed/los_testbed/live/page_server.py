@@ -1,18 +1,29 @@
-"""Web server of the page (package tornado): files, frames over a web socket, actions that need a token."""
+"""Web server of the page (package tornado): files, frames over a web socket, actions that need a token.
+
+Every request must name the server in Host, and a web socket be opened by this page. A connection becomes a viewer when
+it has answered a ping; before, it is one of the silent ones, of which the least recently active makes room for another.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import secrets
+import ssl
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
 from tornado.netutil import bind_sockets
-from tornado.web import Application, RequestHandler, StaticFileHandler
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from los_testbed.live.access import Access
+from los_testbed.live.connections import SilentConnections
 
 STATIC = Path(__file__).with_name("static")
 FRAME_S = 0.1
@@ -20,6 +31,18 @@ FRAME_S = 0.1
 
 MAX_VIEWERS = 16
 """Viewers that are served; each one costs the server some percent of a processor."""
+
+MAX_SILENT = 128
+"""Connections that are no viewers."""
+
+IDLE_S = 20.0
+"""Time in which a connection must send its next request."""
+
+PING_S = 5.0
+"""Time from one ping to the next, and for the answer."""
+
+STALE_S = 8.0
+"""A viewer that has not answered for this long makes room for another one."""
 
 TOKEN_HEADER = "X-Token"
 MAX_REQUEST = 4096
@@ -37,40 +60,71 @@ Act = Callable[[str, Any], None]
 """Perform an action of this name with this value; ValueError where it is refused."""
 
 
-class _Files(StaticFileHandler):  # type: ignore[misc, unused-ignore]
+class _OwnName(RequestHandler):  # type: ignore[misc, unused-ignore]
+    """A request that names this server."""
+
+    def initialize(self, server: PageServer) -> None:
+        self._server = server
+
+    def prepare(self) -> None:
+        if not self._server.access.host(self.request.headers.get("Host", "")):
+            raise HTTPError(403, reason="Host must be a name of this server")
+
+
+class _Files(_OwnName, StaticFileHandler):  # type: ignore[misc, unused-ignore]
+    def initialize(self, server: PageServer, path: str, default_filename: str) -> None:
+        _OwnName.initialize(self, server)
+        StaticFileHandler.initialize(self, path, default_filename)
+
+    def parse_url_path(self, url_path: str) -> str:
+        if url_path not in {"", *(file.name for file in STATIC.iterdir())}:
+            raise HTTPError(404)
+        return url_path
+
     def set_extra_headers(self, path: str) -> None:
         for name, value in HEADERS.items():
             self.set_header(name, value)
 
 
-class _Data(WebSocketHandler):  # type: ignore[misc, unused-ignore]
+class _Data(_OwnName, WebSocketHandler):  # type: ignore[misc, unused-ignore]
     """A viewer: it gets the next frame when it has taken the one before."""
 
-    def initialize(self, server: PageServer) -> None:
-        self._server = server
+    answered = 0.0
+    """Time of the last answer to a ping; 0 before the first."""
 
-    async def open(self, *args: str, **kwargs: str) -> None:
-        if len(self._server.viewers) >= MAX_VIEWERS:
+    def check_origin(self, origin: str) -> bool:
+        """A page of another origin is refused; tornado asks only about those."""
+        return False
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        self._stream = self.ws_connection.stream
+        self.ping()
+
+    def on_pong(self, data: bytes) -> None:
+        first = not self.answered
+        self.answered = time.monotonic()
+        if not first:
+            return
+        if not self._server.room():
             self.close(1013, f"there are {MAX_VIEWERS} viewers already")
             return
         self._server.viewers.add(self)
+        self._server.silent.remove(self._stream)
+        self._frames = asyncio.ensure_future(self._send())
+
+    async def _send(self) -> None:
         seen: dict[str, int] = {}
-        while self in self._server.viewers:
-            try:
+        with contextlib.suppress(WebSocketClosedError):
+            while self in self._server.viewers:
                 await self.write_message(json.dumps(self._server.frame(seen), separators=(",", ":")))
-            except WebSocketClosedError:
-                return
-            await asyncio.sleep(FRAME_S)
+                await asyncio.sleep(FRAME_S)
 
     def on_close(self) -> None:
         self._server.viewers.discard(self)
 
 
-class _Action(RequestHandler):  # type: ignore[misc, unused-ignore]
+class _Action(_OwnName):  # type: ignore[misc, unused-ignore]
     """An action: the token of the printed address in a header, name and value as JSON."""
-
-    def initialize(self, server: PageServer) -> None:
-        self._server = server
 
     async def post(self) -> None:
         server = self._server
@@ -92,6 +146,20 @@ class _Action(RequestHandler):  # type: ignore[misc, unused-ignore]
         self.finish({"error": error})
 
 
+class _Server(HTTPServer):  # type: ignore[misc, unused-ignore]
+    """Server that knows its connections."""
+
+    silent: SilentConnections
+
+    def handle_stream(self, stream: IOStream, address: tuple[str, int]) -> None:
+        self.silent.add(stream)
+        super().handle_stream(stream, address)
+
+    def start_request(self, server_conn: object, request_conn: Any) -> Any:
+        self.silent.add(request_conn.stream)
+        return super().start_request(server_conn, request_conn)
+
+
 class PageServer:
     """The page on a port of its own.
 
@@ -103,6 +171,8 @@ class PageServer:
         Makes the frames.
     act : callable
         Performs actions; it is called in another thread.
+    tls : ssl.SSLContext, optional
+        The certificate; then the address begins with https.
 
     Raises
     ------
@@ -110,20 +180,35 @@ class PageServer:
         The port is in use, or no address of this machine.
     """
 
-    def __init__(self, host: str, port: int, frame: Frame, act: Act) -> None:
-        self.frame, self.act = frame, act
+    def __init__(self, host: str, port: int, frame: Frame, act: Act, tls: ssl.SSLContext | None = None) -> None:
+        self.frame, self.act, self.access = frame, act, Access(host)
+        self.silent = SilentConnections(MAX_SILENT)
         self.token = secrets.token_urlsafe(16)
         self.viewers: set[_Data] = set()
         own = {"server": self}
-        files = {"path": str(STATIC), "default_filename": "page.html"}
+        files = {**own, "path": str(STATIC), "default_filename": "page.html"}
         handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, files)]
         try:
             sockets = bind_sockets(port, host)
         except OSError as error:
             raise ValueError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
         self.port = int(sockets[0].getsockname()[1])
-        self._server = HTTPServer(Application(handlers), max_body_size=MAX_REQUEST)
+        application = Application(handlers, websocket_ping_interval=PING_S, websocket_ping_timeout=PING_S)
+        limits = {"max_body_size": MAX_REQUEST, "idle_connection_timeout": IDLE_S, "body_timeout": IDLE_S}
+        self._server = _Server(application, ssl_options=tls, max_header_size=2 * MAX_REQUEST, **limits)
+        self._server.silent = self.silent
         self._server.add_sockets(sockets)
+
+    def room(self) -> bool:
+        """Whether one more viewer can be served; the least recently active one that is stale is closed for it."""
+        if len(self.viewers) < MAX_VIEWERS:
+            return True
+        oldest = min(self.viewers, key=lambda viewer: viewer.answered)
+        if time.monotonic() - oldest.answered < STALE_S:
+            return False
+        self.viewers.discard(oldest)
+        oldest.close(1013, "it did not answer")
+        return True
 
     async def stop(self, frames: int = 3) -> None:
         """Let the viewers take some more frames, then close."""
@@ -132,3 +217,4 @@ class PageServer:
             viewer.close(1000, "the run is over")
         self._server.stop()
         await asyncio.sleep(FRAME_S)
+        self.silent.close()

@@ -1,0 +1,149 @@
+"""Who gets to the servers of a run: names in Host and Origin, connections that are silent, addresses that are none."""
+
+import asyncio
+import contextlib
+import os
+
+import pytest
+
+pytest.importorskip("tornado")
+pytest.importorskip("foxglove")
+from los_testbed.live.foxglove_server import FoxgloveServer
+from los_testbed.live.page_server import MAX_VIEWERS, PageServer
+from tornado.websocket import websocket_connect
+
+KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+UPGRADE = f"Connection: Upgrade\r\nUpgrade: websocket\r\n{KEY}"
+FOXGLOVE = f"{UPGRADE}Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n"
+ANSWER_S = 20.0
+CROWD = 300
+
+
+def page():
+    return PageServer("127.0.0.1", 0, lambda seen: {"tick": 1}, lambda name, value: None)
+
+
+def foxglove():
+    return FoxgloveServer({"/telescope/truth/los": "geometry_msgs/msg/Vector3Stamped"}, "127.0.0.1", 0)
+
+
+@contextlib.asynccontextmanager
+async def serving(make):
+    server = make()
+    try:
+        yield server
+    finally:
+        stopped = server.stop()
+        if stopped is not None:
+            await stopped
+
+
+async def ask(server, target="/", host=None, headers=""):
+    """Status of the answer to a request; 0 where the connection ends without one."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    name = f"127.0.0.1:{server.port}" if host is None else host
+    writer.write(f"GET {target} HTTP/1.1\r\nHost: {name}\r\n{headers}\r\n".encode())
+    line = await asyncio.wait_for(reader.readline(), ANSWER_S)
+    writer.close()
+    return int(line.split()[1]) if line else 0
+
+
+def status(make, **request):
+    async def once():
+        async with serving(make) as server:
+            return await ask(server, **request)
+
+    return asyncio.run(once())
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost:8765", "LOCALHOST", "[::1]:80", "127.8.9.10"])
+def test_a_loopback_name_is_served(host):
+    assert status(page, host=host) == 200
+    assert status(page, target="/data", host=host, headers=UPGRADE) == 101
+    assert status(foxglove, host=host, headers=FOXGLOVE) == 101
+
+
+@pytest.mark.parametrize(
+    "host", ["rebound.example", "127.0.0.1.example", "localhost.example:8766", "a@localhost", "192.0.2.1", "", "[::1"]
+)
+def test_another_name_in_host_is_refused(host):
+    assert status(page, host=host) in (400, 403)
+    assert status(page, target="/page.js", host=host) in (400, 403)
+    assert status(page, target="/data", host=host, headers=UPGRADE) in (400, 403)
+    assert status(foxglove, host=host, headers=FOXGLOVE) in (400, 403)
+
+
+@pytest.mark.parametrize(
+    "origin", ["https://evil.example", "http://127.0.0.1.evil.example", "null", "file://", "http://localhost@evil.example"]
+)
+def test_a_page_of_another_site_gets_no_web_socket(origin):
+    origin = f"Origin: {origin}\r\n"
+    assert status(page, target="/data", headers=UPGRADE + origin) == 403
+    assert status(foxglove, headers=FOXGLOVE + origin) == 403
+
+
+@pytest.mark.parametrize("origin", ["http://localhost:8080", "https://app.foxglove.dev", "http://127.0.0.1:5000"])
+def test_a_viewer_on_this_machine_and_that_of_foxglove_get_a_web_socket(origin):
+    assert status(foxglove, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == 101
+
+
+@pytest.mark.parametrize("target", ["/a%00b", "/%00", "/page.html%00.js", "/../page_server.py", "/%2e%2e/frames.py", "/x"])
+def test_an_address_that_is_no_file_of_the_page_is_not_found(target):
+    assert status(page, target=target) in (400, 404)
+
+
+def descriptors():
+    return len(os.listdir("/proc/self/fd"))
+
+
+@pytest.mark.parametrize("make, headers", [(page, ""), (foxglove, FOXGLOVE)])
+def test_silent_connections_have_a_limit_and_the_oldest_is_closed_for_a_new_one(make, headers):
+    async def crowd():
+        async with serving(make) as server:
+            before = descriptors()
+            silent = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(CROWD)]
+            answer = await ask(server, headers=headers)
+            held = descriptors() - before - len(silent)
+            first = await asyncio.wait_for(silent[0][0].read(), ANSWER_S)
+            for _, writer in silent:
+                writer.close()
+            return answer, held, first
+
+    answer, held, first = asyncio.run(crowd())
+    assert answer == (101 if headers else 200)
+    assert held < CROWD
+    assert first == b""
+
+
+def test_web_sockets_that_never_answer_take_no_place_of_a_viewer():
+    async def lock_out():
+        async with serving(page) as server:
+            silent = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(2 * MAX_VIEWERS)]
+            for reader, writer in silent:
+                writer.write(f"GET /data HTTP/1.1\r\nHost: localhost\r\n{UPGRADE}\r\n".encode())
+                assert b"101" in await asyncio.wait_for(reader.readline(), ANSWER_S)
+            viewer = await websocket_connect(f"ws://127.0.0.1:{server.port}/data")
+            frame = await asyncio.wait_for(viewer.read_message(), ANSWER_S)
+            viewer.close()
+            for _, writer in silent:
+                writer.close()
+            return frame
+
+    assert asyncio.run(lock_out()) == '{"tick":1}'
+
+
+def test_a_viewer_that_stops_to_answer_loses_its_place():
+    async def lock_out():
+        async with serving(page) as server:
+            address = f"ws://127.0.0.1:{server.port}/data"
+            viewers = [await websocket_connect(address) for _ in range(MAX_VIEWERS)]
+            for viewer in viewers:
+                await asyncio.wait_for(viewer.read_message(), ANSWER_S)
+            for viewer in viewers:  # it reads no more, so it answers no ping
+                viewer.protocol.stream.io_loop.remove_handler(viewer.protocol.stream.socket)
+            while len(server.viewers) >= MAX_VIEWERS:
+                await asyncio.sleep(0.05)
+            late = await websocket_connect(address)
+            return await asyncio.wait_for(late.read_message(), ANSWER_S)
+
+    assert asyncio.run(asyncio.wait_for(lock_out(), 60.0)) == '{"tick":1}'
