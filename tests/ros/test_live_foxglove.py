@@ -10,7 +10,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from foxglove_client import FoxgloveClient
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.run.runner import Live, Runner
+from los_testbed.run.runner import Runner
+from los_testbed.run.viewers import Live
 from mcap.reader import make_reader
 from mcap_ros2._dynamic import generate_dynamic
 from ros_runs import PLANT, config_for
@@ -83,3 +84,13 @@ def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
     assert killed and results.statistics["plant"]["ticks"] == "800"
     assert not results.failures
     assert results.warnings[-1] == "the server for viewers ended unexpectedly: code -9"
+
+
+def test_a_viewer_gets_only_the_topics_that_the_run_names(tmp_path):
+    clients = []
+    live = Live(port=0, tell=lambda foxglove, page: clients.append(FoxgloveClient(foxglove)), topics=("truth/los",))
+    config = config_for(tmp_path, mode="lockstep", duration=0.3)
+    Runner(config, commands={"plant": PLANT}, live=live).run()
+    clients[0].join()
+    assert set(clients[0].channels) == {"/telescope/truth/los"}
+    assert clients[0].messages["/telescope/truth/los"]

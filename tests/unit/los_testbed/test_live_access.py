@@ -3,13 +3,21 @@
 import asyncio
 import contextlib
 import os
+import shutil
+import ssl
+import subprocess
 
 import pytest
 
 pytest.importorskip("tornado")
 pytest.importorskip("foxglove")
+from los_testbed.cli.live_options import SERVED, check_live, server_for_viewers
+from los_testbed.config import RunConfig
+from los_testbed.live import gate
+from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
+from los_testbed.run.viewers import Live
 from tornado.websocket import websocket_connect
 
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
@@ -74,7 +82,8 @@ def test_another_name_in_host_is_refused(host):
 
 
 @pytest.mark.parametrize(
-    "origin", ["https://evil.example", "http://127.0.0.1.evil.example", "null", "file://", "http://localhost@evil.example"]
+    "origin",
+    ["https://evil.example", "http://127.0.0.1.evil.example", "null", "file://", "http://localhost@evil.example"],
 )
 def test_a_page_of_another_site_gets_no_web_socket(origin):
     origin = f"Origin: {origin}\r\n"
@@ -87,7 +96,9 @@ def test_a_viewer_on_this_machine_and_that_of_foxglove_get_a_web_socket(origin):
     assert status(foxglove, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == 101
 
 
-@pytest.mark.parametrize("target", ["/a%00b", "/%00", "/page.html%00.js", "/../page_server.py", "/%2e%2e/frames.py", "/x"])
+@pytest.mark.parametrize(
+    "target", ["/a%00b", "/%00", "/page.html%00.js", "/../page_server.py", "/%2e%2e/frames.py", "/x"]
+)
 def test_an_address_that_is_no_file_of_the_page_is_not_found(target):
     assert status(page, target=target) in (400, 404)
 
@@ -96,7 +107,7 @@ def descriptors():
     return len(os.listdir("/proc/self/fd"))
 
 
-@pytest.mark.parametrize("make, headers", [(page, ""), (foxglove, FOXGLOVE)])
+@pytest.mark.parametrize(("make", "headers"), [(page, ""), (foxglove, FOXGLOVE)])
 def test_silent_connections_have_a_limit_and_the_oldest_is_closed_for_a_new_one(make, headers):
     async def crowd():
         async with serving(make) as server:
@@ -147,3 +158,86 @@ def test_a_viewer_that_stops_to_answer_loses_its_place():
             return await asyncio.wait_for(late.read_message(), ANSWER_S)
 
     assert asyncio.run(asyncio.wait_for(lock_out(), 60.0)) == '{"tick":1}'
+
+
+def test_viewers_of_foxglove_that_take_nothing_make_room_for_another_one(monkeypatch):
+    """Each is a viewer with its first frame; where all of them take what is sent, one more is sent away."""
+
+    async def lock_out():
+        async with serving(foxglove) as server:
+            viewers = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(gate.MAX_VIEWERS)]
+            for reader, writer in viewers:
+                writer.write(f"GET / HTTP/1.1\r\nHost: localhost\r\n{FOXGLOVE}\r\n".encode())
+                await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), ANSWER_S)
+                writer.write(bytes([0x89, 0x80, 0, 0, 0, 0]))  # a ping, masked
+                await asyncio.wait_for(reader.readuntil(bytes([0x8A, 0])), ANSWER_S)
+            monkeypatch.setattr(gate, "STALE_S", 1e6)
+            refused = await ask(server, headers=FOXGLOVE)
+            monkeypatch.setattr(gate, "STALE_S", 0.0)
+            served = await ask(server, headers=FOXGLOVE)
+            await asyncio.wait_for(viewers[0][0].read(), ANSWER_S)
+            for _, writer in viewers:
+                writer.close()
+            return refused, served
+
+    assert asyncio.run(lock_out()) == (503, 101)
+
+
+def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_name():
+    access = Access("0.0.0.0")
+    assert access.host("192.0.2.5:8765")
+    assert access.host(os.uname().nodename)
+    assert not access.host("rebound.example:8765")
+    assert Access("testbed.example").host("testbed.example:8766")
+
+
+@pytest.fixture(scope="module")
+def pem(tmp_path_factory):
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl on this machine")
+    cert, key = (tmp_path_factory.mktemp("tls") / name for name in ("cert.pem", "key.pem"))
+    subject = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "1"]
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", str(key), "-out", str(cert)]
+    subprocess.run([*command, *subject], check=True, capture_output=True)
+    return cert, key
+
+
+@pytest.mark.parametrize(("make", "headers"), [(PageServer, UPGRADE), (FoxgloveServer, FOXGLOVE)])
+def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
+    async def once():
+        tls = certificate(*pem)
+        if make is PageServer:
+            server = PageServer("127.0.0.1", 0, lambda seen: {}, lambda name, value: None, tls)
+        else:
+            server = FoxgloveServer({}, "127.0.0.1", 0, (), tls)
+        async with serving(lambda: server):
+            trusted = ssl.create_default_context(cafile=str(pem[0]))
+            reader, writer = await asyncio.open_connection("localhost", server.port, ssl=trusted)
+            writer.write(f"GET /data HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n".encode())
+            line = await asyncio.wait_for(reader.readline(), ANSWER_S)
+            writer.close()
+            plain = 0
+            with contextlib.suppress(ConnectionResetError):
+                plain = await ask(server, headers=headers)
+            return int(line.split()[1]), plain
+
+    assert asyncio.run(once()) == (101, 0)
+
+
+def test_a_certificate_without_its_key_is_refused(pem):
+    cert, key = pem
+    for files in ((cert, None), (None, key), (cert, cert), (key, cert)):
+        with pytest.raises(ValueError, match="--live-tls-"):
+            certificate(*files)
+    with pytest.raises(ValueError, match="--live-tls-key"):
+        check_live(RunConfig(), server_for_viewers(0, "127.0.0.1", tls_cert=cert))
+
+
+def test_a_topic_or_site_that_does_not_exist_is_refused_before_the_run():
+    check_live(RunConfig(), Live(topics=SERVED))
+    with pytest.raises(ValueError, match=r"--live-topic must be one of .*got 'truth/loss'"):
+        check_live(RunConfig(), Live(topics=("truth/loss",)))
+    with pytest.raises(ValueError, match="--live-origin must be"):
+        check_live(RunConfig(), Live(origins=("example.org",)))
+    with pytest.raises(ValueError, match="--live must be given with --live-topic"):
+        server_for_viewers(None, "127.0.0.1", topics=["truth/los"])

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
-from los_testbed.cli.run import check_live, with_lone_options
+from los_testbed.cli.live_options import check_live
+from los_testbed.cli.run import with_lone_options
 from los_testbed.config import RunConfig
 from los_testbed.factories import requirements_of
 from los_testbed.live.frames import Frames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
+from los_testbed.run.viewers import Live
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -123,9 +125,9 @@ def test_the_port_of_viewers_may_be_left_out(given, expected):
 @pytest.mark.parametrize("port", [-1, 65535, 70000])
 def test_a_port_out_of_range_is_refused(port):
     with pytest.raises(ValueError, match=f"--live must be a port from 0 to 65534, got {port}"):
-        check_live(RunConfig(), port)
+        check_live(RunConfig(), Live(port=port))
 
 
 def test_viewers_need_nodes():
     with pytest.raises(ValueError, match="mode must be realtime or lockstep with --live, got inprocess"):
-        check_live(RunConfig(mode="inprocess"), 8765)
+        check_live(RunConfig(mode="inprocess"), Live())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +13,8 @@ import typer
 
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
+from los_testbed.cli import live_options
+from los_testbed.cli.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
@@ -21,6 +22,7 @@ from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import Screen, say
+from los_testbed.run.viewers import Live
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 
@@ -32,10 +34,6 @@ RESTARTED = 3
 
 FREE = "free"
 """Value of ``--domain`` for a domain that nobody uses on this machine."""
-
-LIVE_PORT = 8765
-MAX_PORT = 65534
-"""Largest port of ``--live``: the page has the next one."""
 
 RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
@@ -92,14 +90,12 @@ def run(
             help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder."
         ),
     ] = None,
-    live: Annotated[
-        int | None,
-        typer.Option(
-            metavar="[PORT]",
-            help=f"Serve viewers: Foxglove's protocol on PORT ({LIVE_PORT}), a page for browsers on the next one.",
-        ),
-    ] = None,
-    live_host: Annotated[str, typer.Option(metavar="ADDRESS", help="Where --live listens.")] = "127.0.0.1",
+    live: live_options.Port = None,
+    live_host: live_options.Host = "127.0.0.1",
+    live_origin: live_options.Origins = None,
+    live_topic: live_options.Topics = None,
+    live_tls_cert: live_options.TlsCert = None,
+    live_tls_key: live_options.TlsKey = None,
     sign_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
     ] = None,
@@ -118,12 +114,13 @@ def run(
         from los_testbed.run.node_launch import run_alone
 
         raise typer.Exit(run_alone(only, chosen))
+    viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
     key = None
     if sign_key is not None:
         from los_testbed.bags.signature import private_key
 
         key = private_key("--sign-key", sign_key)
-    _run_and_tell(chosen, live, live_host, report, json_, key)
+    _run_and_tell(chosen, viewers, report, json_, key)
 
 
 def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
@@ -139,18 +136,13 @@ def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 
 
 def _run_and_tell(
-    config: RunConfig,
-    live: int | None,
-    live_host: str,
-    report: bool,
-    json_: bool,
-    key: Ed25519PrivateKey | None = None,
+    config: RunConfig, live: Live | None, report: bool, json_: bool, key: Ed25519PrivateKey | None = None
 ) -> None:
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
     from los_testbed.run.summary import print_summary, summarise_runs
 
     console = Screen(stderr=json_)
-    bag, results = execute(config, live=live, live_host=live_host)
+    bag, results = execute(config, live)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
@@ -288,29 +280,8 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     return given
 
 
-def check_live(config: RunConfig, port: int) -> None:
-    """Refuse viewers where they cannot be served.
-
-    Raises
-    ------
-    ValueError
-        No such port, a mode without nodes, or the packages missing.
-    """
-    if not 0 <= port <= MAX_PORT:
-        raise ValueError(f"--live must be a port from 0 to {MAX_PORT}, got {port}")
-    if config.mode == "inprocess":
-        raise ValueError("mode must be realtime or lockstep with --live, got inprocess")
-    for package in ("foxglove", "tornado"):
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"{package} must be installed for --live: pip install 'los-testbed[live]'")
-
-
-def _tell_addresses(foxglove: str, page: str) -> None:
-    sys.stderr.write(f"Foxglove: {foxglove}\npage: {page}\n")
-
-
-def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.0.1") -> tuple[Path, Results]:
-    """Run, with a progress bar and, if `live` names a port, a server for viewers; the bag and what happened."""
+def execute(config: RunConfig, live: Live | None = None) -> tuple[Path, Results]:
+    """Run, with a progress bar and, if `live` is given, a server for viewers; the bag and what happened."""
     warnings = check(config)
     if live is not None:
         check_live(config, live)
@@ -335,10 +306,9 @@ def execute(config: RunConfig, live: int | None = None, live_host: str = "127.0.
             except KeyboardInterrupt:
                 raise RunError(f"interrupted{recorded(path)}", 130) from None
             return path, Results(bag=path)
-        from los_testbed.run.runner import Live, Runner
+        from los_testbed.run.runner import Runner
 
-        served = None if live is None else Live(live_host, live, _tell_addresses)
-        results = Runner(replace(config, wait_for_recorder=True), progress, live=served).run()
+        results = Runner(replace(config, wait_for_recorder=True), progress, live=live).run()
     if results.bag is None:  # the runner has raised unless it was interrupted
         raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]

@@ -90,8 +90,8 @@ def check_origin(origin: str) -> None:
         Not of the form SCHEME://HOST[:PORT].
     """
     scheme, sign, rest = origin.partition("://")
-    if not sign or not scheme or (not rest and scheme != "file") or "/" in rest:
-        raise ValueError(f"--live-origin must be SCHEME://HOST[:PORT], got {origin!r}")
+    if origin != "null" and (not sign or not scheme or (not rest and scheme != "file") or "/" in rest):
+        raise ValueError(f"--live-origin must be SCHEME://HOST[:PORT], file:// or null, got {origin!r}")
 
 
 def certificate(cert: Path | str | None, key: Path | str | None) -> ssl.SSLContext | None:

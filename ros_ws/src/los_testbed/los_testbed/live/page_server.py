@@ -72,7 +72,7 @@ class _OwnName(RequestHandler):  # type: ignore[misc, unused-ignore]
 
 
 class _Files(_OwnName, StaticFileHandler):  # type: ignore[misc, unused-ignore]
-    def initialize(self, server: PageServer, path: str, default_filename: str) -> None:
+    def initialize(self, server: PageServer, path: str = str(STATIC), default_filename: str = "page.html") -> None:
         _OwnName.initialize(self, server)
         StaticFileHandler.initialize(self, path, default_filename)
 
@@ -186,8 +186,7 @@ class PageServer:
         self.token = secrets.token_urlsafe(16)
         self.viewers: set[_Data] = set()
         own = {"server": self}
-        files = {**own, "path": str(STATIC), "default_filename": "page.html"}
-        handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, files)]
+        handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, own)]
         try:
             sockets = bind_sockets(port, host)
         except OSError as error:

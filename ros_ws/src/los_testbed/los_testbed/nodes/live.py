@@ -20,6 +20,7 @@ from rclpy.node import Node
 
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.factories import requirements_of, telescope_basis
+from los_testbed.live.access import certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import Frames
 from los_testbed.live.page_server import PageServer
@@ -27,6 +28,7 @@ from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.run.viewers import Live
 from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS
 from titop_plant.interface import TICK_NS
 
@@ -44,10 +46,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="live", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=int, default=8765, help="port of Foxglove's protocol; the page has the next one")
+    parser.add_argument("--origin", action="append", default=[], help="site whose pages may connect; repeatable")
+    parser.add_argument("--topic", action="append", default=[], help="topic that is served; repeatable; default: all")
+    parser.add_argument("--tls-cert", default="", help="certificate (PEM)")
+    parser.add_argument("--tls-key", default="", help="its private key (PEM)")
     own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
 
+    live = Live(
+        own.host,
+        own.port,
+        origins=tuple(own.origin),
+        topics=tuple(own.topic),
+        tls_cert=own.tls_cert,
+        tls_key=own.tls_key,
+    )
+
     async def serve(context: NodeContext) -> int:
-        return await LiveNode(context, own.host, own.port).run()
+        return await LiveNode(context, live).run()
 
     return run_node("live", given, lambda context: asyncio.run(serve(context)))
 
@@ -59,11 +74,11 @@ class LiveNode:
     ----------
     context : NodeContext
         The node.
-    host, port : str, int
-        Where to listen; port 0 takes two free ones.
+    live : Live
+        Where to listen, whom to serve, with which topics.
     """
 
-    def __init__(self, context: NodeContext, host: str, port: int) -> None:
+    def __init__(self, context: NodeContext, live: Live) -> None:
         config, node = context.config, context.node
         self.context = context
         self.tracks = [
@@ -75,6 +90,7 @@ class LiveNode:
             )
             for topic in TOPICS
         ]
+        self._served = set(live.topics) or {*(topic.name for topic in TOPICS), OWN_DIAGNOSTICS}
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
         self.reports = {
             name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
@@ -82,19 +98,22 @@ class LiveNode:
         }
         self._simulated = config.mode == "lockstep"
         self._next_look = 0
-        channels = {track.path: topic.type_name for track, topic in zip(self.tracks, TOPICS)}
+        tls, host, port = certificate(live.tls_cert or None, live.tls_key or None), live.host, live.port
+        channels = {t.path: topic.type_name for t, topic in zip(self.tracks, TOPICS) if topic.name in self._served}
+        if OWN_DIAGNOSTICS in self._served:
+            channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         self.frames = Frames(config, telescope_basis(config).authority, requirements_of(config))
-        self.foxglove = FoxgloveServer({**channels, DIAGNOSTICS_TOPIC: DIAGNOSTICS}, host, port)
-        self.page = PageServer(host, port and port + 1, self.frames.next, self._act)
+        self.foxglove = FoxgloveServer(channels, host, port, live.origins, tls)
+        self.page = PageServer(host, port and port + 1, self.frames.next, self._act, tls)
         # one request at a time, by a node of its own: this one's executor answers requests to it
         self._user = Node(f"live_control_{os.getpid()}", context=node.context)
         self._remote = RemoteControl(self._user, config.namespace)
         self._worker = concurrent.futures.ThreadPoolExecutor(1)
-        address = f"[{host}]" if ":" in host else host
+        address, safe = f"[{host}]" if ":" in host else host, "s" if tls else ""
         context.event(
             "live",
-            foxglove=f"ws://{address}:{self.foxglove.port}",
-            page=f"http://{address}:{self.page.port}/#token={self.page.token}",
+            foxglove=f"ws{safe}://{address}:{self.foxglove.port}",
+            page=f"http{safe}://{address}:{self.page.port}/#token={self.page.token}",
         )
 
     async def run(self) -> int:
@@ -134,7 +153,8 @@ class LiveNode:
                 track.data, track.received, track.sent = [], [], []
             self.frames.clear()
         for track, topic in zip(tracks, TOPICS):
-            for data, received in zip(track.data, track.received):
+            shown = zip(track.data, track.received) if topic.name in self._served else ()
+            for data, received in shown:
                 self.foxglove.send(track.path, data, stamp_of(data) if self._simulated else received)
                 self.frames.history.put(topic.name, data)
             track.data, track.received, track.sent = [], [], []
@@ -143,6 +163,8 @@ class LiveNode:
     def _take_reports(self) -> None:
         statuses = {name: report.status for name, report in self.reports.items() if report.data}
         merged = merge(list(self.reports.values()))
+        if OWN_DIAGNOSTICS not in self._served:
+            return
         for data, received in zip(merged.data, merged.received):
             self.foxglove.send(DIAGNOSTICS_TOPIC, data, received)
         for name, status in statuses.items():

@@ -9,7 +9,6 @@ import selectors
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from los_testbed.run.node_launch import (
 )
 from los_testbed.run.node_process import NodeProcess
 from los_testbed.run.results import Results, RunError, counted
+from los_testbed.run.viewers import LIVE, Live
 from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE
@@ -38,19 +38,7 @@ from titop_plant.interface import RATE
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
-LIVE = "live"
-"""Name of the node that serves viewers."""
-
 STOP_S = 10.0
-
-
-@dataclass(frozen=True)
-class Live:
-    """Server for viewers beside a run: where it listens, and whom to tell its addresses (Foxglove's, the page's)."""
-
-    host: str = "127.0.0.1"
-    port: int = 8765
-    tell: Callable[[str, str], None] = lambda foxglove, page: None
 
 
 class Runner:
@@ -80,7 +68,7 @@ class Runner:
         self._progress = progress
         self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
         if live is not None:
-            self._commands[LIVE] = [*node_command(LIVE), "--host", live.host, "--port", str(live.port)]
+            self._commands[LIVE] = [*node_command(LIVE), *live.arguments()]
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
