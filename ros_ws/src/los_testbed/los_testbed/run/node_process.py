@@ -9,6 +9,9 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from typing import IO, Any
 
+from los_testbed.loop.scheduling import MAX_BUSY_S
+from los_testbed.run.memory import TOO_LITTLE_MEMORY, names_memory
+
 
 class NodeProcess:
     """One node as a child process; its events come line by line."""
@@ -46,6 +49,25 @@ class NodeProcess:
                 if isinstance(event, dict) and "event" in event:
                     events.append(event)
         return events
+
+    def how_it_ended(self, code: int, number: int = 0) -> str:
+        """Exit code or signal, with its cause where that is known, and the last line of the error output.
+
+        Parameters
+        ----------
+        code : int
+            Exit code, or the negative number of the signal that killed it.
+        number : int
+            Signal after which it ended in order; 0 without one.
+        """
+        number = max(number, -code)
+        how = f"signal {number}" if number else f"exit code {code}"
+        if code == -signal.SIGXCPU:
+            how += f": it computed for {MAX_BUSY_S:g} s without a pause at real-time priority"
+        if names_memory(self.errors):
+            how += f": {TOO_LITTLE_MEMORY}"
+        last = self.errors.strip().splitlines()[-1:] or [""]
+        return f"{self.name} ended unexpectedly ({how}) {last[0]}".strip()
 
     def interrupt(self) -> None:
         """Ask it to end."""

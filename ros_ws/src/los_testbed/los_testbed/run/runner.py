@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import selectors
-import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,9 +15,9 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
-from los_testbed.loop.scheduling import MAX_BUSY_S
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
+from los_testbed.run.memory import check_address_space
 from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_launch import (
     STATISTICS_VARIABLE,
@@ -39,6 +38,11 @@ RESTARTS = 3
 """A node that dies during the run is started again this often."""
 
 STOP_S = 10.0
+ENDED = "ended"
+"""What is noted of a node that a signal of somebody else has ended in order."""
+
+REMIND_S = 5.0
+"""A node that has not ended by then is asked again: a signal that comes while it starts may be lost."""
 
 
 class Runner:
@@ -73,7 +77,8 @@ class Runner:
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
         self._errors: list[tuple[str, str]] = []
-        self._restarts = 0
+        self._replaced: dict[str, int] = {}
+        self._closed_by_recorder: list[Path] = []
         self._resets = 0
         self._ticks_done = 0
         self._before = 0
@@ -110,6 +115,7 @@ class Runner:
             A node failed; the others were ended.
         """
         check_ros()
+        check_address_space(self._live is not None)
         check_new_bag(self._config.bag)
         self.results.warnings += check_controllers(self._config)
         text = parameter_text(self._config).encode()
@@ -127,7 +133,8 @@ class Runner:
             try:
                 self._perform()
             except RunError as error:
-                raise RunError(f"{error}{recorded(self._config.bag)}", error.code) from None
+                told = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
+                raise RunError(f"{told}{recorded(self._config.bag)}", error.code) from None
             finally:
                 self._end_all()
         return self.results
@@ -151,11 +158,19 @@ class Runner:
             self._until("plant", "done", None)
         except KeyboardInterrupt:
             self.results.interrupted = True
+            self._accept_ends()
             if ("plant", "running") not in self._seen:
                 return
             self._nodes["plant"].interrupt()
             self._until("plant", "done", STOP_S)
         self._finish()
+
+    def _accept_ends(self) -> None:
+        """The run ends: nodes that a signal has ended before they were asked to have done their work."""
+        for name, node in self._nodes.items():
+            if (name, ENDED) in self._seen:
+                self._seen[name, "done"] = self._seen.pop((name, ENDED))
+                node.asked_to_stop = True
 
     def _finish(self) -> None:
         """Followers first, so that their last samples reach the recorder; then the recorder.
@@ -170,6 +185,8 @@ class Runner:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
         assert self._statistics is not None
         os.write(self._statistics.descriptor, json.dumps(self.results.statistics).encode())
+        if self._replaced.get("recorder") and ("recorder", "ready") not in self._seen:
+            raise RunError("the run was over before another recorder was ready")
         self._nodes["recorder"].interrupt()
         self._until("recorder", "done", 60.0)
         self._await_exit(("recorder", *served))
@@ -178,10 +195,11 @@ class Runner:
         histogram = self._seen.get(("plant", "done"), {}).get("latency", {})
         self.results.latency = {int(cell): int(count) for cell, count in histogram.items()}
         bag = self._seen[("recorder", "done")].get("bag")
-        bags = [*self.results.earlier, *([Path(bag)] if bag else [])]
+        bags = [*self.results.earlier, *([Path(bag)] if bag else self._closed_by_recorder)]
         if not bags and not self.results.interrupted:
             told = [message for who, message in self._errors if who == "recorder"]
-            raise RunError(f"recorder: {[*told, 'it got no message'][0]}; there is no bag")
+            there = "" if self._replaced.get("recorder") else "; there is no bag"
+            raise RunError(f"recorder: {[*told, 'it got no message'][0]}{there}")
         self.results.bag = bags[-1] if bags else None
         restarted = len(bags) - 1 > self._resets
         lines = self.results.failures if restarted else self.results.warnings
@@ -213,26 +231,30 @@ class Runner:
             self._selector.register(stream, selectors.EVENT_READ, node)
 
     def _until(self, name: str, kind: str, timeout: float | None) -> None:
-        """Watch all nodes until this one reported this event."""
+        """Watch all nodes until this one reported this event; one that was asked to end is asked again."""
         end = None if timeout is None else time.monotonic() + timeout
+        remind = time.monotonic() + REMIND_S
         while (name, kind) not in self._seen:
             self._poll(0.1)
             self._check()
             self._check_awaited(name, kind)
             if end is not None and time.monotonic() > end:
-                raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s")
+                raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s{_load()}")
+            if self._nodes[name].asked_to_stop and time.monotonic() > remind:
+                remind = time.monotonic() + REMIND_S
+                self._nodes[name].interrupt()
 
     def _check_awaited(self, name: str, kind: str) -> None:
         """Raise if the node that is waited for has ended, also one that was asked to."""
         node = self._nodes[name]
         code = node.process.poll()
-        if code is None or (code and not node.asked_to_stop):  # ended after the last look: `_check` sees it next
+        in_order = node.asked_to_stop or (name, "done") in self._seen
+        if code is None or not in_order:  # ended after the last look: `_check` sees it next
             return
         self._poll(0.1)
         if (name, kind) not in self._seen:
             told = [message for who, message in self._errors if who == name]
-            last = told[-1:] or node.errors.strip().splitlines()[-1:] or [f"it ended with code {code}"]
-            raise RunError(f"{name}: {last[0]}")
+            raise RunError(f"{name}: {told[-1]}" if told else node.how_it_ended(code))
 
     def _poll(self, timeout: float) -> None:
         for key, _ in self._selector.select(timeout):
@@ -248,6 +270,11 @@ class Runner:
 
     def _handle(self, name: str, event: dict[str, Any]) -> None:
         kind = str(event["event"])
+        in_order = self._nodes[name].asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
+        if kind == "done" and event.get("signal") and not in_order:
+            kind = ENDED
+            if event.get("bag"):
+                self._closed_by_recorder = [Path(event["bag"])]
         if kind == "progress":
             self._ticks_done = self._before + int(event["tick"])
             self._progress(self._ticks_done)
@@ -277,6 +304,8 @@ class Runner:
             if code is None or node.asked_to_stop:
                 continue
             self._poll(0.1)
+            if ("plant", "done") in self._seen:
+                self._accept_ends()
             if code == 0 and (node.name, "done") in self._seen:
                 if ("plant", "running") not in self._seen:
                     raise RunError(f"{node.name} was told to end before the run began")
@@ -287,16 +316,14 @@ class Runner:
                 how = [f"code {code}", *told][-1]
                 self.results.warnings.append(f"the server for viewers ended unexpectedly: {how}")
                 continue
-            if told:
+            if told and (node.name, ENDED) not in self._seen:
                 # the plant refuses publishers until it runs
                 working = "running" if node.name == "plant" else "ready"
                 before_work = (node.name, working) not in self._seen
+                before_work = before_work and ("plant", "running") not in self._seen
                 raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)
-            last = node.errors.strip().splitlines()[-1:] or [""]
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            if code == -signal.SIGXCPU:
-                how += f": it computed for {MAX_BUSY_S:g} s without a pause at real-time priority"
-            self._replace(node, f"{node.name} ended unexpectedly ({how}) {last[0]}".strip(), code < 0)
+            number = int(self._seen.get((node.name, ENDED), {}).get("signal", 0))
+            self._replace(node, node.how_it_ended(code, number), code < 0 or number > 0)
             return
 
     def _replace(self, node: NodeProcess, what: str, killed: bool) -> None:
@@ -310,9 +337,9 @@ class Runner:
         running = ("plant", "running") in self._seen
         possible = self._config.mode == "realtime" if running else killed and node.name in NODES[1:]
         rest = self._config.ticks - self._ticks_done
-        if not possible or self._restarts >= RESTARTS or (node.name == "plant" and rest < 1):
+        if not possible or sum(self._replaced.values()) >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
-        self._restarts += 1
+        self._replaced[node.name] = self._replaced.get(node.name, 0) + 1
         if node.name == "plant":
             self._before = self._ticks_done
         if running:
@@ -323,11 +350,14 @@ class Runner:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(stream)
             stream.close()
-        self._seen.pop((node.name, "done"), None)
+        for kind in ("done", "ready", ENDED):
+            self._seen.pop((node.name, kind), None)
         self._start(node.name)
 
     def _left_by(self, node: NodeProcess) -> str:
         """What a recorder that ended unexpectedly has left."""
+        if ("recorder", ENDED) in self._seen and node.name == "recorder":
+            return "".join(f"; what it had recorded is in {path}" for path in self._closed_by_recorder)
         last = [path for path in (self._config.bag, *self.results.earlier) if path.is_dir()][-1:]
         if node.name != "recorder" or not last:
             return ""
@@ -354,3 +384,9 @@ class Runner:
             for stream in node.streams:
                 stream.close()
         self._selector.close()
+
+
+def _load() -> str:
+    """Cause of a delay, where the machine is busy."""
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    return f" (load average {load:.1f} on {processors} processors)" if load > 2 * processors else ""

@@ -69,6 +69,7 @@ class NodeContext:
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
         self.name = name
         self.stop = False
+        self.signal = 0
         runner = os.environ.get(EVENTS_VARIABLE, "")
         self._events = bool(runner)
         if self._events:
@@ -105,7 +106,7 @@ class NodeContext:
         members().complete(self.node.get_fully_qualified_name())
 
     def _on_signal(self, number: int, frame: Any) -> None:
-        self.stop = True
+        self.stop, self.signal = True, self.signal or number
 
     def allow_changes(self, appliers: Mapping[str, Apply], limits: Mapping[str, float] | None = None) -> Changes:
         """Let users change these settings during the run; the loop calls ``advance`` of the result at every tick.
@@ -206,10 +207,15 @@ class NodeContext:
         self._statistics.publish(message)
 
     def event(self, kind: str, **content: Any) -> None:
-        """Tell the runner, if one listens; else log what a user wants to know."""
+        """Tell the runner, if one listens; else log what a user wants to know.
+
+        What is told at the end (``done``) has the number of the signal that ended the node, 0 without one.
+        """
         if not self._events and (text := _log_line(kind, content)):
             self.node.get_logger().info(text)
         if self._events:
+            if kind == "done":
+                content["signal"] = self.signal
             try:
                 os.write(1, (json.dumps({"event": kind, "node": self.name, **content}) + "\n").encode())
             except OSError:

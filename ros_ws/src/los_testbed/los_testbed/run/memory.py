@@ -1,0 +1,42 @@
+"""Memory of a run: what its processes need, and what shows that it was too little."""
+
+from __future__ import annotations
+
+import resource
+
+ADDRESS_SPACE = 1_150_000_000
+"""What a node of the telescope needs [bytes]; measured 1.065e9, most of it code and stacks of the middleware."""
+
+ADDRESS_SPACE_LIVE = 1_300_000_000
+"""The node that serves viewers; measured 1.18e9."""
+
+TOO_LITTLE_MEMORY = "too little memory"
+WORDS = ("MemoryError", "Cannot allocate memory", "std::bad_alloc", "can't start new thread", "failed to map segment")
+
+
+def names_memory(errors: str) -> bool:
+    """Whether an error output says that there was too little memory.
+
+    Examples
+    --------
+    >>> names_memory("_ArrayMemoryError: Unable to allocate 30.7 MiB"), names_memory("ValueError")
+    (True, False)
+    """
+    return any(word in errors for word in WORDS)
+
+
+def check_address_space(live: bool) -> None:
+    """Refuse to start processes that would wait for each other for ever: a middleware without memory says nothing.
+
+    Raises
+    ------
+    ValueError
+        The limit of this process (``ulimit -v``) is too small.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    needed = ADDRESS_SPACE_LIVE if live else ADDRESS_SPACE
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise ValueError(
+            f"memory of a process (ulimit -v) must be at least {needed // 1024} kB for a run with nodes, "
+            f"got {limit // 1024}: {TOO_LITTLE_MEMORY}; or use --mode inprocess"
+        )
