@@ -26,9 +26,11 @@ from los_testbed.cli.plant import plant_app
 from los_testbed.cli.proofs import CERTIFY_EXAMPLES, CHECK_PROOF_EXAMPLES, certify, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
-from los_testbed.cli.run import RUN_EXAMPLES, run, with_lone_options
+from los_testbed.cli.run import RUN_EXAMPLES, SUPERVISED, run, with_lone_options
 from los_testbed.cli.stages import STAGES_EXAMPLES, stages
 from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.run.exit_codes import ExitCode
+from los_testbed.run.memory import TOO_LITTLE_MEMORY
 from los_testbed.run.screen import printable
 
 app = typer.Typer(
@@ -72,10 +74,6 @@ def _options(
     """Testbed for fine line-of-sight control of a flexible space telescope."""
 
 
-INTERRUPTED = 130
-"""Exit code after a signal."""
-
-
 NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP)
 """Errors that only a path on the command line, or in a file of the user, can be the cause of."""
 
@@ -100,6 +98,8 @@ def main(arguments: list[str] | None = None) -> int:
     SIGINT, SIGTERM and SIGHUP end a command alike: what it was writing is removed or completed, the exit code is 130.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if arguments is None:  # this is the program: what ends it is ours to tell
+        os.environ[SUPERVISED] = "1"
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, _interrupt)
@@ -112,27 +112,32 @@ def main(arguments: list[str] | None = None) -> int:
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))
     except (typer.Abort, KeyboardInterrupt):
-        return _fail("interrupted", INTERRUPTED)
+        return _fail("interrupted", ExitCode.INTERRUPTED)
     except ValueError as error:
-        return _fail(str(error), int(getattr(error, "code", 2)))
+        return _fail(str(error), int(getattr(error, "code", ExitCode.USER_ERROR)))
     except OSError as error:
         if error.errno in NO_PATH:
-            return _fail(f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}", 2)
-        return _fail(str(error), 1)
+            return _fail(
+                f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}",
+                ExitCode.USER_ERROR,
+            )
+        return _fail(str(error), ExitCode.FAILED)
     except LoopDivergedError as error:
-        return _fail(str(error), 1)
+        return _fail(str(error), ExitCode.FAILED)
     except RuntimeError as error:
-        return _fail(str(error), int(getattr(error, "code", 1)))
+        return _fail(str(error), int(getattr(error, "code", ExitCode.FAILED)))
+    except MemoryError as error:
+        return _fail(f"{TOO_LITTLE_MEMORY}: {error or 'an allocation failed'}", ExitCode.FAILED)
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
-            return _fail(error.format_message(), 2)
-        return _fail(_unexpected(error), 1)
+            return _fail(error.format_message(), ExitCode.USER_ERROR)
+        return _fail(_unexpected(error), ExitCode.FAILED)
     except BaseException as error:  # of another package: no class of this one is that
         if isinstance(error, (SystemExit, GeneratorExit)):
             raise
-        return _fail(_unexpected(error), 1)
-    if result == INTERRUPTED:  # typer makes this of a KeyboardInterrupt
-        return _fail("interrupted", INTERRUPTED)
+        return _fail(_unexpected(error), ExitCode.FAILED)
+    if result == ExitCode.INTERRUPTED:  # typer makes this of a KeyboardInterrupt
+        return _fail("interrupted", ExitCode.INTERRUPTED)
     return _leave(result if isinstance(result, int) else 0)
 
 

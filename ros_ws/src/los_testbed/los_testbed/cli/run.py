@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,8 +21,10 @@ from los_testbed.cli.output import print_json, warn
 from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
+from los_testbed.run.exit_codes import ExitCode
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import Screen, say
+from los_testbed.run.supervision import code_of_user, supervise
 from los_testbed.run.viewers import Live
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
@@ -29,8 +32,11 @@ from los_testbed.variants import check_ranges, chosen_member, layered, of_design
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-RESTARTED = 3
-"""Exit code of a run that was finished although a node died and had to be started again."""
+MAX_MISSED = 0.5
+"""Percent of the ticks of a run in real time that may be missed."""
+
+SUPERVISED = "LOS_TESTBED_SUPERVISED"
+"""Environment variable of a program: code of the user runs in a process of its own, and its end is watched."""
 
 FREE = "free"
 """Value of ``--domain`` for a domain that nobody uses on this machine."""
@@ -96,6 +102,9 @@ def run(
     live_topic: live_options.Topics = None,
     live_tls_cert: live_options.TlsCert = None,
     live_tls_key: live_options.TlsKey = None,
+    max_missed: Annotated[
+        float, typer.Option(metavar="PERCENT", min=0.0, max=100.0, help="Most ticks in real time that may be missed.")
+    ] = MAX_MISSED,
     sign_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
     ] = None,
@@ -120,7 +129,10 @@ def run(
         from los_testbed.bags.signature import private_key
 
         key = private_key("--sign-key", sign_key)
-    _run_and_tell(chosen, viewers, report, json_, key)
+    if SUPERVISED in os.environ and code_of_user(chosen):
+        del os.environ[SUPERVISED]
+        supervise(chosen)
+    _run_and_tell(chosen, viewers, max_missed, report, json_, key)
 
 
 def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
@@ -136,10 +148,15 @@ def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 
 
 def _run_and_tell(
-    config: RunConfig, live: Live | None, report: bool, json_: bool, key: Ed25519PrivateKey | None = None
+    config: RunConfig,
+    live: Live | None,
+    max_missed: float,
+    report: bool,
+    json_: bool,
+    key: Ed25519PrivateKey | None = None,
 ) -> None:
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
-    from los_testbed.run.summary import print_summary, summarise_runs
+    from los_testbed.run.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
     bag, results = execute(config, live)
@@ -147,13 +164,18 @@ def _run_and_tell(
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
     summaries = summarise_runs([bag], bag / "report.html" if report else None)
-    print_summary(console, summaries)
+    print_summary(console, summaries, max_missed)
     if json_:
         print_json(summaries.runs[0])
     if results.interrupted or results.failures:
-        raise typer.Exit(130 if results.interrupted else RESTARTED)
+        raise typer.Exit(ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED)
     if not signed:
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.FAILED)
+    if (share := missed_share(summaries.runs[0])) > max_missed:
+        message = (
+            f"missed ticks must be at most {max_missed:g} % (--max-missed), got {share:.2f} %; the bag is whole: {bag}"
+        )
+        raise RunError(message, ExitCode.MISSED_TICKS)
 
 
 def configure(

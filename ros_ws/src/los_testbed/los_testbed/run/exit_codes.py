@@ -1,0 +1,42 @@
+"""The one table of exit codes of the command line; docs/exit_codes.md has the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from types import MappingProxyType
+
+
+class ExitCode(IntEnum):
+    """How a command ended."""
+
+    FINISHED = 0
+    FAILED = 1
+    USER_ERROR = 2
+    RESTARTED = 3
+    MISSED_TICKS = 4
+    CONTRADICTION = 5
+    INTERRUPTED = 130
+
+
+MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
+    {
+        ExitCode.FINISHED: "finished",
+        ExitCode.FAILED: "the work failed",
+        ExitCode.USER_ERROR: "user error, found before any work",
+        ExitCode.RESTARTED: "finished, but a node died and was restarted, or a topic had a second publisher",
+        ExitCode.MISSED_TICKS: "finished, but more ticks were missed than `--max-missed` permits",
+        ExitCode.CONTRADICTION: "finished, but a bag contradicts its own digests",
+        ExitCode.INTERRUPTED: "interrupted by SIGINT, SIGTERM or SIGHUP",
+    }
+)
+"""What each code says, as the page begins its row."""
+
+COMMANDS: Mapping[ExitCode, str] = MappingProxyType(
+    {
+        ExitCode.RESTARTED: "`run`",
+        ExitCode.MISSED_TICKS: "`run`",
+        ExitCode.CONTRADICTION: "`analyse`, `report`, `replay`, `bag`",
+    }
+)
+"""Commands that end with a code, where not all do."""

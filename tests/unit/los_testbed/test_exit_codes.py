@@ -1,0 +1,82 @@
+"""The page of exit codes and the table in the code; code of the user that ends the program."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from los_testbed.run.exit_codes import COMMANDS, MEANINGS, ExitCode
+
+ROOT = Path(__file__).parents[3]
+ROW = re.compile(r"^\| (\d+) \| (.*) \| (.*) \|$", re.MULTILINE)
+
+LEAVING = """
+import ctypes, os, signal
+
+class Leaving:
+    def reset(self):
+        self.tick = 0
+    def step(self, out):
+        out[:] = 0.0
+        self.tick += 1
+        if self.tick == 1234:
+            {end}
+"""
+
+
+def test_the_page_has_the_table_of_the_code():
+    rows = ROW.findall((ROOT / "docs" / "exit_codes.md").read_text())
+    assert [int(code) for code, _, _ in rows] == sorted(ExitCode)
+    for code, meaning, commands in rows:
+        own = ExitCode(int(code))
+        assert meaning.startswith(MEANINGS[own]), code
+        assert commands == COMMANDS.get(own, "all"), code
+
+
+def test_no_command_ends_with_a_code_that_is_not_in_the_table():
+    """Numbers that are given to typer.Exit, and to errors that carry a code."""
+    package = ROOT / "ros_ws" / "src" / "los_testbed" / "los_testbed"
+    for file in [*package.glob("cli/*.py"), *package.glob("run/*.py")]:
+        for number in re.findall(r"(?:Exit\(|RunError\([^()]*, )(\d+)\)", file.read_text()):
+            assert int(number) in set(ExitCode), (file.name, number)
+
+
+def run_with(tmp_path, end, *options):
+    (tmp_path / "leaving.py").write_text(LEAVING.format(end=end))
+    command = [sys.executable, "-m", "los_testbed.cli.app", "run", "--mode=inprocess", "--duration=2", "--no-report"]
+    command += ["--disturbance=leaving:Leaving", f"--output={tmp_path / 'bag'}", *options]
+    variables = {**os.environ, "PYTHONPATH": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=variables, timeout=600)
+
+
+@pytest.mark.parametrize(
+    ("end", "how"),
+    [
+        ("os._exit(0)", "exit code 0"),
+        ("os._exit(3)", "exit code 3"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "signal 9"),
+        ("ctypes.string_at(0)", f"signal {signal.SIGSEGV.value}"),
+    ],
+)
+def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(tmp_path, end, how):
+    done = run_with(tmp_path, end)
+    assert done.returncode == 1, done.stderr
+    words = f"los-testbed: the process of the run ended in code of the user ({how}): disturbance leaving:Leaving"
+    assert done.stderr.splitlines()[-1].startswith(words), done.stderr
+    if (tmp_path / "bag").exists():
+        assert f"los-testbed bag repair {tmp_path / 'bag'}" in done.stderr
+
+
+def test_the_program_ends_as_the_run_does_when_nothing_is_wrong(tmp_path):
+    done = run_with(tmp_path, "pass", "--json")
+    assert done.returncode == 0, done.stderr
+    assert '"ticks": 2000' in done.stdout.splitlines()[-1]
+
+
+def test_an_interrupt_of_the_program_reaches_the_run(tmp_path):
+    done = run_with(tmp_path, "os.kill(os.getppid(), signal.SIGTERM)", "--duration=600")
+    assert done.returncode == 130
+    assert "interrupted" in done.stderr.splitlines()[-1]
