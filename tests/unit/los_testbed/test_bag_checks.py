@@ -14,11 +14,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from forged_bags import forge, forge_with_manifest, places
 from fuzz.record_mutations import put_together, taken_apart
-from los_testbed.bags.check import CONTRADICTORY, DAMAGED
-from los_testbed.cli import output
+from los_testbed.exit_codes import ExitCode
 
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read.mcap.records import OP_CHUNK
+from pointing_analysis.read.mcap.records import OP_CHUNK, RefutedBagError
 from pointing_analysis.read.run import Run
 
 Call = Callable[..., tuple[int, str, str]]
@@ -52,7 +51,7 @@ def test_a_whole_bag_is_whole(bag: Path, call: Call) -> None:
     assert code == 0 and content["whole"] and not content["problems"]
     assert set(states(content).values()) == {"agrees", "none"} and states(content)["signature"] == "none"
     assert content["messages"]["/telescope/truth/los"] == 3000
-    assert output.CONTRADICTORY == CONTRADICTORY
+    assert RefutedBagError.code == ExitCode.CONTRADICTION
 
 
 def test_bags_without_chain_or_manifests_are_read_as_before(call: Call, tmp_path: Path) -> None:
@@ -74,7 +73,7 @@ def test_bags_without_chain_or_manifests_are_read_as_before(call: Call, tmp_path
 def test_an_altered_bag_contradicts_itself(bag: Path, call: Call, attack: Callable[[Path], None], name: str) -> None:
     attack(bag)
     code, content = told(call, "bag", "verify", bag)
-    assert code == CONTRADICTORY and content["contradictions"] and states(content)[name] == "contradicts"
+    assert code == ExitCode.CONTRADICTION and content["contradictions"] and states(content)[name] == "contradicts"
     assert states(content)["checksums"] == "agrees"
 
 
@@ -83,33 +82,35 @@ def test_a_damaged_and_a_cut_bag_are_not_whole(bag: Path, call: Call) -> None:
     good = file.read_bytes()
     file.write_bytes(good[: len(good) // 2] + bytes(3000) + good[len(good) // 2 + 3000 :])
     code, content = told(call, "bag", "verify", bag)
-    assert code == DAMAGED and not content["contradictions"] and states(content)["checksums"] == "damaged"
+    assert code == ExitCode.FAILED and not content["contradictions"] and states(content)["checksums"] == "damaged"
     assert states(content)["lost messages"] == "damaged" and content["lost"]
     file.write_bytes(good[: len(good) // 2])
     code, content = told(call, "bag", "verify", bag)
-    assert code == DAMAGED and not content["contradictions"] and states(content)["end of the data"] == "damaged"
+    assert code == ExitCode.FAILED and not content["contradictions"] and states(content)["end of the data"] == "damaged"
 
 
 def test_other_counts_in_metadata_yaml_contradict_the_file(bag: Path, call: Call) -> None:
     file = bag / "metadata.yaml"
     file.write_text(file.read_text().replace("message_count: 150\n", "message_count: 149\n"))
     code, content = told(call, "bag", "verify", bag)
-    assert code == CONTRADICTORY and states(content)["counts"] == "contradicts"
+    assert code == ExitCode.CONTRADICTION and states(content)["counts"] == "contradicts"
     assert any("metadata.yaml counts 149 messages, 150 can be read" in text for text in content["contradictions"])
 
 
 def test_a_signature_finds_a_chain_made_anew(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
     private, public, other = keys
     before = (bag / "bag_0.mcap").read_bytes()
-    assert told(call, "bag", "verify", bag, "--public-key", public)[0] == CONTRADICTORY, "no signature is there"
+    assert told(call, "bag", "verify", bag, "--public-key", public)[0] == ExitCode.CONTRADICTION, (
+        "no signature is there"
+    )
     assert call("bag", "sign", bag, "--key", private)[0] == 0
     assert (bag / "bag_0.mcap").read_bytes() == before
     assert told(call, "bag", "verify", bag, "--public-key", public)[0] == 0
-    assert told(call, "bag", "verify", bag, "--public-key", other)[0] == CONTRADICTORY
+    assert told(call, "bag", "verify", bag, "--public-key", other)[0] == ExitCode.CONTRADICTION
     forge_with_manifest(bag, chained=True)
     assert told(call, "bag", "verify", bag)[0] == 0, "the chain alone does not find it"
     code, content = told(call, "bag", "verify", bag, "--public-key", public)
-    assert code == CONTRADICTORY and states(content)["signature"] == "contradicts"
+    assert code == ExitCode.CONTRADICTION and states(content)["signature"] == "contradicts"
 
 
 def test_damage_does_not_hide_behind_a_signature(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
@@ -184,4 +185,4 @@ def test_info_counts_the_messages_of_other_programs_and_of_a_cut_bag(bag: Path, 
 def test_info_says_what_contradicts_the_chain(bag: Path, call: Call) -> None:
     forge_with_manifest(bag)
     code, content = told(call, "bag", "info", bag)
-    assert code == CONTRADICTORY and content["contradictions"]
+    assert code == ExitCode.CONTRADICTION and content["contradictions"]

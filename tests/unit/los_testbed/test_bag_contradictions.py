@@ -11,7 +11,7 @@ import pytest
 from forged_bags import forge, places
 from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.bags.repair import repair_bag
-from los_testbed.cli.output import CONTRADICTORY
+from los_testbed.exit_codes import ExitCode
 
 from pointing_analysis.read.mcap.records import OP_MANIFEST
 from pointing_analysis.read.run import Run
@@ -44,7 +44,7 @@ def test_each_command_says_it_and_ends_with_its_exit_code(
 ) -> None:
     forge(bag)
     code, out, err = call(*command.split(), bag, "--json")
-    assert code == CONTRADICTORY
+    assert code == ExitCode.CONTRADICTION
     content = json.loads(out.splitlines()[-1])
     [text] = (content["runs"][0] if command == "report" else content)["contradictions"]
     assert "not what the digest in its manifest says" in text and text in " ".join(err.split())
@@ -58,7 +58,7 @@ def test_a_bag_of_which_too_little_is_left_is_refused_for_it(
     for number in (1, 2):
         forge(bag, number)
     code, _, err = call("analyse", bag, "--transient", "1")
-    assert code == CONTRADICTORY and "contradicts its own digests" in err and err.count("\n") == 1
+    assert code == ExitCode.CONTRADICTION and "contradicts its own digests" in err and err.count("\n") == 1
 
 
 def test_the_repaired_bag_repeats_it(bag: Path) -> None:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from los_testbed.run.exit_codes import COMMANDS, MEANINGS, ExitCode
+from los_testbed.exit_codes import COMMANDS, MEANINGS, ExitCode
 
 ROOT = Path(__file__).parents[3]
 ROW = re.compile(r"^\| (\d+) \| (.*) \| (.*) \|$", re.MULTILINE)

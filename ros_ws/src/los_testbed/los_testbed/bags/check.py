@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
+from los_testbed.exit_codes import ExitCode
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 State = Literal["agrees", "none", "damaged", "contradicts"]
-DAMAGED, CONTRADICTORY = 1, 5
-"""Exit codes of `bag verify`."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,9 @@ class BagCheck:
     def code(self) -> int:
         """Exit code: 0 whole, 1 damaged or incomplete, 5 contradictory."""
         states = {row.state for row in self.rows}
-        return CONTRADICTORY if "contradicts" in states else DAMAGED if "damaged" in states else 0
+        if "contradicts" in states:
+            return ExitCode.CONTRADICTION
+        return ExitCode.FAILED if "damaged" in states else ExitCode.FINISHED
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -28,8 +28,8 @@ from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, SUPERVISED, run, with_lone_options
 from los_testbed.cli.stages import STAGES_EXAMPLES, stages
+from los_testbed.exit_codes import ExitCode
 from los_testbed.loop.simulate import LoopDivergedError
-from los_testbed.run.exit_codes import ExitCode
 from los_testbed.run.memory import TOO_LITTLE_MEMORY
 from los_testbed.run.screen import printable
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import typer
 
+from los_testbed.exit_codes import ExitCode
 from los_testbed.run.screen import printable
-from pointing_analysis.read.mcap.records import RefutedBagError
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
@@ -24,14 +24,10 @@ def warn(lines: Iterable[str]) -> None:
     sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)
 
 
-CONTRADICTORY = RefutedBagError.code
-"""Exit code of a command whose bag contradicts its own digests."""
-
-
 def leave_if_contradicted(contradictions: Iterable[str]) -> None:
-    """End the command with `CONTRADICTORY` if there is a contradiction."""
+    """End the command with its exit code if there is a contradiction."""
     if any(contradictions):
-        raise typer.Exit(CONTRADICTORY)
+        raise typer.Exit(ExitCode.CONTRADICTION)
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:

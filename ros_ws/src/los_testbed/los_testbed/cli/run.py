@@ -19,9 +19,9 @@ from los_testbed.cli.live_options import LIVE_PORT, check_live, server_for_viewe
 from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
-from los_testbed.run.exit_codes import ExitCode
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.screen import Screen, say
 from los_testbed.run.supervision import code_of_user, supervise
