@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forged_bags import forge, forge_with_manifest, places
 from fuzz.record_mutations import Record, put_together, taken_apart
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
+from support.forged_bags import forge, forge_with_manifest, places
 
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, with_hash

@@ -12,9 +12,9 @@ import pytest
 from cryptography.hazmat.primitives import serialization as pem
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
-from forged_bags import forge, forge_with_manifest, places
 from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.exit_codes import ExitCode
+from support.forged_bags import forge, forge_with_manifest, places
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import OP_CHUNK, RefutedBagError
