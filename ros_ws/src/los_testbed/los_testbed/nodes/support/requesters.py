@@ -22,8 +22,8 @@ RECEIVED = 1
 """Kind of the event of a request that was taken (``service_msgs/msg/ServiceEventInfo``)."""
 
 UNKNOWN = "a node of unknown name"
-WAIT_S = 0.002
-"""The event of a request is there after 0.1 ms; nobody waits for it longer than this [s]."""
+WAIT_S = 0.02
+"""The event of a request is there after 0.1 ms, on a busy machine later; nobody waits for it longer than this [s]."""
 
 GRAPH = "/rosout", "/parameter_events"
 """Topics on which nearly every node has a publisher, from which its name follows."""
