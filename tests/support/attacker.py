@@ -2,7 +2,7 @@
 
     python attacker.py DOMAIN CASE        CASE as JSON, see :class:`Case`
 
-It writes a line when it has begun, and ends on SIGTERM.
+It writes a line when it has start_time, and ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -122,12 +122,12 @@ def main(domain: int, case: Case) -> None:
     if case.begin == EARLY:
         sys.stdout.write("begins\n")
         sys.stdout.flush()
-    begun, count = time.monotonic(), 0
-    while not ended and time.monotonic() < begun + case.seconds:
+    start_time, count = time.monotonic(), 0
+    while not ended and time.monotonic() < start_time + case.seconds:
         listen()
         act(_stamp(case.stamps, newest or start, count, start))
         count += 1
-        rest = begun + count / case.rate - time.monotonic()
+        rest = start_time + count / case.rate - time.monotonic()
         if rest > 0:
             time.sleep(min(rest, 0.1))
     sys.stdout.write(f"sent {count}\n")

@@ -16,7 +16,7 @@ GID_BYTES = 16
 
 _INFO = struct.Struct("<qqQQ8x16s")  # sent, received, two numbers, a pointer, identifier
 _INFO_BYTES = 512
-"""Room for what later versions append to ``rmw_message_info_t``."""
+"""Space for what later versions append to ``rmw_message_info_t``."""
 _CAPACITY = 4096
 
 
@@ -43,7 +43,7 @@ class _Array(ctypes.Structure):
 
 
 class _Gid(ctypes.Structure):
-    _fields_ = [("layer", ctypes.c_char_p), ("data", ctypes.c_uint8 * GID_BYTES), ("room", ctypes.c_uint8 * 64)]
+    _fields_ = [("layer", ctypes.c_char_p), ("data", ctypes.c_uint8 * GID_BYTES), ("rest", ctypes.c_uint8 * 64)]
 
 
 @functools.cache
