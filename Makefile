@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz attacks lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
+.PHONY: help run test test-slow fuzz attacks faults lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -20,6 +20,7 @@ help:
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
 	@echo "make attacks CASES=200 SEED=0  runs beside random strangers on their domain (some seconds each)"
+	@echo "make faults MINUTES=10  runs with signals, full disks, too little memory ..., and what is left of them"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
@@ -64,6 +65,9 @@ fuzz: $(READY)
 
 attacks: $(READY)
 	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(CASES) $(SEED)
+
+faults: $(READY)
+	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)
 
 stages: $(READY)
 	$(BIN)/los-testbed stages

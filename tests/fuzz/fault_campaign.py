@@ -1,0 +1,368 @@
+"""Runs with random faults for some minutes: ``python tests/fuzz/fault_campaign.py MINUTES [SEED] [CASE ...]``.
+
+Each case is one run of the program with one fault, chosen by the seed and the number of the case: a signal to one of
+its processes, a full disk, too few descriptors, too little memory, one processor, a second run on its domain or output.
+A case is judged from outside: exit code and words of the message, processes that are left, bags that can be read or
+repaired. The table at the end counts; what is wrong is printed at once, with the command that repeats it. Exit code:
+0 nothing found, 1 something found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from los_testbed.bags.repair import repair_bag
+from los_testbed.run.domains import free_domain
+from los_testbed.run.exit_codes import ExitCode
+from mcap.reader import NonSeekingReader
+
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.run import Run
+
+HANG_S = 300.0
+"""Wall time in which a run must end, also on a busy machine."""
+LEFT_S = 30.0
+"""Time in which its processes must be gone."""
+DURATION_S = 2.0
+MARK = "FAULT_CASE"
+MCAP0_MAGIC = b"\x89MCAP0\r\n"
+NODES = ("plant", "estimator", "controller", "recorder")
+ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSEGV, signal.SIGABRT)
+COLUMNS = ("cases", "survived", "reported", "orphans", "unreadable bags", "wrong exit codes")
+OK, FAILED, MISTAKE = ExitCode.FINISHED, ExitCode.FAILED, ExitCode.USER_ERROR
+
+
+@dataclass
+class Case:
+    """One run and its fault.
+
+    Attributes
+    ----------
+    kind : what the table counts it under
+    text : the fault, for the reader
+    folder : everything that it writes
+    allowed : exit codes, each with the words that the output must have with it
+    mode : mode of the run
+    act : does the fault while the run goes on
+    prepare : limits of the process, set before the program begins
+    bag : where it is written
+    """
+
+    kind: str
+    text: str
+    folder: Path
+    allowed: dict[int, str]
+    mode: str = "realtime"
+    act: Callable[[subprocess.Popen[str]], None] = lambda process: None
+    prepare: Callable[[], None] = lambda: None
+    bag: Path = field(init=False)
+    outputs: list[tuple[int, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.bag = self.folder / "bag"
+
+
+def processes_of(folder: Path, command: str = "") -> list[int]:
+    """Processes of a case, by their environment, that have this in their command line."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError, ValueError):
+            number = int(entry.name)
+            marked = f"{MARK}={folder}".encode() in (entry / "environ").read_bytes().split(b"\0")
+            if marked and command.encode() in (entry / "cmdline").read_bytes():
+                found.append(number)
+    return found
+
+
+def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--mode={case.mode}", f"--duration={DURATION_S:g}"]
+    command += [f"--output={bag}", "--no-report", f"--domain={domain}", "--max-missed=100", "--start=rest"]
+    variables = {**os.environ, MARK: str(case.folder), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "400"}
+    return subprocess.Popen(
+        command,
+        cwd=case.folder,
+        env=variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=case.prepare,
+    )
+
+
+def moment(case: Case, process: subprocess.Popen[str], rng: random.Random) -> None:
+    """Wait until a random time of the start, or a random tick of the run."""
+    early = rng.random() < 0.3
+    wait = rng.uniform(0.0, 6.0 if early else 1.1 * DURATION_S)
+    end = time.monotonic() + HANG_S
+    while not early and not case.bag.exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.005)
+    time.sleep(wait)
+
+
+def signal_to_node(rng: random.Random, folder: Path) -> Case:
+    node, number = rng.choice(NODES), rng.choice(ENDS)
+    named = rf"{node} ended unexpectedly \(signal {number.value}\)"
+    before = rf"recorder: a plant must run|was told to end before|{node}: |the run was over before|did not get to"
+    allowed = {OK: "", ExitCode.RESTARTED: named, FAILED: f"{named}|{before}"}
+    case = Case(f"{number.name} to a node", f"{number.name} to {node}", folder, allowed)
+    case.mode = rng.choice(("realtime", "realtime", "lockstep"))
+    hits: list[int] = []
+
+    def act(process: subprocess.Popen[str]) -> None:
+        moment(case, process, rng)
+        for pid in processes_of(folder, f"nodes.{node}")[:1]:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
+                hits.append(pid)
+
+    case.act = act
+    return case
+
+
+def pause_of_process(rng: random.Random, folder: Path) -> Case:
+    name, pause = rng.choice((*NODES, "runner")), rng.uniform(0.05, 2.0)
+    case = Case("SIGSTOP", f"SIGSTOP to {name} for {pause:.2f} s", folder, {OK: ""})
+    case.mode = rng.choice(("realtime", "lockstep"))
+
+    def act(process: subprocess.Popen[str]) -> None:
+        moment(case, process, rng)
+        pids = [process.pid] if name == "runner" else processes_of(folder, f"nodes.{name}")[:1]
+        with contextlib.suppress(ProcessLookupError):
+            for pid in pids:
+                os.kill(pid, signal.SIGSTOP)
+            time.sleep(pause)
+            for pid in pids:
+                os.kill(pid, signal.SIGCONT)
+
+    case.act = act
+    return case
+
+
+def signal_to_runner(rng: random.Random, folder: Path) -> Case:
+    number = rng.choice((signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL))
+    killed = {-signal.SIGKILL: "", OK: ""}
+    early = {-number.value: ""}  # before the program answers signals
+    allowed = killed if number == signal.SIGKILL else {ExitCode.INTERRUPTED: "", OK: "", **early}
+    case = Case(f"{number.name} to the program", f"{number.name} to the program", folder, allowed)
+    case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
+
+    def act(process: subprocess.Popen[str]) -> None:
+        moment(case, process, rng)
+        process.send_signal(number)
+
+    case.act = act
+    case.prepare = lambda: signal.signal(signal.SIGINT, signal.default_int_handler) and None
+    return case
+
+
+def limited(kind: str, what: int, low: int, high: int, unit: int, words: str) -> Callable[[random.Random, Path], Case]:
+    """Case with a limit of a resource; whatever the run says of it must have these words."""
+
+    def make(rng: random.Random, folder: Path) -> Case:
+        limit = rng.randint(low, high)
+        case = Case(kind, f"{kind} {limit}", folder, {OK: "", FAILED: words, MISTAKE: words})
+        case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
+        case.prepare = lambda: resource.setrlimit(what, (limit * unit, limit * unit))
+        return case
+
+    return make
+
+
+def one_processor(rng: random.Random, folder: Path) -> Case:
+    processor = rng.choice(sorted(os.sched_getaffinity(0)))
+    case = Case("one processor", f"processor {processor} alone", folder, {OK: "", FAILED: "within .* s"})
+    case.mode = rng.choice(("realtime", "lockstep"))
+    case.prepare = lambda: os.sched_setaffinity(0, {processor})
+    return case
+
+
+def full_disk(rng: random.Random, folder: Path) -> Case:
+    size = rng.randint(8, 1500)
+    case = Case("full disk", f"disk of {size} kB", folder, {OK: "", FAILED: "No space left on device"})
+    case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
+    small = folder / "small"
+    small.mkdir()
+    case.bag = small / "bag"
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(small)], check=True)
+    return case
+
+
+def second_run(rng: random.Random, folder: Path) -> Case:
+    """Another run on the domain or the output of one; the first is not disturbed, the second is refused."""
+    same = rng.choice(("domain", "output"))
+    case = Case(f"second run, same {same}", f"another run with the same {same}", folder, {OK: ""})
+    case.mode = rng.choice(("realtime", "lockstep"))
+
+    def act(process: subprocess.Popen[str]) -> None:
+        time.sleep(rng.uniform(0.0, 3.0))
+        own = re.search(r"--domain=(\d+)", " ".join(map(str, process.args)))  # type: ignore[call-overload]
+        assert own is not None
+        domain = int(own.group(1)) if same == "domain" else free_domain("/telescope")
+        other = start(case, domain, case.bag if same == "output" else folder / "other")
+        out = other.communicate(timeout=HANG_S)[0]
+        case.outputs.append((other.returncode, out))
+
+    case.act = act
+    return case
+
+
+FAULTS: list[tuple[int, Callable[[random.Random, Path], Case]]] = [
+    (8, signal_to_node),
+    (3, pause_of_process),
+    (3, signal_to_runner),
+    (1, limited("descriptors", resource.RLIMIT_NOFILE, 8, 80, 1, "open files|descriptor")),
+    (2, limited("memory [MB]", resource.RLIMIT_AS, 350, 1400, 10**6, "memory|Memory|allocat")),
+    (1, one_processor),
+    (2, second_run),
+]
+FULL_DISK = (2, full_disk)
+
+
+def faults() -> Iterator[str]:
+    """Extend the faults by those that this machine permits; what it does not, with the reason."""
+    with tempfile.TemporaryDirectory() as folder:
+        mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], capture_output=True, text=True)
+        if mounted.returncode:
+            yield f"full disk left out: mounting is not permitted ({mounted.stderr.strip()})"
+        else:
+            subprocess.run(["umount", folder], check=True)
+            FAULTS.append(FULL_DISK)
+
+
+def holds_messages(file: Path) -> bool:
+    """Whether another reader finds a message in a file, or it is no recording at all."""
+    with file.open("rb") as stream:
+        begin = stream.read(len(MCAP0_MAGIC))
+        stream.seek(0)
+        with contextlib.suppress(Exception):
+            return any(True for _ in NonSeekingReader(stream).iter_messages(log_time_order=False))
+    return len(begin) == len(MCAP0_MAGIC) and begin != MCAP0_MAGIC
+
+
+def unreadable(case: Case) -> list[str]:
+    """Bags that can neither be read nor repaired; one without a message has nothing to read."""
+    wrong = []
+    for bag in sorted([*case.folder.glob("bag*"), *case.folder.glob("other*"), *case.folder.glob("small/bag*")]):
+        if not bag.is_dir() or not list(bag.glob("*.mcap")):
+            continue
+        try:
+            run = Run.open(bag)
+            if any("cut off" in problem for problem in run.problems):
+                repair_bag(bag, case.folder / f"repaired-{bag.name}")
+                run = Run.open(case.folder / f"repaired-{bag.name}")
+            if run["truth/los"].integrity.conflicts:
+                wrong.append(f"{bag.name}: conflicts")
+        except BagError as error:
+            if any(holds_messages(file) for file in bag.glob("*.mcap")):
+                wrong.append(f"{bag.name}: {error}")
+        except Exception as error:
+            wrong.append(f"{bag.name}: {type(error).__name__} {error}")
+    return wrong
+
+
+def wrong_end(case: Case, code: int, out: str) -> str:
+    """What is wrong with the exit code or the message; empty for nothing."""
+    if "Traceback" in out or "mistake of this program" in out:
+        return "traceback"
+    if code not in case.allowed:
+        return f"exit code {code}"
+    if not re.search(case.allowed[code], out):
+        return f"exit code {code} without the words {case.allowed[code]!r}"
+    ended = re.search(r"ended unexpectedly|no message", out)
+    if code == OK and ended and "before the run began" not in out and "server for viewers" not in out:
+        return "exit code 0 in spite of the fault that is told of"
+    whole = [bag for bag in case.folder.glob("bag*") if bag.is_dir()]
+    if code == OK and case.bag.parent == case.folder and (not whole or Run.open(case.bag).problems):
+        return "exit code 0 without a whole bag"
+    for other, text in case.outputs:
+        over = other == OK and "domain" in case.kind  # the first one had not begun, or was over
+        if not over and (other != MISTAKE or "must" not in text):
+            return f"exit code {other} of the second run: {text}"
+    return ""
+
+
+def orphans(case: Case) -> list[int]:
+    """Processes that are left, ended here."""
+    end = time.monotonic() + LEFT_S
+    while (left := processes_of(case.folder)) and time.monotonic() < end:
+        time.sleep(0.1)
+    for number in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+    return left
+
+
+def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
+    """One case; whether nothing was wrong."""
+    rng = random.Random(f"{seed} {number}")
+    make = rng.choices([fault for _, fault in FAULTS], [weight for weight, _ in FAULTS])[0]
+    folder = Path(tempfile.mkdtemp(prefix="fault_"))
+    case = make(rng, folder)
+    try:
+        process = start(case, free_domain("/telescope"), case.bag)
+        out, hung = "", ""
+        try:
+            case.act(process)
+            out = process.communicate(timeout=HANG_S)[0]
+        except subprocess.TimeoutExpired:
+            hung = f"it did not end within {HANG_S:g} s"
+            process.kill()
+            out = process.communicate()[0]
+        code = process.returncode
+        left, bags = orphans(case), unreadable(case)
+        end = hung or wrong_end(case, code, out)
+    finally:
+        if (folder / "small").is_mount():
+            subprocess.run(["umount", "-l", str(folder / "small")], check=True)
+    row = table.setdefault(case.kind, Counter())
+    survived = code in (OK, ExitCode.RESTARTED)
+    row.update({"cases": 1, "survived": survived, "reported": not survived and not end})
+    row.update({"orphans": len(left), "unreadable bags": len(bags), "wrong exit codes": bool(end)})
+    sys.stdout.write(f"case {number}: {case.text}, {case.mode}: exit code {code}\n")
+    found = [*bags, *([end] if end else []), *([f"processes left: {left}"] if left else [])]
+    for line in found:
+        sys.stdout.write(
+            f"  WRONG: {line}\n  {' '.join(out.split())[-1500:]}\n  repeat: {__file__} 60 {seed} {number}\n"
+        )
+    sys.stdout.flush()
+    shutil.rmtree(folder, ignore_errors=True)
+    return not found
+
+
+def main(minutes: float, seed: int, cases: list[int]) -> int:
+    """Cases until the time is over or a signal comes; the exit code."""
+    came: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: came.append(number))
+    for line in faults():
+        sys.stdout.write(f"{line}\n")
+    table: dict[str, Counter[str]] = {}
+    end, good, number = time.monotonic() + 60 * minutes, True, 0
+    while time.monotonic() < end and not came and (not cases or number < len(cases)):
+        good &= perform(seed, cases[number] if cases else number, table)
+        number += 1
+    sys.stdout.write(f"\n{'fault':28}" + "".join(f"{name:>18}" for name in COLUMNS) + "\n")
+    for kind, row in [*sorted(table.items()), ("all", sum(table.values(), Counter()))]:
+        sys.stdout.write(f"{kind:28}" + "".join(f"{row[name]:18d}" for name in COLUMNS) + "\n")
+    sys.stdout.write(f"seed {seed}, {number} cases: {'nothing found' if good else 'something was found'}\n")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    chosen = int(sys.argv[2]) if len(sys.argv) > 2 else random.SystemRandom().randrange(10**6)
+    sys.exit(main(float(sys.argv[1]), chosen, [int(text) for text in sys.argv[3:]]))
