@@ -1,4 +1,4 @@
-"""A node that a signal of somebody else ends in order is replaced like one that crashed; a recorder at the very end."""
+"""A node that another program ends by a signal is replaced like one that crashed; a recorder at the very end."""
 
 import os
 import signal

@@ -27,6 +27,7 @@ REMEDIES = {
     "real-time scheduling is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
     "mounting a small file system is not permitted": "run as root (CAP_SYS_ADMIN)",
     "only root can start a process of another user": "run as root",
+    "no openssl": "install the program: apt-get install openssl",
     "no C compiler": "install a compiler: apt-get install gcc libc6-dev",
     "has no share folder": "run beside a full ROS 2 Jazzy, whose packages bring their message definitions",
     "this middleware has security": "nothing: the test is for a middleware that was built without security",

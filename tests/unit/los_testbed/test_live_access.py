@@ -160,7 +160,7 @@ def test_a_viewer_that_stops_to_answer_loses_its_place():
     assert asyncio.run(asyncio.wait_for(lock_out(), 60.0)) == '{"tick":1}'
 
 
-def test_viewers_of_foxglove_that_take_nothing_make_room_for_another_one(monkeypatch):
+def test_viewers_of_foxglove_that_take_nothing_are_closed_for_another_one(monkeypatch):
     """Each is a viewer with its first frame; where all of them take what is sent, one more is sent away."""
 
     async def lock_out():

@@ -1,4 +1,4 @@
-"""Connections that have not yet done anything: their number is limited, the oldest makes room for a new one."""
+"""Connections that have not yet done anything: their number is limited, the oldest is closed for a new one."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ MAX_SILENT = 64
 
 MAX_VIEWERS = 16
 STALE_S = 5.0
-"""A viewer that has taken nothing for this long makes room for another one."""
+"""A viewer that has taken nothing for this long is closed for another one."""
 
 TAKEN_S = 30.0
 """A viewer that has taken nothing of what is to be sent for this long is closed."""
@@ -94,11 +94,11 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
             return _answer("403 Forbidden", "Host must be a name of this server (--live-host)")
         if not all(self._access.origin(origin) for origin in origins):
             return _answer("403 Forbidden", "Origin must be a site that is permitted (--live-origin)")
-        if not self._room():
+        if not self._place_is_free():
             return _answer("503 Service Unavailable", f"there are {MAX_VIEWERS} viewers already")
         return b""
 
-    def _room(self) -> bool:
+    def _place_is_free(self) -> bool:
         """Whether one more viewer can be served; the least recently active stale one is closed for it."""
         if len(self._viewers) < MAX_VIEWERS:
             return True
@@ -124,7 +124,7 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
         """The first bytes after the request make a viewer of the connection."""
         first = True
         while data := await viewer.outer.read_bytes(PIECE, partial=True):
-            if first and not self._room():
+            if first and not self._place_is_free():
                 return
             if first:
                 self._silent.remove(viewer.outer)

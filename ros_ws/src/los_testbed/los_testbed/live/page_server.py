@@ -1,7 +1,7 @@
 """Web server of the page (package tornado): files, frames over a web socket, actions that need a token.
 
 Every request must name the server in Host, and a web socket be opened by this page. A connection becomes a viewer when
-it has answered a ping; before, it is one of the silent ones, of which the least recently active makes room for another.
+it has answered a ping; before, it is one of the silent ones, of which the least recently active is closed for another.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PING_S = 5.0
 """Time from one ping to the next, and for the answer."""
 
 STALE_S = 8.0
-"""A viewer that has not answered for this long makes room for another one."""
+"""A viewer that has not answered for this long is closed for another one."""
 
 TOKEN_HEADER = "X-Token"
 MAX_REQUEST = 4096
@@ -105,7 +105,7 @@ class _Data(_OwnName, WebSocketHandler):  # type: ignore[misc, unused-ignore]
         self.answered = time.monotonic()
         if not first:
             return
-        if not self._server.room():
+        if not self._server.place_is_free():
             self.close(1013, f"there are {MAX_VIEWERS} viewers already")
             return
         self._server.viewers.add(self)
@@ -198,7 +198,7 @@ class PageServer:
         self._server.silent = self.silent
         self._server.add_sockets(sockets)
 
-    def room(self) -> bool:
+    def place_is_free(self) -> bool:
         """Whether one more viewer can be served; the least recently active one that is stale is closed for it."""
         if len(self.viewers) < MAX_VIEWERS:
             return True

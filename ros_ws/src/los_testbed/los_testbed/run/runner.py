@@ -39,7 +39,7 @@ RESTARTS = 3
 
 STOP_S = 10.0
 ENDED = "ended"
-"""What is noted of a node that a signal of somebody else has ended in order."""
+"""What is noted of a node that a signal of another program has ended in order."""
 
 REMIND_S = 5.0
 """A node that has not ended by then is asked again: a signal that comes while it starts may be lost."""
