@@ -92,9 +92,8 @@ class Synchronizer:
         self, context: NodeContext, topics: tuple[TopicDefinition, ...], columns: list[slice], size: int, tick: Any
     ) -> None:
         self.pending: dict[int, tuple[np.ndarray, set[int]]] = {}
-        self.size, self.tick, self.count = size, tick, len(topics)
-        self.frame_ns = context.config.frame_ticks * TICK_NS
-        self.camera = next((i for i, topic in enumerate(topics) if topic.rate == "camera"), None)
+        self.size, self.tick = size, tick
+        self.periods = [topic.every(context.config.frame_ticks) * TICK_NS for topic in topics]
         for index, topic in enumerate(topics):
             callback = self.callback(index, topic, columns[index])
             context.node.create_subscription(MESSAGES[topic.type_name], topic.name, callback, 10)
@@ -107,7 +106,7 @@ class Synchronizer:
             vector, seen = self.pending[stamp]
             read(message, topic, vector[columns])
             seen.add(index)
-            due = self.count - (self.camera is not None and stamp % self.frame_ns != 0)
+            due = sum(stamp % period == 0 for period in self.periods)
             if len(seen) == due:
                 self.pending = {s: entry for s, entry in self.pending.items() if s > stamp}
                 self.tick(stamp, vector)
@@ -177,7 +176,7 @@ class PlantTimer:
 
     def send(self, stamp: int) -> None:
         for output in self.sensors:
-            if output.topic.rate == "tick" or stamp % self.frame_ns == 0:
+            if stamp % (output.topic.every(self.context.config.frame_ticks) * TICK_NS) == 0:
                 output.send(stamp, self.measurement[output.topic.columns])
         self.truth_output.send(stamp, self.truth)
 

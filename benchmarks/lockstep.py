@@ -29,21 +29,20 @@ from los_testbed.run.node_launch import environment
 from los_testbed.run.runner import Runner
 from los_testbed.topics import (
     COMMANDS,
-    FSM_ANGLE,
     FSM_COMMAND,
     ISOLATOR_ACCEL,
     LOS_ESTIMATE,
-    M1_ACCEL,
-    M2_ACCEL,
     PMA_COMMAND,
+    SENSORS,
     TRUTH_LOS,
     TopicDefinition,
 )
 
 TICK_NS, WAIT_NS, WARM_UP = 1_000_000, 50_000_000, 500
+FAST = tuple(topic for topic in SENSORS if not topic.framed)
 ROLES: dict[str, tuple[tuple[TopicDefinition, ...], tuple[TopicDefinition, ...]]] = {
-    "plant": (COMMANDS, (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, FSM_ANGLE, TRUTH_LOS)),
-    "estimator": ((ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, FSM_ANGLE), (LOS_ESTIMATE,)),
+    "plant": (COMMANDS, (*FAST, TRUTH_LOS)),
+    "estimator": (FAST, (LOS_ESTIMATE,)),
     "controller": ((ISOLATOR_ACCEL, LOS_ESTIMATE), (FSM_COMMAND, PMA_COMMAND)),
 }
 """Topics in and out; the last one in wakes the process."""

@@ -39,9 +39,10 @@ from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
 from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
-from titop_plant.interface import ACCELEROMETERS, COMMAND_PORTS, DT, K_PMA_INPUTS, MEASURED, PLATFORM, DesignBasis
+from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
+from titop_plant.telescope.control_plant import DISTURBANCES, OPTICAL_NOISE, control_plant
+from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS
 from titop_plant.telescope.parameters import Parameters
 
 MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
@@ -53,7 +54,7 @@ APPLIED_COMMAND, APPLIED_FORCE = (f"applied_{p.name}" for p in COMMAND_PORTS)
 PADE_ORDER = 3
 PLATFORM_NOISE, MIRRORS_NOISE = "platform_noise", "mirror_noise"
 NOISE_PORTS = {
-    **{name: MIRRORS_NOISE if name in ACCELEROMETERS else OPTICAL_NOISE.name for name in MEASURED},
+    **{name: port if port == OPTICAL_NOISE.name else MIRRORS_NOISE for name, port in PLANT_NOISE_PORTS.items()},
     **dict.fromkeys(MEASUREMENTS, PLATFORM_NOISE),
 }
 """Input of the noise of each measured port."""
@@ -92,7 +93,7 @@ def actuator_plant(
     telescope, parameters
         Assembled telescope and its parameter file.
     observer : UncertainSystem
-        Continuous K_FSM, 22 measurements to ``los_estimate``.
+        Continuous K_FSM, measurements to ``los_estimate``.
     loop_delay : float
         Delay of the mirror's command beyond its hold [s].
     camera_period : float
@@ -101,21 +102,21 @@ def actuator_plant(
         Mean delay of held commands [s]: this part of the loop delay is in the plant, not the tuner's.
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
-    platform = PLATFORM.stop - PLATFORM.start
-    n_base, n_mirrors = Port(PLATFORM_NOISE, platform), Port(MIRRORS_NOISE, ACCELEROMETER_NOISE.size - platform)
+    (measured,), together = K_PMA_INPUTS, plant.input_port(PLANT_NOISE_PORTS[K_PMA_INPUTS[0].name])
+    n_base, n_mirrors = Port(PLATFORM_NOISE, measured.size), Port(MIRRORS_NOISE, together.size - measured.size)
     mirror = MIRROR_COMMAND
     late = delayed_port(mirror, loop_delay, PADE_ORDER)
     estimate = observer.output_port("los_estimate")
     law = static_gain(-np.eye(2) / parameters["fsm"]["los_sensitivity"], [estimate], [mirror])
     parts = [Port("platform", n_base.size), Port("mirrors", n_mirrors.size)]
-    noise = static_gain(np.eye(ACCELEROMETER_NOISE.size), parts, [ACCELEROMETER_NOISE])
+    noise = static_gain(np.eye(together.size), parts, [together])
     total = static_gain(np.eye(mirror.size), [mirror], [mirror])
     systems = {"plant": plant, "observer": observer, "law": law, "late": late, "noise": noise, "total": total}
     wires: list[Connection] = [
         *((name, f"plant.{name}") for name in (*DISTURBANCES, OPTICAL_NOISE.name, "pma_force")),
         (n_base.name, "noise.platform"),
         (n_mirrors.name, "noise.mirrors"),
-        ("noise.accelerometer_noise", "plant.accelerometer_noise"),
+        (f"noise.{together.name}", f"plant.{together.name}"),
         *((f"plant.{p.name}", f"observer.{p.name}") for p in observer.inputs),
         ("observer.los_estimate", "law.los_estimate"),
         ("law.fsm_command", "late.fsm_command"),
@@ -130,7 +131,7 @@ def actuator_plant(
         inputs=inputs,
         outputs={
             "los_controlled": "plant.los_controlled",
-            "accel_Ip": "plant.accel_Ip",
+            measured.name: f"plant.{measured.name}",
             "fsm_command": "law.fsm_command",
             APPLIED_COMMAND: "total.fsm_command",
         },

@@ -27,14 +27,17 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
 from titop_plant.interface import (
-    ACCELERATIONS,
     ACCELEROMETERS,
+    CAMERA,
+    COLUMNS,
     DT,
+    FSM_ANGLE,
     K_FSM_INPUTS,
     K_FSM_OUTPUTS,
     MEASUREMENTS,
     DesignBasis,
 )
+from titop_plant.ports import accel
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.components import optics_component
@@ -43,6 +46,9 @@ from titop_plant.telescope.sensors import noise_of_samples
 
 CAMERA_NOISE_FACTOR = 1e5
 """The paper's K_LOS: the camera's noise in the model over that of the sensor."""
+
+MODELLED = np.concatenate([np.arange(MEASUREMENTS)[COLUMNS[accel(point).name]] for point in ("Ip", "M1", "M2")])
+"""Columns of the accelerometers in the model; it leaves sensors aside that the paper does not have."""
 
 
 def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> FloatArray:
@@ -79,7 +85,7 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
 
 
 def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float = 0.0) -> UncertainSystem:
-    """Continuous observer K_est of order 4: 22 measurements to the line of sight.
+    """Continuous observer K_est of order 4: measurements to the line of sight.
 
     Parameters
     ----------
@@ -96,17 +102,18 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
         Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
     C_a = acceleration_sensitivity(parameters, payload)
-    sensors = parameters["sensors"]
-    noise = noise_of_samples(parameters)[ACCELERATIONS]
+    sigma = noise_of_samples(parameters)
+    noise, camera = sigma[MODELLED], float(sigma[CAMERA.start])
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT
-    R = (CAMERA_NOISE_FACTOR * sensors["camera_noise"]) ** 2 * DT * np.eye(2)
+    R = (CAMERA_NOISE_FACTOR * camera) ** 2 * DT * np.eye(2)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
     C = np.hstack([np.eye(2), np.zeros((2, 2))])
     P = linalg.solve_continuous_are(A.T, C.T, Q, R)
     L = P @ C.T @ linalg.inv(R)
     S_fsm = parameters["fsm"]["los_sensitivity"]
-    B = np.hstack([np.vstack([np.zeros((2, ACCELERATIONS.stop)), C_a]), L, -S_fsm * L])
+    B = np.zeros((4, MEASUREMENTS))
+    B[2:, MODELLED], B[:, CAMERA], B[:, FSM_ANGLE] = C_a, L, -S_fsm * L
     out = np.hstack([np.eye(2), lead * np.eye(2)])
     return state_space(A - L @ C, B, out, np.zeros((2, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS)
 

@@ -32,19 +32,17 @@ from lftkit.arrays import FloatArray
 from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
-from titop_plant.interface import ACCELEROMETERS, CAMERA, COMMAND_PORTS, ESTIMATE_PORTS, MEASURED
+from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES, OPTICAL_NOISE, control_plant
+from titop_plant.telescope.control_plant import DISTURBANCES, NOISE_PORTS, control_plant
 from titop_plant.telescope.parameters import Parameters
 
-NOISE = (ACCELEROMETER_NOISE.name, OPTICAL_NOISE.name)
+NOISE = tuple(dict.fromkeys(NOISE_PORTS.values()))
 ORDER = 4
 (ESTIMATE,) = ESTIMATE_PORTS
 ADDED = Port("added_estimate", ESTIMATE.size, ESTIMATE.unit)
 APPLIED = "applied_estimate"
 """Where the sensitivity is taken: an input that is added to the estimate, and their sum, which drives the mirror."""
-NOISE_PORTS = {name: NOISE[0] if name in ACCELEROMETERS else NOISE[1] for name in MEASURED}
-"""Input of the noise of each measured port."""
 SENSITIVITY_PORTS = {COMMAND_PORTS[0].name: (ADDED.name, APPLIED)}
 """Input and output of the sensitivity at a command."""
 
@@ -110,20 +108,20 @@ def observer_plant(
 
 
 def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold: bool = False) -> AffineStructure:
-    """State space of fixed order from the 22 measurements to the estimate.
+    """State space of fixed order from the measurements to the estimate.
 
     Parameters
     ----------
     plant : ObserverPlant
     order : int
     camera_hold : bool
-        No direct path from the camera to the estimate: the steps of a value that is held between frames would
-        excite the mirror at the frame rate. Otherwise all entries are free.
+        No direct path from values that are held to the estimate: their steps would excite the mirror at the frame
+        rate. Otherwise all entries are free.
     """
-    free = state_space([plant.system.output_port(name) for name in MEASURED], [ESTIMATE], order)
+    free = state_space([plant.system.output_port(port.name) for port in MEASURED_PORTS], [ESTIMATE], order)
     if not camera_hold:
         return free
-    return free.with_fixed({(order + i, order + j): 0.0 for i in range(2) for j in range(CAMERA.start, CAMERA.stop)})
+    return free.with_fixed({(order + i, order + j): 0.0 for i in range(ESTIMATE.size) for j in HELD.tolist()})
 
 
 def kalman_start(

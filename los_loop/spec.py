@@ -1,7 +1,7 @@
 """What the loop consists of: controllers between ports, the hold of the camera, the parts of its state, its response.
 
-Sensors are those of :mod:`titop_plant.telescope.sensors`. Commands act one tick after the measurement; a value of the
-camera is held for :data:`titop_plant.interface.FRAME_TICKS` ticks.
+Sensors are those of :mod:`titop_plant.telescope.sensors`. Commands act one tick after the measurement; a value of a
+sensor that is slower than the tick is held until its next one (:func:`titop_plant.interface.sample_ticks`).
 
 ======== ================ ==== ======================================================
 port     name             size content
@@ -25,7 +25,7 @@ from types import MappingProxyType
 import numpy as np
 
 from lftkit import SampledSystem
-from lftkit.arrays import ComplexArray, IntArray
+from lftkit.arrays import ComplexArray
 from lftkit.systems.ports import Port, port_slices
 from titop_plant.interface import (
     COLUMNS,
@@ -33,6 +33,7 @@ from titop_plant.interface import (
     COMMANDED,
     COMMANDS,
     FORCE_STAGES,
+    HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     K_PMA_OUTPUTS,
@@ -41,7 +42,6 @@ from titop_plant.interface import (
     DesignBasis,
 )
 from titop_plant.simulation.disturbances import CHANNELS
-from titop_plant.telescope.sensors import FRAMED
 
 DISTURBANCE = "disturbance"
 """Name of the 22 normalised disturbances together."""
@@ -55,9 +55,6 @@ OUTPUTS: Mapping[str, slice] = MappingProxyType(port_slices((*TRUTH_PORTS, *COMM
 ADDED = slice(INPUTS[DISTURBANCE].stop, INPUTS[COMMAND_PORTS[-1].name].stop)
 APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].stop)
 """Columns and rows of all commands."""
-
-HELD: IntArray = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in FRAMED])
-"""Columns of the measurement that are held between camera frames."""
 
 
 @dataclass(frozen=True)

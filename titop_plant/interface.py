@@ -7,7 +7,7 @@ parameter file, see :mod:`titop_plant.telescope.parameters`.
 ================  =====  =============================================================================
 vector            size   content
 ================  =====  =============================================================================
-measurement       22     ``accel_Ip``, ``accel_M1``, ``accel_M2`` (6 each), ``camera_los`` (2), ``fsm_angle`` (2)
+measurement       22     values of the sensors, see :mod:`titop_plant.sensor_table`
 los estimate      2      line of sight without the mirror's share [rad]
 command           8      ``fsm_command`` (2) [rad], ``pma_force`` (6) [N]
 truth             2      controlled line of sight [rad]
@@ -22,10 +22,21 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from lftkit.systems.ports import Port, port_slices, total_size
-from titop_plant.ports import accel
+import numpy as np
 
-RATE = 1000
+from lftkit.arrays import IntArray
+from lftkit.systems.ports import Port, port_slices, total_size
+from titop_plant.sensor_table import (
+    ACCELEROMETER_GROUP,
+    CAMERA_PORT,
+    GAUGE_PORT,
+    MEASURED_SENSORS,
+    PLATFORM_PORT,
+    TICKS_PER_SECOND,
+    divided_ticks,
+)
+
+RATE = TICKS_PER_SECOND
 """Ticks per second."""
 
 DT = 1.0 / RATE
@@ -40,10 +51,10 @@ HOLD_DELAY = 0.5 * DT
 LOOP_DELAY = DT + HOLD_DELAY
 """Delay of the loop: a tick from measurement to command, and the mean delay of the held command [s]."""
 
-CAMERA_RATE = 50.0
+CAMERA_RATE = next(entry.rate for entry in MEASURED_SENSORS if entry.port.name == CAMERA_PORT)
 """Frames per second that the stored controllers are designed for; a run may have another rate."""
 
-FRAME_TICKS = round(RATE / CAMERA_RATE)
+FRAME_TICKS = divided_ticks(CAMERA_RATE, "camera_rate")
 """Ticks from one of these frames to the next."""
 
 CAMERA_PERIOD = FRAME_TICKS * DT
@@ -63,7 +74,7 @@ SCENARIOS = ("worst_case", "design", "imbalance", "ramp")
 of the telescope on its isolator; imbalance of the wheels and micro-steps of the drives; the same while wheel speeds and
 array angle follow a profile."""
 
-MEASURED_PORTS = (accel("Ip"), accel("M1"), accel("M2"), Port("camera_los", 2, "rad"), Port("fsm_angle", 2, "rad"))
+MEASURED_PORTS = tuple(entry.port for entry in MEASURED_SENSORS)
 """Ports of the measurement vector: the inputs of K_FSM."""
 
 ESTIMATE_PORTS = (Port("los_estimate", 2, "rad"),)
@@ -78,7 +89,8 @@ TRUTH_PORTS = (Port("los_controlled", 2, "rad"),)
 K_FSM_INPUTS, K_FSM_OUTPUTS = MEASURED_PORTS, ESTIMATE_PORTS
 """Ports of an observer."""
 
-K_PMA_INPUTS, K_PMA_OUTPUTS = MEASURED_PORTS[:1], COMMAND_PORTS[1:]
+K_PMA_INPUTS = tuple(port for port in MEASURED_PORTS if port.name == PLATFORM_PORT)
+K_PMA_OUTPUTS = COMMAND_PORTS[1:]
 """Ports of a proof-mass controller."""
 
 MEASUREMENTS, ESTIMATES = total_size(MEASURED_PORTS), total_size(ESTIMATE_PORTS)
@@ -88,7 +100,7 @@ COMMANDS, TRUTH = total_size(COMMAND_PORTS), total_size(TRUTH_PORTS)
 MEASURED = tuple(port.name for port in MEASURED_PORTS)
 """Names of the measured ports in the order of the vector."""
 
-ACCELEROMETERS = MEASURED[:3]
+ACCELEROMETERS = tuple(entry.port.name for entry in MEASURED_SENSORS if entry.group == ACCELEROMETER_GROUP)
 """Names of the accelerometers' ports."""
 
 COMMANDED = tuple(port.name for port in COMMAND_PORTS)
@@ -103,7 +115,7 @@ COLUMNS: Mapping[str, slice] = MappingProxyType(
 )
 """Columns of each port in its vector."""
 
-PLATFORM, CAMERA, FSM_ANGLE = (COLUMNS[name] for name in ("accel_Ip", "camera_los", "fsm_angle"))
+PLATFORM, CAMERA, FSM_ANGLE = (COLUMNS[name] for name in (PLATFORM_PORT, CAMERA_PORT, GAUGE_PORT))
 """Columns of the platform's accelerometer, of the camera and of the mirror's strain gauges in the measurement."""
 
 ACCELERATIONS = slice(COLUMNS[ACCELEROMETERS[0]].start, COLUMNS[ACCELEROMETERS[-1]].stop)
@@ -131,10 +143,45 @@ def frame_ticks(camera_rate: float) -> int:
     >>> frame_ticks(50.0)
     20
     """
-    ticks = RATE / camera_rate if camera_rate > 0.0 else 0.0
-    if not (math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks):
-        raise ValueError(f"camera_rate must divide {RATE} Hz (50, 40, 25, ...), got {camera_rate:g} Hz")
-    return round(ticks)
+    return divided_ticks(camera_rate, "camera_rate")
+
+
+FRAMED = tuple(entry.port.name for entry in MEASURED_SENSORS if entry.framed)
+"""Ports with a value at some ticks only, which is held between them."""
+
+HELD: IntArray = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in FRAMED])
+"""Their columns in the measurement."""
+
+HELD_PARTS: Mapping[str, slice] = MappingProxyType(port_slices(p for p in MEASURED_PORTS if p.name in FRAMED))
+"""Part of each of them in the vector of held values."""
+
+
+def sample_ticks(camera_ticks: int) -> dict[str, int]:
+    """Ticks from one value to the next of each port of :data:`FRAMED`.
+
+    Parameters
+    ----------
+    camera_ticks : int
+        Those of the camera, whose rate is a setting of a run; others have the rate of their entry.
+
+    Examples
+    --------
+    >>> sample_ticks(40)["camera_los"]
+    40
+    """
+    entries = {entry.port.name: entry.ticks for entry in MEASURED_SENSORS if entry.framed}
+    return {**entries, CAMERA_PORT: camera_ticks}
+
+
+def period_ticks(camera_ticks: int) -> int:
+    """Ticks from one tick at which every sensor has a value to the next.
+
+    Examples
+    --------
+    >>> period_ticks(40) % 40
+    0
+    """
+    return math.lcm(*sample_ticks(camera_ticks).values())
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import FloatArray, IntArray
 
 GAP_LIMIT = 50
 """Longest gap, in ticks, that is stepped over on held samples; a longer one is left out."""
@@ -25,7 +25,7 @@ class GapStepper:
         ``step(sample, out)``: one tick.
     size : int
         Length of a sample.
-    intermittent : slice
+    intermittent : slice or ndarray of int
         Columns that are NaN in a held sample.
 
     Examples
@@ -39,7 +39,7 @@ class GapStepper:
     """
 
     def __init__(
-        self, step: Callable[[FloatArray, FloatArray], None], size: int, intermittent: slice = slice(0)
+        self, step: Callable[[FloatArray, FloatArray], None], size: int, intermittent: slice | IntArray = slice(0)
     ) -> None:
         self._step = step
         self._held = np.zeros(size)

@@ -15,7 +15,7 @@ from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import DISTURBANCES, sample, telescope
 from titop_plant.simulation.disturbances import Tones, no_tones
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
-from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
 POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}
@@ -24,7 +24,7 @@ POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3
 @pytest.fixture(scope="module")
 def case():
     parameters = load_parameters()
-    whole = with_camera(telescope().system, parameters)
+    whole = with_sensors(telescope().system, parameters)
     data = whole.select(
         inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
     ).data_at(POINT)

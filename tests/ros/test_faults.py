@@ -19,7 +19,7 @@ from los_testbed.config import RunConfig
 from los_testbed.run import replay
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, M1_ACCEL, PMA_COMMAND, TRUTH_LOS
+from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, PMA_COMMAND, SENSORS, TRUTH_LOS
 from ros_faults import diagnostics, run_with_fault
 from ros_runs import (
     PLANT,
@@ -38,6 +38,7 @@ from pointing_analysis.replay.replay import compare
 
 pytestmark = pytest.mark.ros
 MS = 1_000_000
+M1_ACCEL = next(topic for topic in SENSORS if topic.name == "m1/accel")
 
 
 def mirror_angle(bag):

@@ -22,7 +22,7 @@ from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_i
 from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, with_camera
+from titop_plant.telescope.control_plant import DISTURBANCES, with_sensors
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 from titop_plant.telescope.sensors import constant_error, noise_of_samples
 
@@ -180,7 +180,7 @@ def control_loop_plant(assembled: Telescope, parameters: Parameters) -> Uncertai
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
     """
-    return with_camera(assembled.system, parameters).select(
+    return with_sensors(assembled.system, parameters).select(
         inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
     )
 

@@ -23,7 +23,7 @@ from titop_plant.simulation.build import telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, SADM_TORQUE, WHEEL_IMBALANCE
-from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
 DISTURBANCE_PORTS = (WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH)
@@ -107,7 +107,7 @@ def held_disturbance(config: PlantConfig, dt: float) -> FloatArray:
         Tick [s].
     """
     parameters = load_parameters(config.parameters or REFERENCE)
-    whole = with_camera(telescope(config.parameters, config.isolated).system, parameters)
+    whole = with_sensors(telescope(config.parameters, config.isolated).system, parameters)
     ports = tuple(port.name for port in DISTURBANCE_PORTS)
     driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
     held = sampled(driven.data_at(parameter_values(config, parameters)), dt, method="hold")

@@ -27,7 +27,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from titop_plant.interface import ACCELERATIONS, CAMERA, COMMANDS, DT, FORCES, FSM_ANGLE, MEASUREMENTS, MIRROR
+from titop_plant.interface import ACCELERATIONS, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR
+from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.sampled_plant import SampledPlant
 
@@ -108,8 +109,8 @@ class NonlinearPlant:
             self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / plant.dt))
         self._filtered = bool(limits.cut_off)
         self._step = np.zeros(MEASUREMENTS)
-        self._step[ACCELERATIONS], self._step[CAMERA] = limits.acceleration_step, limits.camera_step
-        self._step[FSM_ANGLE] = limits.gauge_step
+        for entry in MEASURED_SENSORS:
+            self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step)
         self._coarse = self._step > 0.0
         self._command = np.zeros(COMMANDS)
         self.reset()

@@ -5,7 +5,7 @@ input                    size  meaning
 =======================  ====  ===================================================================
 ``wheel_imbalance``      20    [N], [Nm]; ``sadm_torque`` 2 [Nm]
 ``accelerometer_noise``  18    white, density 1 (two-sided): scaled by sigma sqrt(dt) inside
-``optical_noise``        4     camera 2, strain gauges 2, the same
+``optical_noise``        4     of the other sensors in the order of the measurement, the same
 ``fsm_command``          2     [rad]; ``pma_force`` 6 [N]
 =======================  ====  ===================================================================
 
@@ -13,63 +13,73 @@ input                    size  meaning
 output                   size  meaning
 =======================  ====  ===================================================================
 ``los_controlled``       2     [rad]
-``accel_Ip`` and so on   18    behind the washout F_w, with noise
-``camera_los``           2     behind F_LOS, with noise [rad]
-``fsm_angle``            2     with noise [rad]
+accelerations            18    behind the washout F_w, with noise
+other measured ports     4     behind their low-pass (F_LOS of the camera), with noise
 =======================  ====  ===================================================================
 
-Noise is given in the parameter file as the standard deviation of samples at 1 kHz: its two-sided density is
-sigma^2 dt. Source: the paper, "Fine LOS control".
+The sensors are those of :mod:`titop_plant.sensor_table`. Noise is given in the parameter file as the standard deviation
+of samples at 1 kHz: its two-sided density is sigma^2 dt. Source: the paper, "Fine LOS control".
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
 from lftkit.systems.delay import delayed_port
 from lftkit.systems.filters import high_pass
-from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS
+from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
+from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples, sensors
 
 DISTURBANCES = ("wheel_imbalance", "sadm_torque")
 ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
 OPTICAL_NOISE = Port("optical_noise", MEASUREMENTS - ACCELERATIONS.stop)
-"""Noise of the measurements: of the accelerometers; of camera and strain gauges."""
+"""Noise of the measurements: of the accelerometers; of the other sensors."""
+
+NOISE_PORTS = {name: (ACCELEROMETER_NOISE if name in ACCELEROMETERS else OPTICAL_NOISE).name for name in MEASURED}
+"""Input of the noise of each measured port."""
 
 PADE_ORDER = 2
 """Of the delays in the plant: right to 2e-4 rad where they turn the phase by less than 0.7 rad."""
 
 
-def with_camera(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
-    """Add the camera's low-pass F_LOS: output ``camera_los`` from ``los_controlled``; four states."""
-    c0, c1, c2 = parameters["sensors"]["camera_filter"]
-    A = np.kron(np.eye(2), [[0.0, 1.0], [-c2, -c1]])
-    B = np.kron(np.eye(2), [[0.0], [1.0]])
-    C = np.kron(np.eye(2), [[c0, 0.0]])
-    los, camera = system.output_port("los_controlled"), Port("camera_los", 2, "rad")
-    low_pass = state_space(A, B, C, np.zeros((2, 2)), [los], [camera])
-    return connect(
-        {"telescope": system, "camera": low_pass},
-        [
-            *((p.name, f"telescope.{p.name}") for p in system.inputs),
-            ("telescope.los_controlled", "camera.los_controlled"),
-        ],
-        inputs=system.inputs,
-        outputs={**{p.name: f"telescope.{p.name}" for p in system.outputs}, camera.name: "camera.camera_los"},
-    )
+def with_sensors(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+    """Add the measured ports that the structure does not have, behind their low-pass (two states for each value)."""
+    systems, wires = {"telescope": system}, list[Connection]((p.name, f"telescope.{p.name}") for p in system.inputs)
+    outputs: dict[str, str | tuple[str, ...]] = {p.name: f"telescope.{p.name}" for p in system.outputs}
+    for entry in MEASURED_SENSORS:
+        port, source = entry.port, system.output_port(entry.source)
+        outputs[port.name] = f"telescope.{source.name}"
+        if entry.low_pass:
+            systems[port.name] = _low_pass(parameters["sensors"][entry.low_pass], source, port)
+            wires.append((f"telescope.{source.name}", f"{port.name}.{source.name}"))
+            outputs[port.name] = f"{port.name}.{port.name}"
+    return connect(systems, wires, inputs=system.inputs, outputs=outputs)
 
 
-def camera_hold(period: float) -> UncertainSystem:
-    """Mean age of a camera value that is held for a period [s], both axes.
+def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> UncertainSystem:
+    """``c0 / (s^2 + c1 s + c2)`` from each value of `source` to that of `port`."""
+    c0, c1, c2 = coefficients
+    each = np.eye(port.size)
+    A = np.kron(each, [[0.0, 1.0], [-c2, -c1]])
+    B = np.kron(each, [[0.0], [1.0]])
+    C = np.kron(each, [[c0, 0.0]])
+    return state_space(A, B, C, np.zeros((port.size, port.size)), [source], [port])
 
-    The value is used at the ticks, from the one with the frame to the last before the next frame: half of the period
-    less one tick.
+
+def sample_hold(port: Port, period: float) -> UncertainSystem:
+    """Mean age of a value that is held for a period [s].
+
+    The value is used at the ticks, from the one with the sample to the last before the next: half of the period less
+    one tick.
     """
     if not period >= 0.0:
-        raise ValueError(f"camera period must not be negative, got {period} s")
-    return delayed_port(Port("camera_los", 2, "rad"), max(0.0, 0.5 * (period - DT)), PADE_ORDER)
+        raise ValueError(f"period of {port.name} must not be negative, got {period} s")
+    return delayed_port(port, max(0.0, 0.5 * (period - DT)), PADE_ORDER)
 
 
 def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
@@ -116,27 +126,24 @@ def control_plant(
     parameters : mapping
         Table ``sensors``.
     camera_period : float
-        Time between camera frames, whose value is held [s]: adds its mean age, see :func:`camera_hold`, as a
-        Pade form of order 2 for each axis (4 states). 0: a continuous camera, as in the paper.
+        Time between camera frames, whose value is held [s]: adds its mean age, see :func:`sample_hold`, as a
+        Pade form of order 2 for each axis (4 states); other values that are held have that of their own rate. 0:
+        continuous sensors, as in the paper.
     command_hold : float
         Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
-    seen = with_camera(telescope, parameters).select(
+    seen = with_sensors(telescope, parameters).select(
         inputs=(*DISTURBANCES, *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
     sigma, root = noise_of_samples(parameters), np.sqrt(DT)
-    corners = {sensor.port.name: sensor.washout for sensor in sensors(parameters)}
     noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
-    ports = [seen.output_port(name) for name in ACCELEROMETERS]
+    ports = {name: seen.output_port(name) for name in MEASURED}
+    others = [port for name, port in ports.items() if name not in ACCELEROMETERS]
     systems = {
         "plant": seen,
-        "noise": static_gain(np.diag(sigma[ACCELERATIONS]) * root, [noise], ports),
-        "optical": static_gain(
-            np.diag(sigma[ACCELERATIONS.stop :]) * root,
-            [optical],
-            [seen.output_port("camera_los"), seen.output_port("fsm_angle")],
-        ),
+        "noise": static_gain(np.diag(sigma[ACCELERATIONS]) * root, [noise], [ports[name] for name in ACCELEROMETERS]),
+        "optical": static_gain(np.diag(sigma[ACCELERATIONS.stop :]) * root, [optical], others),
     }
     wires: list[Connection] = [
         *((p.name, f"plant.{p.name}") for p in seen.inputs),
@@ -144,14 +151,19 @@ def control_plant(
         (optical.name, "optical.optical_noise"),
     ]
     outputs: dict[str, str | tuple[str, ...]] = {"los_controlled": "plant.los_controlled"}
-    for port in ports:
-        systems[f"washout_{port.name}"] = high_pass(port, corners[port.name])
-        wires.append(((f"plant.{port.name}", f"noise.{port.name}"), f"washout_{port.name}.{port.name}"))
-        outputs[port.name] = f"washout_{port.name}.{port.name}"
-    systems["hold"] = camera_hold(camera_period)
-    wires.append((("plant.camera_los", "optical.camera_los"), "hold.camera_los"))
-    outputs["camera_los"] = "hold.camera_los"
-    outputs["fsm_angle"] = ("plant.fsm_angle", "optical.fsm_angle")
+    ticks = sample_ticks(max(1, round(camera_period / DT)))
+    for sensor in sensors(parameters):
+        name, port = sensor.port.name, ports[sensor.port.name]
+        noisy = f"plant.{name}", f"{'noise' if name in ACCELEROMETERS else 'optical'}.{name}"
+        behind = f"behind_{name}"
+        if sensor.washout:
+            systems[behind] = high_pass(port, sensor.washout)
+        elif name in ticks:
+            systems[behind] = sample_hold(port, ticks[name] * DT if camera_period else 0.0)
+        outputs[name] = noisy
+        if behind in systems:
+            wires.append((noisy, f"{behind}.{name}"))
+            outputs[name] = f"{behind}.{name}"
     external = [seen.input_port(name) for name in DISTURBANCES] + [noise, optical]
     external += [seen.input_port(name) for name in COMMANDED]
     return connect(systems, wires, inputs=external, outputs=outputs)

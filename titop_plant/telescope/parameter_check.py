@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from titop_plant.ports import AXES
+from titop_plant.sensor_table import SENSORS
 
 POSITIVE = {
     "mass",
@@ -49,9 +50,7 @@ NOT_NEGATIVE = {
     "gearbox_stiffness",
     "gearbox_damping",
     "torque_bound",
-    "accelerometer_noise",
-    "camera_noise",
-    "strain_gauge_noise",
+    *(entry.noise for entry in SENSORS),
     "radial_force",
     "axial_force",
     "radial_torque",

@@ -1,8 +1,7 @@
 """The sensors of the loop: ports, noise, bias, which of them have frames, which are behind the washout.
 
-One entry for each port of the measurement, in its order (:data:`titop_plant.interface.MEASURED_PORTS`); values are
-those of the table ``sensors`` of the parameter file. Simulation, generalised plants, sampled loop, tuner and campaign
-take them from here.
+The entries of :mod:`titop_plant.sensor_table` with the values of the table ``sensors`` of a parameter file, in the
+order of the measurement. Simulation, generalised plants, sampled loop, tuner and campaign take them from here.
 """
 
 from __future__ import annotations
@@ -14,13 +13,9 @@ import numpy as np
 
 from lftkit import Port
 from lftkit.arrays import FloatArray
-from titop_plant.interface import ACCELEROMETERS, MEASURED_PORTS
+from titop_plant.interface import sample_ticks
+from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.parameters import Parameters
-
-FRAMED = ("camera_los",)
-"""Ports with a value at camera frames only, which is held between them."""
-
-_NOISE = {"camera_los": "camera_noise", "fsm_angle": "strain_gauge_noise"}
 
 
 @dataclass(frozen=True)
@@ -34,7 +29,7 @@ class Sensor:
     noise, bias : ndarray, shape (size,)
         Standard deviation of a sample (of a frame), and what is added to every sample, in the unit of the port.
     framed : bool
-        Whether it has a value at camera frames only, which is held between them.
+        Whether it has a value at some ticks only, which is held between them.
     washout : float
         Corner of the high-pass before the controllers [rad/s]; 0: none.
     """
@@ -49,6 +44,11 @@ class Sensor:
 def sensors(parameters: Parameters) -> tuple[Sensor, ...]:
     """Sensors in the order of the measurement.
 
+    Raises
+    ------
+    ValueError
+        A key of the table of sensors that the parameter file does not have.
+
     Examples
     --------
     >>> from titop_plant.telescope.parameters import load_parameters
@@ -57,15 +57,19 @@ def sensors(parameters: Parameters) -> tuple[Sensor, ...]:
     """
     table: Any = parameters["sensors"]
 
-    def sensor(port: Port) -> Sensor:
-        if port.name in ACCELEROMETERS:
-            noise, bias, washout = table["accelerometer_noise"], table["accelerometer_bias"], table["washout"]
-        else:
-            noise, bias, washout = table[_NOISE[port.name]], 0.0, 0.0
-        size = np.ones(port.size)
-        return Sensor(port, noise * size, bias * size, port.name in FRAMED, float(washout))
+    def value(entry: SensorEntry, key: str) -> Any:
+        if key and key not in table:
+            raise ValueError(
+                f"sensors.{key} of {entry.port.name} must be in the parameter file, got {', '.join(table)}"
+            )
+        return table[key] if key else 0.0
 
-    return tuple(sensor(port) for port in MEASURED_PORTS)
+    def sensor(entry: SensorEntry) -> Sensor:
+        size, washout = np.ones(entry.port.size), float(value(entry, entry.washout))
+        noise, bias = (value(entry, key) * size for key in (entry.noise, entry.bias))
+        return Sensor(entry.port, noise, bias, entry.framed, washout)
+
+    return tuple(sensor(entry) for entry in MEASURED_SENSORS)
 
 
 def noise_of_samples(parameters: Parameters) -> FloatArray:
@@ -74,9 +78,17 @@ def noise_of_samples(parameters: Parameters) -> FloatArray:
 
 
 def noise_of_ticks(parameters: Parameters, frame_ticks: int) -> FloatArray:
-    """The same as if every tick had a frame: that of the camera is larger by the root of the ticks of a frame."""
-    factors = (np.sqrt(frame_ticks) if sensor.framed else 1.0 for sensor in sensors(parameters))
-    return np.concatenate([sensor.noise * factor for sensor, factor in zip(sensors(parameters), factors)])
+    """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
+
+    Parameters
+    ----------
+    parameters : mapping
+    frame_ticks : int
+        Ticks of a frame of the camera.
+    """
+    ticks = sample_ticks(frame_ticks)
+    found = (sensor.noise * np.sqrt(ticks.get(sensor.port.name, 1)) for sensor in sensors(parameters))
+    return np.concatenate(list(found))
 
 
 def constant_error(parameters: Parameters) -> FloatArray:

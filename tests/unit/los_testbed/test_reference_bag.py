@@ -21,7 +21,7 @@ def test_it_is_small_and_whole() -> None:
     assert ticks >= 4000
     for topic in TOPICS:
         found = run[topic.name]
-        assert len(found) == (ticks if topic.rate == "tick" else ticks // 20), topic.name
+        assert len(found) == (ticks // 20 if topic.framed else ticks), topic.name
         assert found.integrity.missing == 0
     assert run.parameters["mode"] == "inprocess"
 

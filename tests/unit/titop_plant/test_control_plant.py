@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from lftkit import Port
 from lftkit.analysis.frequency_response import frequency_response
 from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED
 from titop_plant.simulation.build import telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
-    camera_hold,
     held_commands,
-    with_camera,
+    sample_hold,
+    with_sensors,
 )
 from titop_plant.telescope.parameters import load_parameters
 
@@ -22,7 +23,7 @@ ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
 @pytest.fixture(scope="module")
 def plant():
     outputs = ("los_controlled", *MEASURED)
-    return with_camera(telescope().system, load_parameters()).select(
+    return with_sensors(telescope().system, load_parameters()).select(
         inputs=(*DISTURBANCES, *COMMANDED), outputs=outputs
     )
 
@@ -58,7 +59,7 @@ def test_nothing_is_added_without_a_hold(plant) -> None:
 
 
 def test_a_held_frame_is_as_old_as_the_mean_of_its_ticks() -> None:
-    hold = camera_hold(0.02).data_at({})
+    hold = sample_hold(Port("camera_los", 2, "rad"), 0.02).data_at({})
     for omega in (0.5, 5.0, 30.0):
         mean = np.mean(np.exp(-1j * omega * DT * np.arange(20)))
         phase = np.angle(frequency_response(hold, [omega])[0][0, 0])

@@ -13,7 +13,7 @@ from titop_plant.simulation import build as simulation
 from titop_plant.simulation.disturbances import given_tones
 from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS, DISTURBANCE_SIZE, DrivenPlant, held_disturbance
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.telescope.control_plant import with_camera
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import load_parameters
 
 QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
@@ -60,7 +60,7 @@ def test_it_is_the_simulation_of_the_continuous_plant_in_tenths_of_a_tick() -> N
     measured, truth = response(driven(rows), commands)
 
     parameters = load_parameters()
-    whole = with_camera(simulation.telescope(None, True).system, parameters)
+    whole = with_sensors(simulation.telescope(None, True).system, parameters)
     names = (*COMMANDED, "wheel_imbalance", "sadm_torque", "external_wrench")
     data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).data_at(
         parameter_values(QUIET, parameters)

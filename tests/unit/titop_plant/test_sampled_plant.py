@@ -16,7 +16,7 @@ from titop_plant.simulation.build import (
     parameter_values,
     sample,
     telescope,
-    with_camera,
+    with_sensors,
 )
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
 from titop_plant.telescope.assembly import build_telescope
@@ -35,7 +35,7 @@ def run(config: PlantConfig, commands: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def plant_data(config: PlantConfig):
     parameters = load_parameters()
-    whole = with_camera(telescope().system, parameters)
+    whole = with_sensors(telescope().system, parameters)
     part = whole.select(inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
     return part.data_at(parameter_values(config, parameters))
 

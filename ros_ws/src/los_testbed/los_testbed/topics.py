@@ -5,11 +5,12 @@ Everything that publishes, records, checks or documents a topic reads this table
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from los_testbed.config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
-from titop_plant.interface import COLUMNS
+from titop_plant.interface import COLUMNS, sample_ticks
+from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
@@ -35,8 +36,10 @@ class TopicDefinition:
         Vector of the loop it carries: measurement, truth, los_estimate or command.
     columns : slice
         Columns of its values in that vector.
-    rate : str
-        ``tick`` (1 kHz) or ``camera`` (every frame).
+    port : str
+        Name of its port.
+    framed : bool
+        Whether it has messages at some ticks only; a sample of it may be lost (NaN).
     unit : str
         SI unit of the values.
     """
@@ -47,8 +50,9 @@ class TopicDefinition:
     publisher: str
     vector: str
     columns: slice
-    rate: str = "tick"
+    port: str
     unit: str = "rad"
+    framed: bool = False
 
     @property
     def path(self) -> str:
@@ -59,32 +63,41 @@ class TopicDefinition:
         """Absolute name in a namespace."""
         return f"{namespace.rstrip('/')}/{self.name}"
 
+    def every(self, camera_ticks: int) -> int:
+        """Ticks from one message to the next, where the camera has a frame every `camera_ticks` ticks."""
+        return sample_ticks(camera_ticks).get(self.port, 1)
+
     @property
     def size(self) -> int:
         """Number of values in a message."""
         return int(self.columns.stop) - int(self.columns.start)
 
 
-ISOLATOR_ACCEL = TopicDefinition(
-    "isolator/accel", ACCEL, "isolator_payload", "plant", "measurement", COLUMNS["accel_Ip"], unit="m/s2,rad/s2"
-)
-M1_ACCEL = TopicDefinition("m1/accel", ACCEL, "m1", "plant", "measurement", COLUMNS["accel_M1"], unit="m/s2,rad/s2")
-M2_ACCEL = TopicDefinition("m2/accel", ACCEL, "m2", "plant", "measurement", COLUMNS["accel_M2"], unit="m/s2,rad/s2")
-CAMERA_LOS = TopicDefinition(
-    "camera/los", VECTOR3, "line_of_sight", "plant", "measurement", COLUMNS["camera_los"], rate="camera"
-)
-FSM_ANGLE = TopicDefinition("fsm/strain_gauge", VECTOR3, "fsm", "plant", "measurement", COLUMNS["fsm_angle"])
-TRUTH_LOS = TopicDefinition("truth/los", VECTOR3, "line_of_sight", "plant", "truth", COLUMNS["los_controlled"])
-LOS_ESTIMATE = TopicDefinition(
-    "los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", COLUMNS["los_estimate"]
-)
-FSM_COMMAND = TopicDefinition("fsm/command", VECTOR3, "fsm", "controller", "command", COLUMNS["fsm_command"])
-PMA_COMMAND = TopicDefinition(
-    "pma/command", JOINT_STATE, "pma", "controller", "command", COLUMNS["pma_force"], unit="N"
-)
+def _topic(name: str, type_name: str, frame_id: str, publisher: str, vector: str, port: str) -> TopicDefinition:
+    return TopicDefinition(name, type_name, frame_id, publisher, vector, COLUMNS[port], port)
 
-SENSORS = (ISOLATOR_ACCEL, M1_ACCEL, M2_ACCEL, CAMERA_LOS, FSM_ANGLE)
-"""Sent by the plant in this order; the strain gauge comes last and wakes the estimator."""
+
+def _of_sensor(entry: SensorEntry) -> TopicDefinition:
+    """Topic of a sensor: a twist or a vector."""
+    port, units = entry.port, ",".join(dict.fromkeys(entry.port.unit.split(",")))
+    kind = VECTOR3 if port.size <= 3 else ACCEL
+    columns = COLUMNS[port.name]
+    return TopicDefinition(
+        entry.topic, kind, entry.frame_id, "plant", "measurement", columns, port.name, units, entry.framed
+    )
+
+
+_BY_PORT = {entry.port.name: _of_sensor(entry) for entry in MEASURED_SENSORS}
+_WAKES = [entry.port.name for entry in MEASURED_SENSORS if not entry.framed][-1]
+
+SENSORS = (*(topic for port, topic in _BY_PORT.items() if port != _WAKES), _BY_PORT[_WAKES])
+"""Sent by the plant in this order; one that comes at every tick is the last and wakes the estimator."""
+
+ISOLATOR_ACCEL, CAMERA_LOS, FSM_ANGLE = (_BY_PORT[port] for port in (PLATFORM_PORT, CAMERA_PORT, GAUGE_PORT))
+TRUTH_LOS = _topic("truth/los", VECTOR3, "line_of_sight", "plant", "truth", "los_controlled")
+LOS_ESTIMATE = _topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "los_estimate", "los_estimate")
+FSM_COMMAND = _topic("fsm/command", VECTOR3, "fsm", "controller", "command", "fsm_command")
+PMA_COMMAND = replace(_topic("pma/command", JOINT_STATE, "pma", "controller", "command", "pma_force"), unit="N")
 
 COMMANDS = (FSM_COMMAND, PMA_COMMAND)
 """Sent by the controller in this order: the faster loop first; the forces come last and close the tick."""

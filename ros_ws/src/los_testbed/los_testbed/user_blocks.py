@@ -25,7 +25,7 @@ from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from los_testbed.config import RunConfig
 from los_testbed.plugins import RAISED, in_one_line, make
-from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.interface import HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 UNTOUCHED = -1.2345678901234567e-300
 """Value that no block writes: what still has it after a step was not written."""
@@ -162,7 +162,7 @@ class UserBlock:
             raise ContractError(f"{self.name} must repeat itself after reset, got {pair} in {where} at tick {tick}")
 
     def _trial(self) -> Iterable[FloatArray]:
-        """Outputs of the first ticks after a reset, with zeros as input; NaN of the camera from the second tick on."""
+        """Outputs of the first ticks after a reset, with zeros as input; held values are NaN from the second tick."""
         size, width = total_size(self.inputs), total_size(self.outputs)
         shapes = ", ".join(f"{port.name} ({port.size},)" for port in (*self.inputs, *self.outputs))
         try:
@@ -172,7 +172,7 @@ class UserBlock:
         for tick in range(TRIAL_TICKS):
             given = np.zeros(size)
             if tick and self.inputs == K_FSM_INPUTS:
-                given[CAMERA] = np.nan
+                given[HELD] = np.nan
             kept, out = given.copy(), np.full(width, UNTOUCHED)
             try:
                 self.block.step(*((given, out) if size else (out,)))

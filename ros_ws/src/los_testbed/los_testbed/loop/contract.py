@@ -10,21 +10,15 @@ import numpy as np
 from lftkit.arrays import BoolArray, FloatArray
 from los_testbed.factories import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
-from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond
-from titop_plant.interface import COLUMNS as PORTS
-from titop_plant.interface import COMMANDS, MEASUREMENTS, RATE, TRUTH
-
-CAMERA = "camera_los"
+from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond, element
+from titop_plant.interface import COMMANDS, HELD, MEASURED_PORTS, MEASUREMENTS, RATE, TRUTH
 
 
 def port_of(vector: FloatArray, where: BoolArray) -> str:
     """Name of the first marked element of a measurement (22,), for instance ``accel_M1[2]``; else its number."""
-    index = int(np.flatnonzero(where)[0])
     if len(vector) == MEASUREMENTS:
-        for name, columns in PORTS.items():
-            if name.startswith(("accel", "camera", "fsm_angle")) and columns.start <= index < columns.stop:
-                return f"{name}[{index - columns.start}]"
-    return f"[{index}]"
+        return element(MEASURED_PORTS, where)
+    return f"[{int(np.flatnonzero(where)[0])}]"
 
 
 class RunFailedError(RuntimeError):
@@ -32,7 +26,7 @@ class RunFailedError(RuntimeError):
 
 
 def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int, str] | None:
-    """Row and port of the first value that is not finite (`beyond`), camera frames aside; None if all are.
+    """Row and port of the first value that is not finite (`beyond`), values that are held aside; None if all are.
 
     Parameters
     ----------
@@ -43,7 +37,7 @@ def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int,
     for name, values in signals.items():
         odd = beyond(values[:rows])
         if name == "measurement":
-            odd[:, PORTS[CAMERA]] = False
+            odd[:, HELD] = False
         ticks = np.flatnonzero(odd.any(axis=1))
         if ticks.size:
             row = int(ticks[0])
@@ -86,9 +80,9 @@ def check_plant(plant: Plant) -> None:
         raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {in_one_line(error)}") from error
     if command.any():
         raise ContractError("plant.step must leave its command alone, got another one after the step")
-    camera = np.zeros(MEASUREMENTS, bool)
-    camera[PORTS[CAMERA]] = True
-    for name, vector, may_be_nan in (("measurement", measurement, camera), ("truth", truth, np.zeros(TRUTH, bool))):
+    held = np.zeros(MEASUREMENTS, bool)
+    held[HELD] = True
+    for name, vector, may_be_nan in (("measurement", measurement, held), ("truth", truth, np.zeros(TRUTH, bool))):
         untouched = vector == UNTOUCHED
         if untouched.any():
             raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")

@@ -27,7 +27,7 @@ from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import RunStart, at_rest
 from los_testbed.topics import TOPICS
 from los_testbed.user_blocks import BlockFailedError
-from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
+from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore, EstimatorCore
@@ -47,14 +47,20 @@ class LoopDivergedError(RuntimeError):
 
 
 def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
-    """First tick of a run [ns]: a whole number of camera periods, so that stamps tell the frames.
+    """First tick of a run [ns]: a whole number of periods of the sensors, so that stamps tell the frames.
+
+    Parameters
+    ----------
+    not_before_ns : int
+    frame_ticks : int
+        Ticks of a frame of the camera.
 
     Examples
     --------
     >>> aligned_start(1_000_000_001, 20)
     1020000000
     """
-    period = frame_ticks * TICK_NS
+    period = period_ticks(frame_ticks) * TICK_NS
     return -(-not_before_ns // period) * period
 
 
@@ -141,18 +147,17 @@ class BagSink:
 
     def __init__(self, bag: BagWriter, frame_ticks: int) -> None:
         self._bag = bag
-        self._frame_ns = frame_ticks * TICK_NS
-        self._codecs = [(topic, codec_for(topic)) for topic in TOPICS]
+        self._codecs = [(topic, codec_for(topic), topic.every(frame_ticks) * TICK_NS) for topic in TOPICS]
 
     def __call__(self, block: SampleBlock, rows: int) -> None:
         """Write the first `rows` ticks of the block as one chunk."""
         stamps = block.stamps[:rows]
-        frames = stamps % self._frame_ns == 0
-        for topic, codec in self._codecs:
+        for topic, codec, period in self._codecs:
             values = getattr(block, topic.vector)[:rows, topic.columns]
             times = stamps
-            if topic.rate == "camera":
-                values, times = values[frames], stamps[frames]
+            if period > TICK_NS:
+                due = stamps % period == 0
+                values, times = values[due], stamps[due]
             self._bag.write(topic.path_in(self._bag.namespace), times, times, codec.encode_many(times, values))
         self._bag.end_chunk()
 

@@ -1,4 +1,4 @@
-"""Estimator node: five sensor topics in, ``los_estimate`` out."""
+"""Estimator node: sensor topics in, ``los_estimate`` out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from los_testbed.plugins import made_by
 from los_testbed.topics import LOS_ESTIMATE, SENSORS
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
-from titop_plant.interface import CAMERA, ESTIMATES, MEASUREMENTS
+from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import EstimatorCore
@@ -34,16 +34,13 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         own = build is not build_estimator
         estimator = made_by(build, context.config, "estimator") if own else build(context.config)
         estimate, reset = watched(estimator.step, "step"), watched(estimator.reset, "reset")
-        every = context.config.frame_ticks
-        parts = [
-            TickPart(codec_for(t), t.columns, every if t.rate == "camera" else 1, t.rate == "camera") for t in SENSORS
-        ]
+        parts = [TickPart(codec_for(t), t.columns, t.every(context.config.frame_ticks), t.framed) for t in SENSORS]
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn})
-        step = GapStepper(estimate, MEASUREMENTS, CAMERA)
+        step = GapStepper(estimate, MEASUREMENTS, HELD)
 
         def tick(stamp: int, measurement: FloatArray, gap: int) -> None:
             if stamp == HOLD_STAMP:

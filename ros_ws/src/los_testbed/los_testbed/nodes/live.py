@@ -85,7 +85,7 @@ class LiveNode:
             Track(
                 topic.path_in(config.namespace),
                 RawSubscription(node, topic.name, topic.type_name, DEPTH, config.mode == "lockstep", topic.publisher),
-                config.frame_ticks * TICK_NS if topic.rate == "camera" else TICK_NS,
+                topic.every(config.frame_ticks) * TICK_NS,
                 codec_for(topic),
             )
             for topic in TOPICS

@@ -69,12 +69,11 @@ class Recorder:
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else run_start(config)
         self._reported: dict[str, int] = {}
-        frame_ns = config.frame_ticks * TICK_NS
         self.tracks = [
             Track(
                 topic.path_in(config.namespace),
                 RawSubscription(node, topic.name, topic.type_name, DEPTH, publisher=topic.publisher),
-                frame_ns if topic.rate == "camera" else TICK_NS,
+                topic.every(config.frame_ticks) * TICK_NS,
                 codec_for(topic),
             )
             for topic in TOPICS

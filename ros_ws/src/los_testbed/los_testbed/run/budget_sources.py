@@ -23,12 +23,12 @@ from los_testbed.factories import requirements_of, tone_model
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import CAMERA, DT, MEASUREMENTS, MIRROR_STAGES
+from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES
+from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.telescope.parameters import REFERENCE, load_parameters
 from titop_plant.telescope.sensors import noise_of_samples
 
-GAUGES = slice(CAMERA.stop, MEASUREMENTS)
-GROUPS: Mapping[str, slice] = {"accelerometers": slice(0, CAMERA.start), "camera": CAMERA, "strain gauges": GAUGES}
+GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
 PARTS = ("tones", "noise", "all")
 SETTINGS = {"theta", "tau", "wheel_speed", "parameters", "k_fsm", "k_pma", "camera_rate"}
 
@@ -90,9 +90,10 @@ def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]
 def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: float) -> list[Source]:
     sigma = noise_of_samples(load_parameters(config.parameters or REFERENCE))
     found = []
-    for name, rows in GROUPS.items():
+    for name in GROUPS:
         chosen = np.zeros_like(sigma)
-        chosen[rows] = sigma[rows]
+        for rows in (COLUMNS[entry.port.name] for entry in MEASURED_SENSORS if entry.group == name):
+            chosen[rows] = sigma[rows]
         with one_thread():
             correlation = _correlation(loop, chosen, unit)
         found.append(kinds.gaussian((*path, f"noise, {name}"), correlation(0), _within(correlation), "noise"))

@@ -20,7 +20,7 @@ from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import Prediction
-from titop_plant.interface import TICK_NS
+from titop_plant.interface import TICK_NS, period_ticks
 from titop_plant.simulation.build import configuration_hash
 
 LONGEST = 60.0
@@ -101,5 +101,5 @@ def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
     recorded = round((int(stamp[-1]) - int(stamp[0])) / TICK_NS) + 1 if len(stamp) else 0
     missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
-    if not recorded or int(stamp[0]) % (config.frame_ticks * TICK_NS) or missing > LATE:
+    if not recorded or int(stamp[0]) % (period_ticks(config.frame_ticks) * TICK_NS) or missing > LATE:
         raise ValueError("the record does not begin with the run")

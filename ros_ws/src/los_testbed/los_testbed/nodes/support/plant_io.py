@@ -23,9 +23,11 @@ class PlantIo:
         def output(topic: TopicDefinition) -> tuple[TopicDefinition, RawPublisher]:
             return topic, RawPublisher(node, topic.name, topic.type_name)
 
-        self._sensors = [(topic, publisher, codec_for(topic)) for topic, publisher in map(output, SENSORS)]
+        self._sensors = [
+            (topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
+            for topic, publisher in map(output, SENSORS)
+        ]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
-        self._frame_ns = config.frame_ticks * TICK_NS
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
         def subscribe(topic: TopicDefinition) -> RawSubscription:
@@ -43,16 +45,16 @@ class PlantIo:
         self.start = 0
 
     def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray) -> None:
-        """Send a tick; the camera only on its frames. The estimator's trigger goes before the truth."""
-        for topic, publisher, codec in self._sensors:
-            if topic.rate == "tick" or stamp % self._frame_ns == 0:
+        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before the truth."""
+        for topic, publisher, codec, period in self._sensors:
+            if period == TICK_NS or stamp % period == 0:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
 
     def settle(self) -> None:
         """Let the readers take in what was sent last."""
-        settle([publisher for _, publisher, _ in self._sensors] + [self._truth[0]])
+        settle([publisher for _, publisher, _, _ in self._sensors] + [self._truth[0]])
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
         """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""
