@@ -6,34 +6,40 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.sampled_system import SampledSystem
-from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
+from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
+
+_PARTS = tuple(
+    tuple(zip(range(COLUMNS[name].start, COLUMNS[name].stop), range(part.start, part.stop)))
+    for name, part in HELD_PARTS.items()
+)
+"""For each port that is held: columns of the measurement, and where their values are kept."""
 
 
-def hold_camera(measurement: FloatArray, held: FloatArray) -> None:
-    """Replace the camera value `held` (2,) [rad] by that of a measurement (22,) where both of its axes are finite."""
-    x, y = measurement[CAMERA.start], measurement[CAMERA.start + 1]
-    # x - x is 0 for a finite number only: cheaper than np.isfinite on two elements
-    if x - x == 0.0 and y - y == 0.0:
-        held[0] = x
-        held[1] = y
+def hold_values(measurement: FloatArray, held: FloatArray) -> None:
+    """Replace the values `held` (h,) of each port that is held by those of a measurement (22,) if all are finite."""
+    for part in _PARTS:
+        for column, _ in part:
+            x = measurement[column]
+            if x - x != 0.0:  # 0 for a finite number only: cheaper than np.isfinite on two elements
+                break
+        else:
+            for column, kept in part:
+                held[kept] = measurement[column]
 
 
 class LosEstimator:
-    """Observer K_FSM: 22 measurements to the estimated line of sight.
+    """Observer K_FSM: measurements to the estimated line of sight.
 
-    ======== ============ ==== =========================================
+    ======== ============ ==== ========================================================================
     port     name         size content
-    ======== ============ ==== =========================================
-    input    accel_Ip     6    twist derivative of the payload base
-    input    accel_M1     6    twist derivative of the primary mirror
-    input    accel_M2     6    twist derivative of the secondary mirror
-    input    camera_los   2    controlled LOS, measured [rad]
-    input    fsm_angle    2    FSM angles, measured [rad]
+    ======== ============ ==== ========================================================================
+    input    of a sensor       one for each entry of :mod:`titop_plant.sensor_table`, in their order; a
+                               file may leave out some of them, which then have no effect
     output   los_estimate 2    LOS without the mirror's share [rad]
-    ======== ============ ==== =========================================
+    ======== ============ ==== ========================================================================
 
     **The estimate has the sign of the true line of sight; the mirror is driven to its negative.**
-    The camera is slower than the loop: between frames, and when a frame was dropped, the measurement
+    A camera is slower than the loop: between its frames, and when a frame was dropped, the measurement
     holds NaN and the last finite value is used (zero before the first frame).
 
     Parameters
@@ -50,23 +56,24 @@ class LosEstimator:
     --------
     An observer that hands on the camera value holds it between two frames:
 
-    >>> D = np.zeros((2, MEASUREMENTS)); D[:, CAMERA] = np.eye(2)
+    >>> D = np.zeros((2, MEASUREMENTS)); D[:, COLUMNS["camera_los"]] = np.eye(2)
     >>> k = SampledSystem([], [], [], D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     >>> estimator, y, los = LosEstimator(k), np.zeros(MEASUREMENTS), np.zeros(2)
-    >>> y[CAMERA] = 1e-6, -2e-6
+    >>> y[COLUMNS["camera_los"]] = 1e-6, -2e-6
     >>> estimator.step(y, los); los.tolist()
     [1e-06, -2e-06]
-    >>> y[CAMERA] = np.nan
+    >>> y[COLUMNS["camera_los"]] = np.nan
     >>> estimator.step(y, los); los.tolist()
     [1e-06, -2e-06]
     """
 
     def __init__(self, k_fsm: SampledSystem) -> None:
+        k_fsm = k_fsm.with_inputs(K_FSM_INPUTS)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
         self._u = np.zeros(MEASUREMENTS)
-        self._camera = np.zeros(CAMERA.stop - CAMERA.start)
-        self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(CAMERA.stop - CAMERA.start))
+        self._held = np.zeros(HELD.size)
+        self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(HELD.size))
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
         """Say where the next reset leads to, for a run that starts in its steady state.
@@ -74,8 +81,8 @@ class LosEstimator:
         Parameters
         ----------
         state : ndarray, shape (order of K_FSM,)
-        camera : ndarray, shape (2,)
-            Camera value that is held [rad].
+        camera : ndarray, shape (h,)
+            Values that are held, of a camera [rad], in the order of the measurement.
 
         Raises
         ------
@@ -91,11 +98,11 @@ class LosEstimator:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
         u = self._u
         u[:] = measurement
-        hold_camera(measurement, self._camera)
-        u[CAMERA] = self._camera
+        hold_values(measurement, self._held)
+        u[HELD] = self._held
         self.k_fsm.step(u, out)
 
     def reset(self) -> None:
-        """Back to the start: the zero state and a held camera value of zero, or those of :meth:`start_at`."""
+        """Back to the start: the zero state and a held values of zero, or those of :meth:`start_at`."""
         self.k_fsm.reset(self._start[0])
-        self._camera[:] = self._start[1]
+        self._held[:] = self._start[1]

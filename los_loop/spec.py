@@ -83,6 +83,7 @@ def laws(
     Parameters
     ----------
     k_fsm, k_pma : SampledSystem
+        Measured ports that the file of K_FSM leaves out have no effect.
     stage : {"none", "isolator", "fsm", "fsm+pma"}
     los_sensitivity : float, optional
         Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
@@ -99,7 +100,7 @@ def laws(
         mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
     angle, force = COMMANDED[0], K_PMA_OUTPUTS[0].name
     return (
-        Law(k_fsm, mirror, columns(K_FSM_INPUTS), COLUMNS[angle]),
+        Law(k_fsm.with_inputs(K_FSM_INPUTS), mirror, columns(K_FSM_INPUTS), COLUMNS[angle]),
         Law(k_pma, 1.0 if stage in FORCE_STAGES else 0.0, columns(K_PMA_INPUTS), COLUMNS[force]),
     )
 

@@ -87,6 +87,29 @@ def total_size(ports: Iterable[Port]) -> int:
     return sum(port.size for port in ports)
 
 
+def spread_columns(matrix: ArrayLike, ports: Sequence[Port], onto: Sequence[Port]) -> FloatArray:
+    """The columns of `matrix`, which are those of `ports`, at the places of the same ports among `onto`; others are 0.
+
+    Raises
+    ------
+    ValueError
+        A port that is not among `onto`, or has another size there.
+
+    Examples
+    --------
+    >>> spread_columns([[1.0, 2.0]], [Port("a", 2)], [Port("b", 1), Port("a", 2)]).tolist()
+    [[0.0, 1.0, 2.0]]
+    """
+    given = np.asarray(matrix, dtype=float)
+    sizes = {port.name: port.size for port in onto}
+    if any(sizes.get(port.name) != port.size for port in ports):
+        present, allowed = (", ".join(f"{p.name}[{p.size}]" for p in which) for which in (ports, onto))
+        raise ValueError(f"inputs must be of {allowed}, got {present}")
+    spread = np.zeros((len(given), total_size(onto)))
+    spread[:, port_indices(onto, [port.name for port in ports], "input")] = given
+    return spread
+
+
 def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str = "") -> IntArray:
     """Indices of the signals of the ports `names`, in the given order, in the stacked vector of all `ports`.
 

@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
-from lftkit.systems.ports import Port, total_size
+from lftkit.systems.ports import Port, spread_columns, total_size
 from lftkit.systems.state_space import StateSpace
 from lftkit.systems.system_summary import named_line
 
@@ -132,6 +132,18 @@ class SampledSystem:
                 raise ValueError(f"{self.name}: {kind} must be {required}, got {got}")
         if abs(self.dt - dt) > 1e-12:
             raise ValueError(f"{self.name}: sampling period must be {dt} s, got {self.dt}")
+
+    def with_inputs(self, ports: Sequence[Port]) -> SampledSystem:
+        """The system behind more inputs, which it does not use: their columns of B and D are zero.
+
+        A system with an input that is not among `ports` is returned as it is; :meth:`require` says what is wrong.
+        """
+        names = [f"{p.name}[{p.size}]" for p in self.inputs]
+        wanted = [f"{p.name}[{p.size}]" for p in ports]
+        if names == wanted or not set(names) < set(wanted):
+            return self
+        B, D = (spread_columns(matrix, self.inputs, ports) for matrix in (self.B, self.D))
+        return replace(self, B=B, D=D, inputs=tuple(ports))
 
     def step(self, u: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import SampledSystem, StateSpace, UncertainSystem
+from lftkit.systems.ports import spread_columns
 from los_design.synthesis.store import design_ports
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_response
@@ -72,7 +73,10 @@ def stored_start(kind: str) -> StateSpace:
     path = Path(__file__).with_name(f"start_{kind.replace('-', '_')}.json")
     content = json.loads(path.read_text(encoding="utf-8"))
     A, B, C, D = (np.array(content[key], dtype=float) for key in "ABCD")
-    return StateSpace(A, B, C, D, *design_ports(kind), f"start of {kind}")
+    inputs, outputs = design_ports(kind)
+    known = [port for port in inputs if port.name in content["inputs"]]
+    B, D = (spread_columns(matrix, known, inputs) for matrix in (B, D))
+    return StateSpace(A, B, C, D, inputs, outputs, f"start of {kind}")
 
 
 def zero_controller(kind: str) -> SampledSystem:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from lftkit import Port, SampledSystem, UncertainSystem, state_space
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import spread_columns
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
@@ -33,6 +37,8 @@ def design_file(kind: str, variant: str = "implemented") -> Path:
 def continuous(system: SampledSystem) -> UncertainSystem:
     """The continuous controller that a stored design was sampled from, without washout.
 
+    Measured ports that the file of an observer leaves out have no effect.
+
     Raises
     ------
     ValueError
@@ -41,7 +47,17 @@ def continuous(system: SampledSystem) -> UncertainSystem:
     matrices = system.provenance.get("continuous")
     if not isinstance(matrices, Mapping):
         raise ValueError(f"{system.name}: the file holds no continuous controller, only the sampled one")
-    return state_space(matrices["A"], matrices["B"], matrices["C"], matrices["D"], system.inputs, system.outputs)
+    A, B, C, D = (np.array(matrices[key], dtype=float) for key in "ABCD")
+    return state_space(A, *_for_loop(B, C, D, system.inputs, system.outputs))
+
+
+def _for_loop(
+    B: FloatArray, C: FloatArray, D: FloatArray, inputs: Sequence[Port], outputs: tuple[Port, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[Port, ...], tuple[Port, ...]]:
+    """B, C, D, inputs, outputs of a controller, an observer behind all measured ports."""
+    if outputs != K_FSM_OUTPUTS:
+        return B, C, D, tuple(inputs), outputs
+    return spread_columns(B, inputs, K_FSM_INPUTS), C, spread_columns(D, inputs, K_FSM_INPUTS), K_FSM_INPUTS, outputs
 
 
 def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:

@@ -9,7 +9,7 @@ This module imports no controller: `EstimatorCore` and `ControllerCore` say what
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,8 +23,8 @@ from pointing_analysis.read.topic import NANO, read_only
 from pointing_analysis.replay.gap_stepping import GapStepper
 
 Stamps = IntArray
-#: topic -> columns of the measurement vector (22)
-MEASUREMENT = {
+#: topic -> columns of the measurement vector (22) of the reference telescope
+MEASUREMENT: Mapping[str, slice] = {
     "isolator/accel": slice(0, 6),
     "m1/accel": slice(6, 12),
     "m2/accel": slice(12, 18),
@@ -33,10 +33,37 @@ MEASUREMENT = {
 }
 #: topic -> columns of the command vector (8)
 COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
-#: sizes of the two vectors, columns of the platform's accelerations and of the camera
-MEASUREMENTS = max(columns.stop for columns in MEASUREMENT.values())
 COMMANDS = max(columns.stop for columns in COMMAND.values())
-PLATFORM, CAMERA = MEASUREMENT["isolator/accel"], MEASUREMENT["camera/los"]
+
+
+@dataclass(frozen=True)
+class SensorLayout:
+    """Which topics make the measurement.
+
+    Attributes
+    ----------
+    columns : topic -> columns of the measurement
+    held : topics with samples at some ticks only, which may be lost
+    platform : topic of the accelerations that the controller measures
+    """
+
+    columns: Mapping[str, slice]
+    held: tuple[str, ...]
+    platform: str
+
+    @property
+    def size(self) -> int:
+        """Length of the measurement."""
+        return int(max(columns.stop for columns in self.columns.values()))
+
+    @property
+    def held_columns(self) -> IntArray:
+        """Columns that are NaN between samples."""
+        return np.concatenate([np.arange(self.size)[self.columns[name]] for name in self.held])
+
+
+REFERENCE_LAYOUT = SensorLayout(MEASUREMENT, ("camera/los",), "isolator/accel")
+"""Of the reference telescope."""
 
 
 class EstimatorCore(Protocol):
@@ -66,7 +93,7 @@ class Sensors:
     Attributes
     ----------
     stamp : (n,) [ns], ticks on which every sensor is there
-    measurement : (n, 22) in the order of `MEASUREMENT`; camera columns NaN between frames and on dropped frames
+    measurement : (n, 22) in the order of the layout; columns that are held NaN between frames and on dropped frames
     period : tick [ns]
     incomplete : ticks left out because a sensor is missing in the bag
     """
@@ -102,22 +129,23 @@ class Replayed:
         return found
 
 
-def _complete_ticks(run: Run) -> tuple[Stamps, int, int]:
+def _complete_ticks(run: Run, layout: SensorLayout) -> tuple[Stamps, int, int]:
     """Stamps on which every sensor is there, the tick [ns], and how many ticks lack a sensor."""
-    for name, columns in MEASUREMENT.items():
+    for name, columns in layout.columns.items():
         if name not in run:
             raise BagError(f"{run.path}: for a replay the bag must hold the topic {name}, got {', '.join(run.topics)}")
         if run[name].values.shape[1] < columns.stop - columns.start:
             raise BagError(f"{run.path}: {name}: messages must have {columns.stop - columns.start} values or more")
-    fast = [run[name] for name in MEASUREMENT if name != "camera/los"]
+    fast = [run[name] for name in layout.columns if name not in layout.held]
     stamp = fast[0].stamp
     for topic in fast[1:]:
         stamp = _common(stamp, topic.stamp)
     if not stamp.size:
         raise BagError(f"{run.path}: the sensors must have common stamps, got none")
-    camera = run["camera/los"]
-    frame = round(camera.period * NANO) if len(camera) > 1 else 0
-    if frame:
+    for camera in (run[name] for name in layout.held):
+        frame = round(camera.period * NANO) if len(camera) > 1 else 0
+        if not frame:
+            continue
         # A frame that is due and not in the bag: the node never saw this tick complete, or the bag lacks the frame.
         kept = GrowingArray(None, np.int64)
         for part in parts(len(stamp)):
@@ -129,24 +157,30 @@ def _complete_ticks(run: Run) -> tuple[Stamps, int, int]:
     return read_only(stamp), round(fast[0].period * NANO), longest - len(stamp)
 
 
-def sensors(run: Run) -> Sensors:
+def sensors(run: Run, layout: SensorLayout = REFERENCE_LAYOUT) -> Sensors:
     """Join the sensors of a run by stamp.
+
+    Parameters
+    ----------
+    run : with the sensor topics
+    layout : which topics these are
 
     Raises
     ------
     BagError
-        A sensor topic is missing, has another number of values, or values that are not finite (camera aside).
+        A sensor topic is missing, has another number of values, or values that are not finite (those that are held
+        aside).
     """
-    stamp, period, incomplete = _complete_ticks(run)
-    measurement = empty((len(stamp), MEASUREMENTS))
+    stamp, period, incomplete = _complete_ticks(run, layout)
+    measurement = empty((len(stamp), layout.size))
     for part in parts(len(stamp)):
         measurement[part] = np.nan
-    for name, columns in MEASUREMENT.items():
+    for name, columns in layout.columns.items():
         topic = run[name]
         for rows, source in common_rows(stamp, topic.stamp):
             values = topic.values[source, : columns.stop - columns.start]
             odd = ~np.isfinite(values).all(axis=1)
-            if odd.any() and columns != CAMERA:
+            if odd.any() and name not in layout.held:
                 seconds = (stamp[rows[odd][0]] - stamp[0]) / NANO
                 raise BagError(
                     f"{run.path}: for a replay the samples of {name} must be finite, got {values[odd][0]} "
@@ -189,6 +223,7 @@ def replay(
     estimator: EstimatorCore,
     controller: ControllerCore,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    layout: SensorLayout = REFERENCE_LAYOUT,
 ) -> Replayed:
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
@@ -200,23 +235,26 @@ def replay(
     run : with the sensor topics
     estimator, controller : both are reset first
     progress : called with (ticks done, all ticks) about every second of the run
+    layout : topics that make the measurement
     """
-    given = sensors(run)
+    given, platform = sensors(run, layout), layout.columns[layout.platform]
     recorded = run["los_estimate"].stamp if "los_estimate" in run else None
     rows = _ticks(given.stamp, recorded)
     stamp = _rows_of(given.stamp, rows)
     total = 2 * len(stamp)
     estimator.reset()
-    step = GapStepper(estimator.step, MEASUREMENTS, CAMERA)
+    step = GapStepper(estimator.step, layout.size, layout.held_columns)
     estimate = _stepped(
         lambda part: given.measurement[rows[part]], step, stamp, given.period, 2, lambda i: progress(i, total)
     )
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
     command_stamp = _rows_of(stamp, acted)
     controller.reset()
-    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + PLATFORM.stop)
+    step = GapStepper(
+        lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + platform.stop - platform.start
+    )
     command = _stepped(
-        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], PLATFORM]]),
+        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], platform]]),
         step,
         command_stamp,
         given.period,
@@ -310,7 +348,7 @@ class Comparison:
         return "; ".join(parts) or "the bag holds neither estimates nor commands to compare with"
 
 
-def compare(run: Run, replayed: Replayed) -> Comparison:
+def compare(run: Run, replayed: Replayed, layout: SensorLayout = REFERENCE_LAYOUT) -> Comparison:
     """Compare a replay with the estimates and commands in the bag, by the bits of each number."""
     found = []
     for name, (stamp, values) in replayed.topics().items():
@@ -328,4 +366,4 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
             largest = max(largest, float(np.fmax.reduce(np.abs(a - b), axis=None))) if len(a) else largest
         lone = len(stamp) + len(topic) - 2 * compared
         found.append(Difference(name, compared, wrong, lone, first, largest))
-    return Comparison(tuple(found), _complete_ticks(run)[2])
+    return Comparison(tuple(found), _complete_ticks(run, layout)[2])

@@ -8,7 +8,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from titop_plant.interface import CAMERA, COMMANDS, MEASUREMENTS
-from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.simulation.sampled_plant import SampledPlant, slow_sensors
 
 
 class PlantBatch:
@@ -34,6 +34,7 @@ class PlantBatch:
         first, count = plants[0], len(plants)
         self._plants, self._n, self.tick = plants, first._n, 0
         self.frame_ticks, self._limits, self._lowest = first.frame_ticks, first.limits, first._lowest
+        self._slow = slow_sensors(self.frame_ticks)
         self._step = np.stack([plant._segments[0].step for plant in plants])
         self._turn = np.stack([plant._segments[0].turn for plant in plants])
         self._z = np.stack([plant._z for plant in plants])
@@ -71,6 +72,9 @@ class PlantBatch:
         np.add(self._out[:, n : n + MEASUREMENTS], self._noise[:, row] if noisy else 0.0, out=measurement)
         measurement += self._bias
         truth[:] = self._out[:, n + MEASUREMENTS :]
+        for columns, ticks in self._slow:
+            if self.tick % ticks:
+                measurement[:, columns] = np.nan
         if self.tick % self.frame_ticks:
             measurement[:, CAMERA] = np.nan
         else:

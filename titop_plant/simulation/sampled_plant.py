@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from titop_plant.interface import CAMERA, COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, MEASUREMENTS, TRUTH, sample_ticks
 
 _NOISE_BLOCK = 64
 
@@ -31,7 +31,7 @@ class Segment:
     ticks : int
         Length; the last segment goes on for ever.
     step : ndarray, shape (n + 24, n + 8 + 2 K)
-        Next state (n), then measurement (22: accelerations 18, filtered line of sight 2, mirror 2) and
+        Next state (n), then measurement (22) and
         truth (2) from state, command (8) and the phasors of K tones (real, imaginary in turn).
     turn : ndarray, shape (K,), complex
         e^(i w h) of each tone.
@@ -53,7 +53,7 @@ class SensorModel:
     bias : ndarray, shape (22,)
         Added to every sample.
     frame_ticks : int
-        Ticks between camera frames.
+        Ticks between camera frames; other sensors have the rate of their entry.
     dropout : float
         Probability that a frame is lost (read as NaN).
     seed : int
@@ -64,6 +64,18 @@ class SensorModel:
     frame_ticks: int
     dropout: float
     seed: int
+
+
+def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
+    """Columns of the sensors beside the camera that are slower than the tick, and their ticks.
+
+    Parameters
+    ----------
+    frame_ticks : int
+        Ticks between camera frames.
+    """
+    found = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
+    return tuple((columns, ticks) for columns, ticks in found if columns != CAMERA)
 
 
 class SampledPlant:
@@ -113,6 +125,7 @@ class SampledPlant:
         self._phasor = np.zeros(self._p.size, complex)
         self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
+        self._slow = slow_sensors(self.frame_ticks)
         self.reset()
 
     def reset(self) -> None:
@@ -163,7 +176,7 @@ class SampledPlant:
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick.
 
-        ``measurement[CAMERA]`` holds a camera frame every `frame_ticks` ticks and NaN otherwise, also for
+        A sensor that is slower than the tick has its sample every so many ticks and NaN otherwise, the camera also for
         a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
         """
         n = self._n
@@ -177,6 +190,9 @@ class SampledPlant:
         np.add(self._out[n : n + MEASUREMENTS], self._block[row] if self._noisy else 0.0, out=measurement)
         measurement += self._sensors.bias
         truth[:] = self._out[n + MEASUREMENTS :]
+        for columns, ticks in self._slow:
+            if self.tick % ticks:
+                measurement[columns] = np.nan
         if self.tick % self.frame_ticks:
             measurement[CAMERA] = np.nan
         elif self._dropout > 0.0:

@@ -8,7 +8,7 @@ from simple_telescope import write_controllers
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled_system import SampledSystem
-from los_estimator.runtime import LosEstimator, hold_camera
+from los_estimator.runtime import LosEstimator, hold_values
 from titop_plant.interface import (
     CAMERA,
     COMMANDS,
@@ -158,5 +158,5 @@ def test_a_camera_value_is_held_unless_both_axes_are_finite() -> None:
         ((3.0, -4.0), [3.0, -4.0]),
     ):
         measurement[18:20] = frame
-        hold_camera(measurement, held)
+        hold_values(measurement, held)
         assert held.tolist() == expected

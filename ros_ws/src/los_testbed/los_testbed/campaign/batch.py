@@ -11,15 +11,16 @@ import numpy as np
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
-from los_estimator.runtime import hold_camera
+from los_estimator.runtime import hold_values
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import BLOCK, SIGNALS, LoopDivergedError
 from titop_plant.interface import (
-    CAMERA,
     COMMANDS,
     ESTIMATES,
     FORCE_STAGES,
     FORCES,
+    HELD,
+    K_FSM_INPUTS,
     MEASUREMENTS,
     PLATFORM,
     TRUTH,
@@ -67,8 +68,8 @@ class MemberLoop:
     plant : SampledPlant
     k_fsm, k_pma : ndarray
         States of the controllers.
-    camera : ndarray, shape (2,)
-        Camera value that is held [rad].
+    camera : ndarray, shape (h,)
+        Values that are held, of a camera [rad].
     command : ndarray, shape (8,)
         Command that the first tick applies [rad, N].
     sink : callable
@@ -129,9 +130,9 @@ def simulate_members(
     """
     count = len(loops)
     plant = PlantBatch([loop.plant for loop in loops])
-    observer = _Systems(systems["k_fsm"], [loop.k_fsm for loop in loops])
+    observer = _Systems(systems["k_fsm"].with_inputs(K_FSM_INPUTS), [loop.k_fsm for loop in loops])
     law = _Systems(systems["k_pma"], [loop.k_pma for loop in loops])
-    camera, command = np.array([loop.camera for loop in loops]), np.array([loop.command for loop in loops])
+    held, command = np.array([loop.camera for loop in loops]), np.array([loop.command for loop in loops])
     seen, force = np.empty((count, MEASUREMENTS)), np.empty((count, FORCES.stop - FORCES.start))
     accelerations, los = np.empty((count, PLATFORM.stop - PLATFORM.start)), np.empty((count, ESTIMATES))
     forces_closed = controller.loop in FORCE_STAGES
@@ -142,13 +143,12 @@ def simulate_members(
     for first in range(0, ticks, BLOCK):
         rows = min(BLOCK, ticks - first)
         for row in range(rows):
-            at_frame = plant.tick % plant.frame_ticks == 0
             plant.step(command, measurement, truth)
-            if at_frame:
-                for values, held in zip(measurement, camera):
-                    hold_camera(values, held)
+            if np.isfinite(measurement[:, HELD]).any():
+                for values, kept in zip(measurement, held):
+                    hold_values(values, kept)
             seen[:] = measurement
-            seen[:, CAMERA] = camera
+            seen[:, HELD] = held
             observer.step(seen, los)
             if forces_closed:
                 accelerations[:] = measurement[:, PLATFORM]

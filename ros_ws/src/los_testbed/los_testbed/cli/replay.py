@@ -104,7 +104,7 @@ def _through(
     warn(chosen.warnings)
     with Progress("replay [ticks]") as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
-    comparison = compare(run, replayed)
+    comparison = compare(run, replayed, replay_run.LAYOUT)
     found = replay_run.metrics(run, replayed, transient)
     _show(console, comparison, found, chosen.as_recorded)
     content = replay_run.as_dict(run, chosen, comparison, found)
@@ -132,7 +132,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     content["answers"] = {name: len(stamps) for name, (stamps, _) in played.answers.items()}
     content["identical"] = None
     if played.answers:
-        comparison = compare(run, played.replayed())
+        comparison = compare(run, played.replayed(), replay_run.LAYOUT)
         content["identical"] = comparison.identical
         console.print(f"answers of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
     if output is not None:

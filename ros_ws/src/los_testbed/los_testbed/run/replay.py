@@ -27,7 +27,7 @@ from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
 from los_testbed.run_start import START_FILE, RunStart
-from los_testbed.topics import TOPICS
+from los_testbed.topics import ISOLATOR_ACCEL, SENSORS, TOPICS
 from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
@@ -45,6 +45,13 @@ from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 
 WINDOW = 0.02
 CHUNK_NS = RATE * TICK_NS
+
+LAYOUT = replay.SensorLayout(
+    {topic.name: topic.columns for topic in sorted(SENSORS, key=lambda topic: topic.columns.start)},
+    tuple(topic.name for topic in SENSORS if topic.framed),
+    ISOLATOR_ACCEL.name,
+)
+"""The sensors of the loop."""
 
 Signals = Mapping[str, tuple[NDArray[np.int64], FloatArray]]
 
@@ -160,7 +167,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
         Observer or controller leave the finite numbers.
     """
     with one_thread(), np.errstate(all="ignore"):
-        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress)
+        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, LAYOUT)
     _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
     _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed
