@@ -68,7 +68,8 @@ class LosEstimator:
     """
 
     def __init__(self, k_fsm: SampledSystem) -> None:
-        k_fsm = k_fsm.with_inputs(K_FSM_INPUTS)
+        if k_fsm.outputs == K_FSM_OUTPUTS:
+            k_fsm = k_fsm.with_inputs(K_FSM_INPUTS)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
         self._u = np.zeros(MEASUREMENTS)

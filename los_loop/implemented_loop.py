@@ -9,8 +9,8 @@ matrix with the 48 Delta channels, and every response at any parameter values is
 Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
 line of sight (2), the 8 commands applied to the plant.
 
-Commands are held for a tick (:mod:`los_loop.open_loop`). The hold of the
-camera value between frames is its fundamental, the mean of the delays of one frame period: sidebands are left out.
+Commands are held for a tick (:mod:`los_loop.open_loop`). The hold of
+the values of slower sensors is its fundamental, the mean of the delays of a sample's ticks: sidebands are left out.
 :func:`los_loop.sampled_loop_norms.tone_response` has both exactly and confirms what is found here.
 """
 
@@ -32,7 +32,6 @@ from los_loop.spec import (
     ADDED,
     APPLIED,
     DISTURBANCE,
-    HELD,
     INPUTS,
     LINE_OF_SIGHT,
     OUTPUTS,
@@ -40,11 +39,13 @@ from los_loop.spec import (
     laws,
 )
 from titop_plant.interface import (
+    COLUMNS,
     COMMANDS,
     DT,
     FRAME_TICKS,
     MEASUREMENTS,
     TRUTH,
+    sample_ticks,
 )
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
@@ -144,7 +145,7 @@ class ImplementedLoop:
         return self.open.delta(point)
 
     def control(self, omega: float) -> ComplexArray:
-        """Commands by measurements, shape (8, 22), one tick of delay and the hold of the camera value in it."""
+        """Commands by measurements, shape (8, 22), one tick of delay and the hold of slower sensors in it."""
         return np.asarray(self.controls(np.array([omega]))[0])
 
     def controls(self, omega: FloatArray) -> ComplexArray:
@@ -154,7 +155,8 @@ class ImplementedLoop:
         for law in self.laws:
             if law.gain:
                 out[:, law.command, law.measured] = law.gain * _sampled_responses(law.system, z)
-        out[:, :, HELD] *= held_response(z, FRAME_TICKS)[:, None, None]
+        for name, ticks in sample_ticks(FRAME_TICKS).items():
+            out[:, :, COLUMNS[name]] *= held_response(z, ticks)[:, None, None]
         return np.asarray(out / z[:, None, None])
 
     def at(self, omega: float) -> ClosedAt:

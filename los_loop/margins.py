@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from lftkit.analysis.batched_linalg import eigenvalues, largest_gains
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
-from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, MIRROR
+from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, HELD, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 GAINS = (0.5, 2.0)
@@ -143,19 +142,20 @@ def unstable_changes(loop: SampledLoop, stage: str) -> list[str]:
 def scaled(loop: SampledLoop, gains: FloatArray) -> SampledLoop:
     """The loop with its commands multiplied by `gains` (8,)."""
     rows = slice(loop.plant_order, loop.plant_order + COMMANDS)
-    changed: dict[str, Any] = {}
-    for name in ("frame", "hold", "noise_frame", "noise_hold"):
-        matrix = getattr(loop, name).copy()
-        matrix[rows] *= gains[:, None]
-        changed[name] = matrix
-    return replace(loop, **changed)
+
+    def change(matrix: FloatArray) -> FloatArray:
+        changed = matrix.copy()
+        changed[rows] *= gains[:, None]
+        return changed
+
+    return loop.changed(change, change, loop.truth)
 
 
 def delayed(loop: SampledLoop) -> SampledLoop:
-    """The loop with one more tick of delay at all commands; 8 states more, before the camera value."""
+    """The loop with one more tick of delay at all commands; 8 states more, before the held values."""
     V = np.arange(loop.plant_order, loop.plant_order + COMMANDS)
     n = loop.hold.shape[0]
-    order = np.r_[np.arange(n - 2), np.arange(n, n + COMMANDS), n - 2, n - 1]
+    order = np.r_[np.arange(n - HELD.size), np.arange(n, n + COMMANDS), np.arange(n - HELD.size, n)]
 
     def later(A: FloatArray) -> FloatArray:
         whole = np.zeros((n + COMMANDS, n + COMMANDS))
@@ -170,11 +170,4 @@ def delayed(loop: SampledLoop) -> SampledLoop:
 
     truth = np.hstack([loop.truth, loop.truth[:, V]])
     truth[:, V] = 0.0
-    return replace(
-        loop,
-        frame=later(loop.frame),
-        hold=later(loop.hold),
-        noise_frame=widened(loop.noise_frame),
-        noise_hold=widened(loop.noise_hold),
-        truth=truth[:, order],
-    )
+    return loop.changed(later, widened, truth[:, order])

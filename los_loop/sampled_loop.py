@@ -1,24 +1,39 @@
-"""The implemented loop as one sampled linear system: plant, one-tick delay, camera hold, controllers.
+"""The implemented loop as one sampled linear system: plant, one-tick delay, held values, controllers.
 
-The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, last camera value
-(zero-order hold between frames). With camera frames every N ticks the loop is periodic; its stability is that of the
-product of the N one-tick matrices.
+The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, last values of the
+sensors that are slower than the tick (zero-order hold until the next). The loop is periodic: with a period of N ticks,
+after which all sensors have a sample again, its stability is that of the product of the N one-tick matrices.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar, cast
 
 import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, StateSpace
 from lftkit.arrays import ComplexArray, FloatArray
-from los_loop.spec import HELD, laws, state_parts
-from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
+from los_loop.spec import laws, state_parts
+from titop_plant.interface import (
+    COLUMNS,
+    COMMANDS,
+    DT,
+    FRAME_TICKS,
+    HELD,
+    HELD_PARTS,
+    MEASUREMENTS,
+    TRUTH,
+    period_ticks,
+    sample_ticks,
+)
 from titop_plant.simulation.build import sample
 from titop_plant.simulation.disturbances import no_tones
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -28,15 +43,19 @@ class SampledLoop:
     Parameters
     ----------
     frame, hold : ndarray, shape (n, n)
-        Next state from state at a tick with and without a camera frame.
+        Next state from state at a tick at which all sensors have a sample, and at which those that are held have none.
     noise_frame, noise_hold : ndarray, shape (n, 22)
         Next state from the measurement noise of the tick.
     truth : ndarray, shape (2, n)
         Controlled line of sight [rad] from the state.
     frame_ticks : int
-        N.
+        N, the period: ticks from one tick with all sensors to the next.
     plant_order : int
         Number of plant states, the first of the state.
+    between : mapping of int to (ndarray, ndarray)
+        The same two matrices at the other ticks of a period at which a sensor that is held has a sample.
+    sample_ticks : mapping of str to int
+        Ticks from one sample to the next of each port that is held; those left out have one in a period.
     """
 
     frame: FloatArray
@@ -46,19 +65,88 @@ class SampledLoop:
     truth: FloatArray
     frame_ticks: int
     plant_order: int
+    between: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    sample_ticks: Mapping[str, int] = field(default_factory=dict)
+
+    def at(self, tick: int) -> tuple[FloatArray, FloatArray]:
+        """Next state from state and from measurement noise at a tick of the run."""
+        k = tick % self.frame_ticks
+        if k == 0:
+            return self.frame, self.noise_frame
+        return self.between.get(k, (self.hold, self.noise_hold))
+
+    def each_tick(self, make: Callable[[FloatArray, FloatArray], Made]) -> list[Made]:
+        """What `make` gives for the matrices of each tick of a period; equal matrices are made once."""
+        made: dict[int, Made] = {}
+        for k in range(self.frame_ticks):
+            A, N = self.at(k)
+            if id(A) not in made:
+                made[id(A)] = make(A, N)
+        return [made[id(self.at(k)[0])] for k in range(self.frame_ticks)]
+
+    def changed(
+        self, matrix: Callable[[FloatArray], FloatArray], noise: Callable[[FloatArray], FloatArray], truth: FloatArray
+    ) -> SampledLoop:
+        """The loop with all its matrices changed alike."""
+        made = {id(A): (matrix(A), noise(N)) for A, N in self.between.values()}
+        return replace(
+            self,
+            frame=matrix(self.frame),
+            hold=matrix(self.hold),
+            noise_frame=noise(self.noise_frame),
+            noise_hold=noise(self.noise_hold),
+            truth=truth,
+            between={k: made[id(A)] for k, (A, _) in self.between.items()},
+        )
+
+    @property
+    def free(self) -> FloatArray:
+        """Next state from state with the held values at zero, without those."""
+        return self.hold[: -HELD.size, : -HELD.size]
 
     @cached_property
     def period(self) -> FloatArray:
-        """State at the next camera frame from the state at a frame, before its measurement, shape (n, n)."""
-        return np.asarray(np.linalg.matrix_power(self.hold, self.frame_ticks - 1) @ self.frame)
+        """State a period after a tick with all sensors from the state at that tick, before its measurement (n, n)."""
+        result, last = self.frame, 0
+        for k in sorted(self.between):
+            result, last = self.between[k][0] @ self._held_for(k - last - 1, result), k
+        return self._held_for(self.frame_ticks - last - 1, result)
+
+    def _held_for(self, ticks: int, matrix: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.matrix_power(self.hold, ticks) @ matrix)
 
     def multipliers(self) -> ComplexArray:
-        """Eigenvalues of the matrix over a frame period."""
+        """Eigenvalues of the matrix over a period."""
         return np.asarray(linalg.eigvals(self.period), dtype=complex)
 
     def spectral_radius(self) -> float:
-        """Largest growth factor per tick, the N-th root of the spectral radius over a frame period; stable below 1."""
+        """Largest growth factor per tick, the N-th root of the spectral radius over a period; stable below 1."""
         return radius_of(self.multipliers(), self.frame_ticks)
+
+    def slow_modes(self, multipliers: ComplexArray, highest: float, damping: float) -> FloatArray:
+        """Frequencies [rad/s] of oscillating modes below `highest` with a damping ratio below `damping`.
+
+        Parameters
+        ----------
+        multipliers : ndarray
+            Of :meth:`multipliers`.
+        highest, damping : float
+        """
+        if highest < np.pi / (self.frame_ticks * DT):
+            return slow_modes(multipliers, self.frame_ticks, highest, damping)
+        values, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(self.period))
+        light = -np.log(np.maximum(np.abs(values), 1e-300)) < damping * highest * self.frame_ticks * DT
+        values, state = values[light], vectors[:, light].astype(complex)
+        turned: ComplexArray = np.zeros(values.size, complex)
+        for k in range(self.frame_ticks):  # of frequencies that are alike over a period: that at which the state turns
+            after = self.at(k)[0] @ state
+            turned += np.sum(state.conj() * after, axis=0)
+            state = after
+        phase = np.angle(values)
+        phase = phase + 2.0 * np.pi * np.round((self.frame_ticks * np.angle(turned) - phase) / (2.0 * np.pi))
+        poles = (np.log(np.abs(values)) + 1j * phase) / (self.frame_ticks * DT)
+        found = poles[(poles.imag > 0.0) & (poles.imag < highest) & (-poles.real < damping * np.abs(poles))]
+        return np.asarray(np.sort(found.imag), dtype=float)
 
 
 def radius_of(multipliers: ComplexArray, frame_ticks: int) -> float:
@@ -84,7 +172,7 @@ def sampled_loop(
     k_pma: SampledSystem,
     *,
     loop: str,
-    frame_ticks: int,
+    frame_ticks: int = FRAME_TICKS,
     los_sensitivity: float | None = None,
 ) -> SampledLoop:
     """Close the sampled loop around a plant at given parameter values.
@@ -97,7 +185,7 @@ def sampled_loop(
     k_fsm, k_pma : SampledSystem
     loop : {"isolator", "fsm", "fsm+pma"}
     frame_ticks : int
-        Ticks between camera frames.
+        Ticks between camera frames; other sensors have the rate of their entry.
     los_sensitivity : float, optional
         Of the telescope's mirror: the mirror law divides by it where the file of K_FSM does not say for which one it
         was made.
@@ -115,11 +203,12 @@ def sampled_loop(
     Y = np.zeros((MEASUREMENTS, size))
     Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
 
-    def tick(with_frame: bool) -> tuple[FloatArray, FloatArray]:
+    def tick(sampled: frozenset[str]) -> tuple[FloatArray, FloatArray]:
         measured, noise = Y.copy(), np.eye(MEASUREMENTS)
-        if not with_frame:
-            measured[HELD], noise[HELD] = 0.0, 0.0
-            measured[HELD, H] = np.eye(HELD.size)
+        for name, part in HELD_PARTS.items():
+            if name not in sampled:
+                measured[COLUMNS[name]], noise[COLUMNS[name]] = 0.0, 0.0
+                measured[COLUMNS[name], H.start + part.start : H.start + part.stop] = np.eye(part.stop - part.start)
         sensed = np.hstack([measured, noise])
         out = np.zeros((size, size + MEASUREMENTS))
         out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
@@ -133,8 +222,12 @@ def sampled_loop(
             command[law.command, states] += law.gain * K.C
         return out[:, :size], out[:, size:]
 
-    frame, noise_frame = tick(True)
-    hold, noise_hold = tick(False)
+    every, period = sample_ticks(frame_ticks), period_ticks(frame_ticks)
+    due = {k: frozenset(name for name, ticks in every.items() if k % ticks == 0) for k in range(period)}
+    frame, noise_frame = tick(due[0])
+    hold, noise_hold = tick(frozenset())
+    some = {names: tick(names) for names in set(due.values()) - {due[0], frozenset()}}
+    between = {k: some[names] for k, names in due.items() if names in some}
     truth = np.zeros((TRUTH, size))
     truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
-    return SampledLoop(frame, hold, noise_frame, noise_hold, truth, frame_ticks, n)
+    return SampledLoop(frame, hold, noise_frame, noise_hold, truth, period, n, between, every)

@@ -2,9 +2,9 @@
 
 Independent of the tuner: the plant is sampled exactly, commands act one tick late, controllers are the sampled files.
 A disturbance tone is not held but integrated over each tick, so its response at the ticks is exact at every frequency.
-The zero-order hold of the camera value between frames makes the loop periodic: a tone at w causes a response also at
-the sidebands w + k w_frame. Gains include the power of the sidebands, noise is the mean variance over a frame period,
-and stability is that of the product of the one-tick matrices over a period. **The metrics of an unstable loop are
+The zero-order hold of the values of slower sensors makes the loop periodic: a tone at w causes a response also at the
+sidebands w + k w_period. Gains include the power of the sidebands, noise is the mean variance over a period, and
+stability is that of the product of the one-tick matrices over a period. **The metrics of an unstable loop are
 infinite.**
 """
 
@@ -23,8 +23,17 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, sampled_loop
-from los_loop.spec import APPLIED, HELD, LINE_OF_SIGHT, OUTPUTS, held_response
-from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, MIRROR_STAGES, PLATFORM
+from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response
+from titop_plant.interface import (
+    COMMANDS,
+    DT,
+    FRAME_TICKS,
+    HELD,
+    HELD_PARTS,
+    MEASUREMENTS,
+    MIRROR_STAGES,
+    PLATFORM,
+)
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
@@ -32,7 +41,7 @@ from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 LOS = OUTPUTS[LINE_OF_SIGHT]
 SIDEBANDS = 4
-"""Sidebands of the camera's frame rate that are included on each side."""
+"""Sidebands of a sensor's rate that are included on each side."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def sampled_loop_metrics(
     parameters: Parameters,
     *,
     loop: str,
-    frame_ticks: int,
+    frame_ticks: int = FRAME_TICKS,
     noise: bool = True,
     sensors: str | None = None,
 ) -> SampledLoopMetrics:
@@ -132,7 +141,7 @@ def weighted_response(
     The gain is the largest root mean square of the weighted line of sight over the frame period, times the square
     root of 2: the amplitude of a tone of that power.
     """
-    omega = loop_grid(plant, loop.hold[:-2, :-2], low)
+    omega = loop_grid(plant, loop.free, low)
     return omega, *weighted_gains(loop, plant, parameters, omega)
 
 
@@ -146,7 +155,7 @@ def weighted_gains(
     weight = rpe_weight(omega, window)[:, None, None]
     stack = [weight * tone.fundamental[:, LOS] * size]
     if tone.camera is not None:
-        power = np.zeros((omega.size, 2, 2), complex)
+        power = np.zeros((omega.size, *[tone.camera.shape[1]] * 2), complex)
         for shift, gain in tone.sidebands:
             weighted = rpe_weight(np.abs(omega + shift), window)[:, None, None] * gain
             power += weighted.conj().swapaxes(1, 2) @ weighted
@@ -171,10 +180,11 @@ class ToneResponse:
     ----------
     fundamental : ndarray, shape (k, 10, 22)
         Line of sight (2) and commands (8) at w.
-    camera : ndarray, shape (k, 2, 22), or None
-        Camera value at its frames; None where every tick has a frame.
+    camera : ndarray, shape (k, c, 22), or None
+        Held values at their samples: of each port that is held its components at the frequencies that differ at its
+        samples, see :func:`tone_response`; with one camera c = 2. None where every tick has a sample.
     sidebands : list of (shift, gain)
-        Line of sight at w + shift [rad/s] due to the camera value, gains of shape (k, 2, 2).
+        Line of sight at w + shift [rad/s] due to the held values, gains of shape (k, 2, c).
     """
 
     fundamental: ComplexArray
@@ -188,43 +198,73 @@ def disturbance_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray
 
 
 def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ToneResponse:
-    """Response at the ticks, the zero-order-hold camera value closed around the rest of the loop.
+    """Response at the ticks, the zero-order-hold values closed around the rest of the loop.
 
-    Sidebands beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With a frame period of
-    at most ``2 SIDEBANDS + 1`` ticks all of them are included and the response is exact.
+    A tone at w makes signals at ``w + l w_N`` with the frequency ``w_N`` of the period of N ticks. A sensor with a
+    sample every n ticks sees those alike whose l differ by a multiple of ``N / n``: its samples have ``N / n``
+    components, each of which is held and so makes n signals. The components of all sensors are one linear system.
+
+    Sidebands of a component beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With at
+    most ``2 SIDEBANDS + 1`` ticks from sample to sample all of them are included and the response is exact.
     """
-    n, size, ticks = loop.plant_order, loop.hold.shape[0] - HELD.size, loop.frame_ticks
-    A, N = loop.hold[:size, :size], loop.noise_hold[:size]
-    if ticks == 1:
-        A, N = loop.frame[:size, :size], loop.noise_frame[:size]
+    n, size, period = loop.plant_order, loop.hold.shape[0] - HELD.size, loop.frame_ticks
+    A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
+    held = _components(loop)
+    kept = np.concatenate([size + np.arange(HELD.size)[part] for part, _, _ in held]) if held else np.arange(0)
     outputs = np.zeros((APPLIED.stop, size))
     outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
-    enter, read = loop.hold[:size, size:], loop.frame[size:, :size]
-    mu, W = eigenpairs(A)
-    right, left = linalg.inv(W), np.vstack([outputs, read]) @ W
+    mu, W = eigenpairs(A[:, :size])
+    right, left = linalg.inv(W), np.vstack([outputs, loop.frame[kept, :size]]) @ W
     z = np.exp(1j * omega * DT)
-    rows = left[None] / (z[:, None, None] - mu)  # (k, 12, size), to be followed by `right`
+    rows = left[None] / (z[:, None, None] - mu)  # (k, 10 + held, size), to be followed by `right`
     # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
     through = plant.D[:MEASUREMENTS, COMMANDS:]
     forced = _forced(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
-    if ticks == 1:
-        return ToneResponse(forced[:, : APPLIED.stop], None, [])
-    forced[:, APPLIED.stop :] += loop.noise_frame[size:] @ through
-    entry, ends = right @ enter, np.vstack([left[LOS], left[APPLIED.stop :]])
-    loop_gain, sidebands = np.zeros((omega.size, 2, 2), complex), []
-    count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
-    for k in range(-(count // 2), count - count // 2):
-        shift = 2.0 * np.pi * k / (ticks * DT)
-        zk = np.exp(1j * (omega + shift) * DT)
-        hold = held_response(zk, ticks)[:, None, None]
-        gain = (ends[None] / (zk[:, None, None] - mu)) @ entry * hold
-        loop_gain += gain[:, 2:]
-        if k:
-            sidebands.append((shift, gain[:, :2]))
-    camera = np.linalg.solve(np.eye(2) - loop_gain, forced[:, APPLIED.stop :])
-    hold = held_response(z, ticks)[:, None, None]
+    if not held:
+        return ToneResponse(forced, None, [])
+    forced[:, APPLIED.stop :] += loop.noise_frame[kept] @ through
+    entry, ends = right @ A[:, kept], np.vstack([left[LOS], left[APPLIED.stop :]])
+    places, own = _places(held), np.cumsum([0, *(part.stop - part.start for part, _, _ in held)])
+    total = sum(place.stop - place.start for place in places.values())
+    loop_gain = np.zeros((omega.size, total, total), complex)
+    sidebands: dict[int, ComplexArray] = {}
+    for (s, m), place in places.items():
+        ticks, classes = held[s][1:]
+        count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
+        for k in range(-(count // 2), count - count // 2):
+            side = (m + classes * k + period // 2) % period - period // 2
+            zk = np.exp(1j * (omega + 2.0 * np.pi * side / (period * DT)) * DT)
+            hold = held_response(zk, ticks)[:, None, None]
+            gain = (ends[None] / (zk[:, None, None] - mu)) @ entry[:, own[s] : own[s + 1]] * hold
+            for r, (_, _, others) in enumerate(held):
+                loop_gain[:, places[r, side % others], place] += gain[:, 2 + own[r] : 2 + own[r + 1]]
+            if side:
+                sidebands.setdefault(side, np.zeros((omega.size, 2, total), complex))[:, :, place] += gain[:, :2]
+    seen = np.zeros((omega.size, total, forced.shape[2]), complex)
+    for s in range(len(held)):
+        seen[:, places[s, 0]] = forced[:, APPLIED.stop + own[s] : APPLIED.stop + own[s + 1]]
+    camera: ComplexArray = np.asarray(np.linalg.solve(np.eye(total) - loop_gain, seen), dtype=np.complex128)
+    holds = [held_response(z, ticks)[:, None, None] * camera[:, places[s, 0]] for s, (_, ticks, _) in enumerate(held)]
     whole = slice(0, APPLIED.stop)
-    return ToneResponse(forced[:, whole] + rows[:, whole] @ entry @ (hold * camera), camera, sidebands)
+    fundamental = forced[:, whole] + rows[:, whole] @ entry @ np.concatenate(holds, axis=1)
+    return ToneResponse(
+        fundamental, camera, [(2.0 * np.pi * side / (period * DT), gain) for side, gain in sidebands.items()]
+    )
+
+
+def _components(loop: SampledLoop) -> list[tuple[slice, int, int]]:
+    """Of each port without a sample at every tick: part of the held values, ticks of a sample, components of it."""
+    every = {name: loop.sample_ticks.get(name, loop.frame_ticks) for name in HELD_PARTS}
+    return [(HELD_PARTS[name], n, loop.frame_ticks // n) for name, n in every.items() if n > 1]
+
+
+def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
+    """Place of each component (number of the port, number of its component) in the vector of all of them."""
+    places, start = {}, 0
+    for s, (part, _, classes) in enumerate(held):
+        for m in range(classes):
+            places[s, m] = slice(start, start := start + part.stop - part.start)
+    return places
 
 
 def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
@@ -244,7 +284,7 @@ def noise_metrics(
     parameters: Parameters,
     *,
     loop: str,
-    frame_ticks: int,
+    frame_ticks: int = FRAME_TICKS,
     sensors: str | None = None,
 ) -> tuple[float, float]:
     """Line of sight due to sensor noise [rad rms, both axes], plain and as relative error; infinite if unstable.
@@ -273,8 +313,7 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
         np.hstack([loop.truth, np.zeros((2, m))]),
         np.hstack([w.D @ loop.truth, w.C]),
     )
-    frame, hold = extended(loop.frame, loop.noise_frame), extended(loop.hold, loop.noise_hold)
-    ticks = [frame] + [hold] * (loop.frame_ticks - 1)
+    ticks = loop.each_tick(extended)
     period: FloatArray = np.eye(n + m)
     accumulated: FloatArray = np.zeros((n + m, n + m))
     for A, Q in ticks:

@@ -144,7 +144,6 @@ __all__ = [
     "ADDED",
     "APPLIED",
     "DISTURBANCE",
-    "HELD",
     "INPUTS",
     "LINE_OF_SIGHT",
     "OUTPUTS",

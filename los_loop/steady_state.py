@@ -1,9 +1,10 @@
 """The steady state in which a run of the implemented loop starts: tones and sensor bias, nothing left to decay.
 
 Modes of the arrays ring for minutes and the washout answers the bias of the accelerometers for a minute: a run that is
-evaluated from its first second on must start in the steady state **of the loop that runs**, with the camera at its
-frame rate and the commands one tick late. The loop is periodic with the camera period; its steady state under tones and
-a constant bias is one solve for each tone (:meth:`los_loop.tone_model.ToneModel.phasors`) and one for the bias.
+evaluated from its first second on must start in the steady state **of the loop that runs**, with each sensor at its
+rate and the commands one tick late. The loop is periodic (:class:`los_loop.sampled_loop.SampledLoop`); its steady state
+under tones and a constant bias is one solve for each tone (:meth:`los_loop.tone_model.ToneModel.phasors`) and one for
+the bias.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class LoopStart:
         Command that tick 0 applies, within the limits of the actuators [rad, N].
     k_fsm, k_pma : ndarray
         States of the sampled controllers.
-    camera : ndarray, shape (2,)
-        Camera value that is held [rad].
+    camera : ndarray, shape (h,)
+        Values of the sensors that are held, of a camera [rad].
     """
 
     plant: FloatArray
@@ -87,7 +88,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
         )
     n = model.plant.A.shape[0]
     by_bias = bias_state(model.loop, bias)
-    if not (model.loop.hold[n : n + COMMANDS].any() or model.loop.frame[n : n + COMMANDS].any()):
+    if not any(model.loop.at(k)[0][n : n + COMMANDS].any() for k in range(model.loop.frame_ticks)):
         by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
     state = model.phasors().imag.sum(axis=1) + by_bias
     x, v, f, p, c = (state[part] for part in state_parts(n, *orders))
@@ -97,8 +98,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
 def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
     """State at tick 0 in the periodic steady state that a constant `bias` (22,) of the measurement makes."""
     state: FloatArray = np.zeros(loop.hold.shape[0])
-    for k in range(loop.frame_ticks):
-        A, drive = (loop.hold, loop.noise_hold) if k else (loop.frame, loop.noise_frame)
+    for A, drive in map(loop.at, range(loop.frame_ticks)):
         state = A @ state + drive @ bias
     return np.asarray(linalg.solve(np.eye(state.size) - loop.period, state))
 

@@ -8,8 +8,8 @@ The disturbance of a run is a set of tones, each on several of the 22 channels a
 with the norm of both axes above and the norm of the 22 channels below, **forces in N and torques in Nm
 weighted equally**. Of the record the model uses the tones only.
 
-H is exact: plant sampled with the tones integrated, commands one tick late, zero-order hold of the camera value between
-its frames. The hold makes the loop periodic; the response to a tone is the tone times a function with the period of N
+H is exact: plant sampled with the tones integrated, commands one tick late, zero-order hold of the values of slower
+sensors. The hold makes the loop periodic; the response to a tone is the tone times a function with the period of N
 ticks, and H is the mean of that function, which is what a fit of the tone to the record gives.
 
 H is the steady state, in which a run starts unless it is told to start at rest. The model is also simulated from the
@@ -152,7 +152,13 @@ class ToneModel:
         return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits, steady)
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Forcing by unit phasors: of the next state with a frame and without (n, K), of the line of sight."""
+        """Forcing by unit phasors: of the next state with all sensors and none (n, K), of the line of sight."""
+        drive, measured, through = self._entries()
+        frame, hold = (drive + N @ measured for N in (self.loop.noise_frame, self.loop.noise_hold))
+        return np.asarray(frame, complex), np.asarray(hold, complex), through
+
+    def _entries(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """What unit phasors add to the plant's part of the next state (n, K), to measurement and line of sight."""
         n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
         zeros = np.zeros(self.omega.size)
         tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
@@ -161,19 +167,22 @@ class ToneModel:
         factors = step[:, 1::2] + 1j * step[:, 0::2]
         drive = np.zeros((size, self.omega.size), complex)
         drive[:n] = factors[:n]
-        measured = factors[n : n + MEASUREMENTS]
-        frame, hold = drive + self.loop.noise_frame @ measured, drive + self.loop.noise_hold @ measured
-        return np.asarray(frame, complex), np.asarray(hold, complex), np.asarray(factors[n + MEASUREMENTS :], complex)
+        return drive, factors[n : n + MEASUREMENTS], np.asarray(factors[n + MEASUREMENTS :], complex)
+
+    def _ticks(self) -> tuple[list[tuple[FloatArray, ComplexArray]], ComplexArray]:
+        """Matrix and forcing of each tick of a period, and forcing of the line of sight."""
+        drive, measured, through = self._entries()
+        return self.loop.each_tick(lambda A, N: (A, np.asarray(drive + N @ measured, complex))), through
 
     def settled(self) -> ComplexArray:
-        """Amplitudes of the line of sight in steady state [rad], shape (2, K), mean over a camera period."""
+        """Amplitudes of the line of sight in steady state [rad], shape (2, K), mean over a period."""
         _, total, through = self._period(self.phasors())
         return np.asarray(total / self.loop.frame_ticks + through, dtype=np.complex128)
 
     def phasors(self) -> ComplexArray:
         """State of the loop at tick 0 in steady state, shape (n, K): of tone k the imaginary part of column k.
 
-        The camera period is solved exactly: no mode is left to decay.
+        The period is solved exactly: no mode is left to decay.
         """
         loop, size = self.loop, self.loop.hold.shape[0]
         forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
@@ -183,26 +192,25 @@ class ToneModel:
         return start
 
     def _period(self, state: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """State after a camera period, sum of the line of sight over it, its direct part; per unit of the phasors."""
-        frame, hold, through = self.forcing()
+        """State after a period, sum of the line of sight over it, its direct part; per unit of the phasors."""
+        ticks, through = self._ticks()
         turn, total = np.exp(1j * self.omega * DT), np.zeros((2, self.omega.size), complex)
-        for k in range(self.loop.frame_ticks):
+        for k, (A, drive) in enumerate(ticks):
             total += self.loop.truth @ state / turn**k
-            A, drive = (self.loop.hold, hold) if k else (self.loop.frame, frame)
             state = np.asarray(A @ state + drive * turn**k)
         return state, total, through
 
     def record(self, ticks: int) -> FloatArray:
         """Line of sight [rad], shape (ticks, 2), from the start of a run, commands limited."""
         n, loop = self.plant.A.shape[0], self.loop
-        frame, hold, through = self.forcing()
+        each, through = self._ticks()
         los = np.empty((ticks, 2))
         state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])
         np.clip(state[n : n + COMMANDS], -self.limits, self.limits, out=state[n : n + COMMANDS])
         for k in range(ticks):
             phasor = np.exp(1j * self.omega * DT * k)
             los[k] = loop.truth @ state + (through @ phasor).imag
-            A, forcing = (loop.hold, hold) if k % loop.frame_ticks else (loop.frame, frame)
+            A, forcing = each[k % loop.frame_ticks]
             state = A @ state + (forcing @ phasor).imag
             command = state[n : n + COMMANDS]
             np.clip(command, -self.limits, self.limits, out=command)

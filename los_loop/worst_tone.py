@@ -166,7 +166,7 @@ def worst_tone(
     if closed and not radius < 1.0:
         raise ValueError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
     row = figure(index)
-    omega = _band(loop_grid(plant, loop.hold[:-2, :-2]), row)
+    omega = _band(loop_grid(plant, loop.free), row)
     gains = _gains(loop, plant, parameters, omega, row)
     for peaks in (PEAKS, *[1] * ZOOMS):
         omega = _around(omega, gains, peaks)

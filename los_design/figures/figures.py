@@ -26,7 +26,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import FORCES, FRAME_TICKS, LOOP_DELAY, MIRROR
+from titop_plant.interface import FORCES, LOOP_DELAY, MIRROR
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.budget import MAX_SENSITIVITY
@@ -109,8 +109,8 @@ def stage_curves(
     else:
         plant = control_loop_plant(telescope(), parameters).data_at(values)
         sensitivity = float(parameters["fsm"]["los_sensitivity"])
-        loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
-        omega = loop_grid(plant, loop.hold[:-2, :-2], LOWEST, HIGHEST)
+        loop = sampled_loop(plant, *pair, loop=stage, los_sensitivity=sensitivity)
+        omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
         response = disturbance_response(loop, plant, omega)[:, :2]
     return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
 

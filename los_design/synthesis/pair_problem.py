@@ -33,19 +33,20 @@ from los_loop.figures_of_merit import FigureOfMerit, gain_figures, noise_figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import (
-    CAMERA,
     COLUMNS,
     COMMANDED,
     COMMANDS,
     DT,
     FORCES,
     FRAME_TICKS,
+    HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     MEASUREMENTS,
     MIRROR,
     MIRROR_STAGES,
     PLATFORM,
+    sample_ticks,
 )
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
@@ -73,7 +74,7 @@ LEAST_DECAY = 5e-4
 
 
 def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
-    """The two controllers; those in `tuned` have free entries (no direct path from the camera to the estimate)."""
+    """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate)."""
     mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
 
     def bilinear(omega: FloatArray) -> ComplexArray:
@@ -81,7 +82,7 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
         return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
 
     def filters(ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
-        chosen = [sensor for sensor in sensors(parameters) if sensor.port in ports]
+        chosen, ticks = [sensor for sensor in sensors(parameters) if sensor.port in ports], sample_ticks(FRAME_TICKS)
 
         def at(omega: FloatArray) -> ComplexArray:
             factors: list[ComplexArray] = []
@@ -89,8 +90,9 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
                 factor: ComplexArray = np.ones(len(omega), complex)
                 if sensor.washout:
                     factor = bilinear(omega) / (bilinear(omega) + sensor.washout)
-                if sensor.framed:
-                    factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * np.arange(FRAME_TICKS)), axis=1)
+                if sensor.port.name in ticks:
+                    held = np.arange(ticks[sensor.port.name])
+                    factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
                 factors += [factor] * sensor.port.size
             return np.stack(factors, axis=1)
 
@@ -101,7 +103,7 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
 
     estimates, forces = MIRROR.stop - MIRROR.start, FORCES.stop - FORCES.start
     free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + MEASUREMENTS), OBSERVER in tuned)
-    free[OBSERVER_ORDER:, OBSERVER_ORDER + CAMERA.start : OBSERVER_ORDER + CAMERA.stop] = False
+    free[OBSERVER_ORDER:, OBSERVER_ORDER + HELD] = False
     laws = np.full((ACTUATOR_ORDER + forces, ACTUATOR_ORDER + PLATFORM.stop - PLATFORM.start), ACTUATORS in tuned)
     return (
         ControllerBlock(
@@ -162,7 +164,7 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
-    omega, amplitude = nominal.omega, noise_of_ticks(parameters, FRAME_TICKS)
+    omega, amplitude = nominal.omega, noise_of_ticks(parameters)
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
         heard = np.zeros(MEASUREMENTS)

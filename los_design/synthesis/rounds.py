@@ -34,7 +34,6 @@ from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Kept, Outcome, RoundState
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import sampled_loop
-from titop_plant.interface import FRAME_TICKS
 
 Report = Callable[[str], None]
 MAX_NEW = 16
@@ -117,10 +116,7 @@ class Task:
         plant, pair = loop.system.data_at(dict(values or {})), self.sampled(x)
         sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
         return all(
-            sampled_loop(
-                plant, *pair, loop=STAGE_NAMES[stage], frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
-            ).spectral_radius()
-            < 1.0
+            sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity).spectral_radius() < 1.0
             for stage in self.stages
         )
 

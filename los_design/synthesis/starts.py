@@ -13,7 +13,7 @@ from lftkit.systems.ports import spread_columns
 from los_design.synthesis.store import design_ports
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_response
-from titop_plant.interface import DT, FRAME_TICKS
+from titop_plant.interface import DT
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
@@ -54,7 +54,7 @@ def screened(
     worst: dict[int, tuple[float, dict[str, float]]] = {}
     for values in candidates:
         plant = system.data_at(values)
-        closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity)
+        closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, los_sensitivity=sensitivity)
         omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
         band = np.searchsorted(SCREEN_BANDS, omega)
         for i in range(1, len(SCREEN_BANDS)):

@@ -23,9 +23,8 @@ from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, changed_loops, doubtful
-from los_loop.sampled_loop import radius_of, slow_modes
+from los_loop.sampled_loop import radius_of
 from los_loop.spec import ADDED, APPLIED
-from titop_plant.interface import FRAME_TICKS
 
 Values = Mapping[str, float]
 SLOW_STEP, FAST_STEP = 0.03, 0.003
@@ -151,9 +150,10 @@ def _look(search: Search, chunk: _Chunk) -> _Part:
     """Stability, largest values and changed loops of a chunk of points."""
     found, modes = [], list[FloatArray]()
     for values in chunk.points:
-        multipliers = search.loop.sampled_at(values)[1].multipliers()
-        found.append(radius_of(multipliers, FRAME_TICKS) < 1.0)
-        modes.append(slow_modes(multipliers, FRAME_TICKS, FINE_FROM, NARROW))
+        loop = search.loop.sampled_at(values)[1]
+        multipliers = loop.multipliers()
+        found.append(radius_of(multipliers, loop.frame_ticks) < 1.0)
+        modes.append(loop.slow_modes(multipliers, FINE_FROM, NARROW))
     stable = np.array(found)
     cube = np.array([search.loop.point(dict(values)) for values in chunk.points])
     metrics, omega = search.metrics, grid()

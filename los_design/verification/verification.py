@@ -24,7 +24,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margin, rounded
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import noise_metrics
-from titop_plant.interface import FORCES, FRAME_TICKS, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
+from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import MAX_SENSITIVITY, combined_level
 from titop_plant.telescope.parameters import Parameters, parameter_corners
@@ -242,11 +242,9 @@ def check_implemented(
     )
     nominal, noise = system.data_at({}), {}
     for stage in MIRROR_STAGES:
-        found = noise_metrics(nominal, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+        found = noise_metrics(nominal, *pair, parameters, loop=stage)
         noise[stage] = found
-    platform = noise_metrics(
-        nominal, *pair, parameters, loop=MIRROR_STAGES[-1], frame_ticks=FRAME_TICKS, sensors="platform"
-    )
+    platform = noise_metrics(nominal, *pair, parameters, loop=MIRROR_STAGES[-1], sensors="platform")
     delay = _delays(open_loop, pair, points)
     return ImplementedCheck(alone, both, noise, platform[0], delay, parameters)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lftkit import Port
 from lftkit.arrays import FloatArray
-from titop_plant.interface import sample_ticks
+from titop_plant.interface import FRAME_TICKS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.parameters import Parameters
 
@@ -77,7 +77,7 @@ def noise_of_samples(parameters: Parameters) -> FloatArray:
     return np.concatenate([sensor.noise for sensor in sensors(parameters)])
 
 
-def noise_of_ticks(parameters: Parameters, frame_ticks: int) -> FloatArray:
+def noise_of_ticks(parameters: Parameters, frame_ticks: int = FRAME_TICKS) -> FloatArray:
     """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
 
     Parameters

@@ -29,7 +29,7 @@ from los_loop.sampled_loop_norms import noise_metrics
 from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
 from los_testbed.campaign.model_loop import ModelLoop
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, STAGES
+from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks
@@ -111,7 +111,7 @@ class ModelDepth:
     ) -> ModelDepth:
         """Prepare what the members of a family share."""
         model = ModelLoop.of(system, parameters, k_fsm, k_pma, stage)
-        sigma = noise_of_ticks(parameters, FRAME_TICKS)
+        sigma = noise_of_ticks(parameters)
         seen = rpe_weight(model.omega, parameters["weights"]["rpe_window"])
         noise = _exact_noise(system, parameters, (k_fsm, k_pma), stage, {})
         everywhere = np.arange(model.omega.size)
@@ -221,7 +221,7 @@ def _exact_noise(
     stage: str,
     values: Mapping[str, float],
 ) -> tuple[float, float]:
-    return noise_metrics(system.data_at(values), *controllers, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+    return noise_metrics(system.data_at(values), *controllers, parameters, loop=stage)
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:

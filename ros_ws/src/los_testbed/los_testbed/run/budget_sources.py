@@ -102,8 +102,7 @@ def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: fl
 
 def _correlation(loop: SampledLoop, sigma: FloatArray, unit: float) -> Callable[[int], FloatArray]:
     """Covariance (2, 2) of the line of sight with itself some ticks later, mean over a frame period."""
-    frame, hold = (N * sigma for N in (loop.noise_frame, loop.noise_hold))
-    ticks = [(loop.frame, frame @ frame.T)] + [(loop.hold, hold @ hold.T)] * (loop.frame_ticks - 1)
+    ticks = loop.each_tick(lambda A, N: (A, (N * sigma) @ (N * sigma).T))
     size = len(loop.hold)
     period: FloatArray = np.eye(size)
     total: FloatArray = np.zeros((size, size))
