@@ -300,7 +300,7 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
     """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
     sigma = noise_of_samples(parameters)
     if sensors == "platform":
-        sigma[PLATFORM.stop :] = 0.0
+        sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
     w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
     n, m = loop.hold.shape[0], w.order
 

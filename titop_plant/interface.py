@@ -156,7 +156,7 @@ HELD_PARTS: Mapping[str, slice] = MappingProxyType(port_slices(p for p in MEASUR
 """Part of each of them in the vector of held values."""
 
 
-def sample_ticks(camera_ticks: int) -> dict[str, int]:
+def sample_ticks(camera_ticks: int = FRAME_TICKS) -> dict[str, int]:
     """Ticks from one value to the next of each port of :data:`FRAMED`.
 
     Parameters

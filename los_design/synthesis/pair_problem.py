@@ -38,7 +38,6 @@ from titop_plant.interface import (
     COMMANDS,
     DT,
     FORCES,
-    FRAME_TICKS,
     HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
@@ -82,7 +81,7 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
         return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
 
     def filters(ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
-        chosen, ticks = [sensor for sensor in sensors(parameters) if sensor.port in ports], sample_ticks(FRAME_TICKS)
+        chosen, ticks = [sensor for sensor in sensors(parameters) if sensor.port in ports], sample_ticks()
 
         def at(omega: FloatArray) -> ComplexArray:
             factors: list[ComplexArray] = []

@@ -13,7 +13,7 @@ from lftkit.systems.ports import spread_columns
 from los_design.synthesis.store import design_ports
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_response
-from titop_plant.interface import DT
+from titop_plant.interface import DT, K_PMA_INPUTS
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, parameter_corners
@@ -99,5 +99,5 @@ def random_law(seed: int, gain: float = START_GAIN) -> StateSpace:
 def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
     """:func:`random_law` with the ports of a design plant."""
     law = random_law(seed)
-    ports = (plant.output_port("accel_Ip"),), (plant.input_port("pma_force"),)
+    ports = tuple(plant.output_port(port.name) for port in K_PMA_INPUTS), (plant.input_port("pma_force"),)
     return StateSpace(*law.matrices, *ports, law.name)

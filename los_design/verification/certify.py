@@ -34,7 +34,7 @@ from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import COLUMNS, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, sample_ticks
+from titop_plant.interface import COLUMNS, COMMANDS, DT, MEASUREMENTS, sample_ticks
 from titop_plant.simulation.disturbances import CHANNELS
 from titop_plant.telescope.parameters import Parameters
 
@@ -120,7 +120,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
     K_poles, K_B, K_C, K_D = _controllers(loop)
     frame = np.ones(MEASUREMENTS, dtype=np.int64)
-    for name, ticks in sample_ticks(FRAME_TICKS).items():
+    for name, ticks in sample_ticks().items():
         frame[COLUMNS[name]] = ticks
     weights = loop.parameters["weights"]
     wheels = [

@@ -22,13 +22,14 @@ from pointing_analysis.indices.metrics import is_whole
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
+from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report import figures
 from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.inline_svg import inline
-from pointing_analysis.requirements.rows import ALL_RUNS, RequirementRow, digits
+from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
@@ -271,10 +272,29 @@ def render(
             }
             for p in drawn
         ],
+        sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
         predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if not intervals_us(v.run).size],
     )
+
+
+def _sensors(run: Recording) -> list[dict[str, str]]:
+    """Table of the sensors of a run, ready to print."""
+    rows = []
+    for sensor in sensors_of(run):
+        found = run[sensor.topic].integrity
+        rows.append(
+            {
+                "topic": sensor.topic,
+                "unit": ", ".join(sensor.unit.split(",")),
+                "rate": digits(sensor.rate),
+                "noise": ", ".join(digits(value) for value in dict.fromkeys(sensor.noise)),
+                "samples": str(len(run[sensor.topic]) - found.nan),
+                "dropped": str(found.nan) if sensor.held else ABSENT,
+            }
+        )
+    return rows
 
 
 def write_report(

@@ -25,6 +25,7 @@ from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
+from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.rows import RequirementRow, number
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
@@ -33,7 +34,8 @@ METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
 UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
 WINDOW = 0.02  # [s], exposure of the reference telescope
-SAMPLES_CAMERA_MAY_MISS = frozenset({"camera/los"})
+CAMERAS = frozenset({"camera/los"})
+"""Topics whose samples may be lost in a recording that does not describe its sensors."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ class Summary:
     open_end : whether the recording was cut off and nothing says how many samples are missing at its end
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
+    sensors : as the recording describes them
     """
 
     path: Path
@@ -162,6 +165,7 @@ class Summary:
     rpe_windows_p997: float = math.nan
     requirements_known: bool = True
     open_end: bool = False
+    sensors: tuple[RecordedSensor, ...] = ()
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -229,6 +233,7 @@ class Summary:
             "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
             "contradictions": list(self.contradictions),
+            **({"sensors": [sensor.to_mapping() for sensor in self.sensors]} if self.sensors else {}),
         }
 
 
@@ -261,7 +266,10 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     lost: dict[str, int] = {}
     problems = list(run.problems)
     stamps = {}
-    for name in (n for n in run.topics if n in KNOWN):
+    sensors = sensors_of(run)
+    known = {*KNOWN, *(sensor.topic for sensor in sensors)}
+    cameras = [sensor.topic for sensor in sensors if sensor.held] or sorted(name for name in CAMERAS if name in run)
+    for name in (n for n in run.topics if n in known):
         topic = run[name]
         state = topic.integrity
         ends = topic.lost_before + topic.lost_after
@@ -281,16 +289,17 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         ):
             if count:
                 problems.append(f"{name}: {count} {what}")
-        if state.nan and name not in SAMPLES_CAMERA_MAY_MISS:
+        if state.nan and name not in cameras:
             problems.append(f"{name}: {state.nan} messages with NaN")
     _add_ends(lost, problems, stamps)
     failure = _failure(run)
     if failure:
         problems.append(f"the run failed: {failure}")
-    dropped = run["camera/los"].integrity.nan if "camera/los" in run else 0
-    if dropped:
-        problems.append(f"camera/los: {dropped} {'frame' if dropped == 1 else 'frames'} dropped (NaN)")
-    return {k: v for k, v in lost.items() if v}, problems, dropped
+    dropped = {name: run[name].integrity.nan for name in cameras}
+    for name, count in dropped.items():
+        if count:
+            problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} dropped (NaN)")
+    return {k: v for k, v in lost.items() if v}, problems, sum(dropped.values())
 
 
 def _failure(run: Recording) -> str:
@@ -387,6 +396,7 @@ def summarise(
         contradictions=run.contradictions,
         open_end=run["truth/los"].open_end,
         budget=budget,
+        sensors=sensors_of(run),
     )
 
 

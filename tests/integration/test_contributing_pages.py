@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import runpy
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,16 @@ import pytest
 from support.followed_page import PackageCopy, section
 from support.packages import LIBRARIES, ROOT
 
+from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import requirements_of
 from titop_plant.telescope.parameters import load_parameters
 
 SENSOR = re.compile(
-    r"\b(?:camera_los|fsm_angle|accel_Ip|accel_M[12]|CAMERA|FSM_ANGLE|PLATFORM|ACCELEROMETERS?|ACCELEROMETER_NOISE|"
-    r"ACCELERATIONS|OPTICAL_NOISE|MEASURED|MEASURED_PORTS|FRAME_TICKS|camera_noise|strain_gauge_noise)\b"
+    r"\b(?:camera_los|fsm_angle|accel_Ip|accel_M[12]|CAMERA|FSM_ANGLE|PLATFORM|FRAME_TICKS|camera_noise|"
+    r"strain_gauge_noise|accelerometer_noise|CAMERA_PORT|GAUGE_PORT|PLATFORM_PORT)\b"
 )
-"""Names of sensors, their noise and their columns."""
+"""Names of one of the sensors, its noise, its columns or its rate; those of all of them follow from the table."""
 
 FIGURE = """
 from los_design.search.worst_case_search import Search
@@ -156,8 +158,76 @@ def compliance_peak(kzp: np.ndarray) -> float:
     return float(np.abs((s + p) / (s**2 * (s + p) + k * (s + z))).max())
 
 
+@pytest.fixture(scope="module")
+def guided(tmp_path_factory: pytest.TempPathFactory) -> tuple[PackageCopy, list[str]]:
+    """A copy after the page on sensors, and what its commands printed."""
+    made = PackageCopy.of(tmp_path_factory.mktemp("guided"))
+    return made, made.follow("Add a sensor")
+
+
+def test_a_sensor_is_in_bag_replay_and_report(guided: tuple[PackageCopy, list[str]]) -> None:
+    copy, printed = guided
+    run = Run.open(copy.folder / "bags/guide")
+    assert {name: len(run[name]) for name in ("guide/los", "camera/los", "m1/accel")} == {
+        "guide/los": 20,
+        "camera/los": 100,
+        "m1/accel": 2000,
+    }
+    assert (run["guide/los"].stamp % 100_000_000 == 0).all()
+    assert np.isfinite(run["guide/los"].values[:, :2]).all()
+    (sensor,) = [sensor for sensor in sensors_of(run) if sensor.topic == "guide/los"]
+    assert (sensor.unit, sensor.rate, sensor.held, sensor.noise) == ("rad", 10.0, True, (3e-8, 3e-8))
+    (reported,) = json.loads(printed[-1].splitlines()[-1])["runs"]
+    assert sensor.to_mapping() in reported["sensors"] and len(reported["sensors"]) == 6 and not reported["problems"]
+    page = (copy.folder / "bags/guide/report.html").read_text("utf-8")
+    table = page[page.index('id="sensors"') : page.index('id="provenance"')]
+    row = table[table.index("guide/los") :].split("</tr>")[0]
+    assert re.findall(r'class="n">([^<]*)</td>', row) == ["10", "3e-08", "20", "0"]
+    assert json.loads(copy.run("replay bags/guide --json").splitlines()[-1])["identical"]
+    old = json.loads(copy.run("report bags/reference --json").splitlines()[-1])["runs"]
+    assert old[0]["ticks"] > 0 and not old[0]["problems"]
+
+
+def test_a_sensor_is_sampled_designed_and_predicted(guided: tuple[PackageCopy, list[str]]) -> None:
+    """With an observer that has a part of the camera's gain from the second camera; all views are one loop."""
+    copy, _ = guided
+    shutil.copy(ROOT / "tests/support/second_camera.py", copy.folder)
+    found = copy.values("from second_camera import found")
+    samples, noise = found["samples"], found["noise"]
+    assert found["held"] == 4
+    assert samples["ticks"] == [0, 100, 200, 300] and samples["count"] == 300
+    np.testing.assert_allclose(samples["sigma"], 3e-8, rtol=5.0 / np.sqrt(2.0 * 300))
+    assert max(found["prediction"].values()) < 1e-8
+    assert found["gains"]["tuner"] < 1e-10 and found["gains"]["proof"] < 1e-10 and found["gains"]["tuned"]
+    assert found["gains"]["tuned noise"] == pytest.approx(noise["shared"], rel=1e-3)
+    assert noise["stored"] == noise["stored, louder"] and noise["budget, stored"]["noise, guide camera"] == 0.0
+    assert noise["shared, louder"] > 1.2 * noise["shared"]
+    assert list(noise["budget, shared"]) == list(noise["budget, stored"])
+    assert noise["budget, shared"]["noise, guide camera"] > 0.0
+    copy.run("run --mode inprocess --duration 1 --k-fsm shared.json --output bags/shared")
+    assert json.loads(copy.run("replay bags/shared --json").splitlines()[-1])["identical"]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("rate=10.0", "rate=30.0", "rate of guide_los must divide 1000 Hz .* got 30 Hz"),
+        ("guide_noise = 3e-8 ", "guide_bias = 3e-8 ", "sensors.guide_noise of guide_los must be in the parameter file"),
+        ('measures="los_controlled"', 'measures="los_guided"', "los_guided"),
+    ],
+)
+def test_a_wrong_sensor_is_named(
+    copy: PackageCopy, monkeypatch: pytest.MonkeyPatch, right: str, wrong: str, message: str
+) -> None:
+    text = section("Add a sensor")
+    assert right in text
+    monkeypatch.setattr("support.followed_page.section", lambda _: text.replace(right, wrong))
+    with pytest.raises(RuntimeError, match=message):
+        copy.follow("Add a sensor")
+
+
 def sensor_files() -> set[str]:
-    """Files of the packages that name a sensor, its noise or its columns."""
+    """Files of the packages that name one of the sensors, its noise, its columns or its rate."""
     found = set()
     for package in set(LIBRARIES) - {"lftkit"}:  # which contains no spacecraft
         found |= {
@@ -168,7 +238,7 @@ def sensor_files() -> set[str]:
     return {path.as_posix() for path in found}
 
 
-def test_the_page_on_sensors_names_every_file_that_knows_a_sensor() -> None:
+def test_the_page_on_sensors_names_every_file_that_uses_one_of_them() -> None:
     rows = [line for line in section("Add a sensor").splitlines() if line.startswith("| ")][1:]
     named = [name for row in rows for name in re.findall(r"`([\w/]+\.py)`", row)]
     assert sorted(named) == sorted(sensor_files())

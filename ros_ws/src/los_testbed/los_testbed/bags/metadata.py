@@ -20,10 +20,13 @@ from los_testbed.factories import (
 )
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
+from los_testbed.topics import SENSORS
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
+from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
+from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
@@ -35,7 +38,8 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged.
+    differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
+    ``sensors`` are topic, unit, rate and noise of each sensor.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user.
     """
@@ -46,6 +50,7 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "requirements": json.dumps(entries(requirements_of(config))),
+        "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(config)]),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
@@ -56,6 +61,15 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def _sensors(config: RunConfig) -> tuple[RecordedSensor, ...]:
+    """The sensors of a run; without noise where it has none."""
+    noise = noise_of_samples(load_parameters(config.parameters or REFERENCE)) * float(config.noise)
+    return tuple(
+        RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
+        for t in SENSORS
+    )
 
 
 def _budget(config: RunConfig) -> dict[str, float]:
