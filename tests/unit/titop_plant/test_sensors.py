@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from titop_plant.interface import ACCELEROMETERS, COLUMNS, MEASURED
+from lftkit import Port
+from titop_plant.interface import ACCELEROMETERS, COLUMNS, HELD, HELD_PARTS, MEASURED, period_ticks, sample_ticks
+from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.parameters import load_parameters
 from titop_plant.telescope.sensors import constant_error, noise_of_samples, noise_of_ticks, sensors
 
@@ -42,3 +44,32 @@ def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(parameters) -> None
     ratio = noise_of_ticks(parameters, 25) / noise_of_samples(parameters)
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2
+
+
+def test_columns_and_ticks_follow_from_the_table() -> None:
+    assert tuple(entry.port.name for entry in MEASURED_SENSORS) == MEASURED
+    groups = [entry.group for entry in MEASURED_SENSORS]
+    assert groups[: len(ACCELEROMETERS)] == ["accelerometers"] * len(ACCELEROMETERS)
+    assert "accelerometers" not in groups[len(ACCELEROMETERS) :]
+    assert HELD.tolist() == [18, 19] and HELD_PARTS["camera_los"] == slice(0, 2)
+    assert sample_ticks() == {"camera_los": 20} and sample_ticks(7) == {"camera_los": 7} and period_ticks(7) == 7
+
+
+@pytest.mark.parametrize(
+    ("port", "rate", "message"),
+    [
+        (Port("a", 2), 300.0, "rate of a must divide 1000 Hz .* got 300 Hz"),
+        (Port("a", 2), 0.0, "rate of a must divide 1000 Hz .* got 0 Hz"),
+        (Port("a", 2), 2000.0, "rate of a must divide 1000 Hz .* got 2000 Hz"),
+        (Port("a", 4), 10.0, "size of a must be 1 to 3, or 6 of a twist, got 4"),
+    ],
+)
+def test_an_entry_that_no_loop_can_have_is_refused(port: Port, rate: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SensorEntry(port, "a", "a", "a", "a_noise", "camera_step", rate)
+
+
+def test_a_key_that_the_parameter_file_lacks_is_named(parameters) -> None:
+    table = {name: value for name, value in parameters["sensors"].items() if name != "camera_noise"}
+    with pytest.raises(ValueError, match=r"sensors.camera_noise of camera_los must be in the parameter file"):
+        sensors({**parameters, "sensors": table})

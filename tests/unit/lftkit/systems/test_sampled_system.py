@@ -108,3 +108,18 @@ def test_washout_takes_away_a_bias_and_nothing_else() -> None:
     both = with_input_filter(integrator, {"a": high_pass(port, 0.1)}).nominal()
     assert abs(both(0)[0, 0]) < 1e-15
     assert abs(both(50j)[0, 0] / integrator.nominal()(50j)[0, 0]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_inputs_that_a_system_does_not_have_do_nothing() -> None:
+    rng = np.random.default_rng(3)
+    a, b, c = Port("a", 2), Port("b", 1), Port("c", 3)
+    K = SampledSystem(
+        *(rng.standard_normal(s) for s in ((4, 4), (4, 5), (2, 4), (2, 5))), (a, c), (Port("y", 2),), 1e-3
+    )
+    wide = K.with_inputs((b, a, c))
+    assert [p.name for p in wide.inputs] == ["b", "a", "c"] and wide.A.tobytes() == K.A.tobytes()
+    for narrow, whole in ((K.B, wide.B), (K.D, wide.D)):
+        assert np.array_equal(whole[:, 1:], narrow) and not whole[:, :1].any()
+    assert K.with_inputs((a, c)) is K  # nothing to add
+    for other in ((a, b), (Port("a", 3), b, c)):  # an input of its own is missing, or has another size
+        assert K.with_inputs(other) is K
