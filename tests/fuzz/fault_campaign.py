@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from los_testbed.bags.repair import repair_bag
-from los_testbed.run.exit_codes import ExitCode
+from los_testbed.exit_codes import ExitCode
 from mcap.reader import NonSeekingReader
 
 from pointing_analysis.read.mcap.records import BagError
