@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,8 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
+from pointing_analysis.read.mcap.bag_files import bag_files
+from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import OP_CHUNK, OP_DATA_END, BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
@@ -28,12 +30,9 @@ class Recorded:
     """A whole bag of three chunks, and the records of a shorter run of the same seed and of another one."""
 
     folder: Path
-    data: bytes
-    shorter: list[Record]
-    foreign: list[Record]
-
-    def __repr__(self) -> str:
-        return "Recorded(...)"
+    data: bytes = field(repr=False)
+    shorter: list[Record] = field(repr=False)
+    foreign: list[Record] = field(repr=False)
 
     def with_content(self, data: bytes) -> Path:
         """The bag with another content of its file."""
@@ -76,7 +75,16 @@ def check(recorded: Recorded, data: bytes) -> None:
     except BagError:
         assert not before.startswith("("), "a bag that can be analysed can be repaired"
         return
-    assert figures(new) == before
+    after = figures(new)
+    # Messages whose definition was altered are taken by the table of topics in repair, and left out before it.
+    assert after == before or untyped(bag)
+
+
+def untyped(bag: Path) -> bool:
+    """Whether there are messages of a topic of the testbed whose type the file does not tell."""
+    reading = BagPass(bag, bag_files(bag))
+    found = (channel for info, block in reading.blocks() for channel, _ in block.by_channel(info.channels))
+    return any(not channel.schema for channel in found)
 
 
 @pytest.mark.parametrize("kind", sorted(mutations.KINDS))
@@ -123,3 +131,19 @@ def test_messages_that_stand_twice_in_other_chunks(recorded: Recorded, same: boo
     found[end:end] = foreign[chunks[1] - 1 : chunks[1] + 1]
     check(recorded, put_together(found, True))
     assert not Run.open(recorded.folder / "new").losses
+
+
+def test_a_message_index_with_the_largest_offset(recorded: Recorded) -> None:
+    """Its sum with the length of a head is beyond 64 bit."""
+    found = taken_apart(recorded.data)
+    found = RecordMutation("index", 0, 1, 2**63 - 1, "", b"x")(found, recorded.foreign)
+    check(recorded, put_together(found, True))
+    assert figures(recorded.folder / "new") == figures(recorded.folder / "bag")
+
+
+def test_messages_of_another_type_are_left_out(recorded: Recorded) -> None:
+    """The first chunk names another type for the accelerations, its checksum agrees, its manifest is gone."""
+    found = taken_apart(recorded.data)
+    altered = RecordMutation("forged_content", 0, 19, 15, "", b"geometry_msgs/msg/AccelStompid")
+    at = altered(found, recorded.foreign)
+    check(recorded, put_together(at, False))

@@ -239,7 +239,7 @@ def block_of(
     """
     most = MAX_OTHERS + (len(data) if packed is None else packed)
     offsets = index_offsets(indexed)
-    if offsets.size and (offsets[0] < 0 or offsets[-1] + HEAD > len(data)):
+    if offsets.size and (offsets[0] < 0 or offsets[-1] > len(data) - HEAD):  # the sum may be beyond 64 bit
         offsets = offsets[:0]
     heads = _heads(data, offsets) if offsets.size else np.empty(0, MESSAGE_HEAD)
     ends = offsets + RECORD.size + heads["length"].astype(np.int64)

@@ -168,6 +168,11 @@ def _by_topic(info: FileInfo, block: Block, bag: BagWriter) -> Iterator[tuple[st
                 continue
             definition = channel.definition.decode(errors="replace")
             bag.add_topic(channel.topic, channel.schema, definition, dict(channel.metadata).get("topic_type_hash", ""))
+        known = bag.types[channel.topic]
+        if channel.encoding != "cdr" or channel.schema not in ("", known):  # readers of the old bag leave them out, too
+            text = f"{channel.topic}: messages must be {known} in CDR, got others: they are left out"
+            info.problems += [text] if text not in info.problems else []
+            continue
         yield channel.topic, np.flatnonzero(numbers == number)
 
 

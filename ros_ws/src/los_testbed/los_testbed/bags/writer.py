@@ -154,6 +154,11 @@ class BagWriter:
         """Names of the topics that have a channel."""
         return frozenset(self._channels)
 
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Types of the messages, by topic."""
+        return self._types
+
     def counts(self) -> dict[str, int]:
         """Messages so far per topic."""
         return {name: self._mcap.counts[channel] for name, channel in self._channels.items()}
