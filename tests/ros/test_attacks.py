@@ -55,8 +55,16 @@ def test_a_flood_under_the_name_of_a_node_changes_no_message_of_the_bag(tmp_path
     assert told.endswith("of second publishers were not used")
 
 
-@pytest.mark.parametrize("topic", ["recorder/progress", "truth/los", "isolator/accel", "los_estimate"])
-@pytest.mark.parametrize("stamps", ["hold", "future"])
+@pytest.mark.parametrize(
+    ("topic", "stamps"),
+    [
+        ("recorder/progress", "hold"),
+        ("recorder/progress", "future"),
+        ("truth/los", "hold"),
+        ("isolator/accel", "future"),
+        ("los_estimate", "future"),
+    ],
+)
 def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_path, undisturbed, topic, stamps):
     case = Case(topic, stamps=stamps, begin=EARLY, rate=200.0, seconds=20.0)
     refused = ""
