@@ -184,7 +184,7 @@ def test_a_sensor_is_in_bag_replay_and_report(guided: tuple[PackageCopy, list[st
     row = table[table.index("guide/los") :].split("</tr>")[0]
     assert re.findall(r'class="n">([^<]*)</td>', row) == ["10", "3e-08", "20", "0"]
     assert json.loads(copy.run("replay bags/guide --json").splitlines()[-1])["identical"]
-    old = json.loads(copy.run("report bags/reference --json").splitlines()[-1])["runs"]
+    old = json.loads(copy.run("report bags/reference --json --output old.html").splitlines()[-1])["runs"]
     assert old[0]["ticks"] > 0 and not old[0]["problems"]
 
 
