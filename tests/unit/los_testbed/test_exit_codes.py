@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from los_testbed.cli import app
+from los_testbed.cli import run as run_command
 from los_testbed.exit_codes import COMMANDS, MEANINGS, ExitCode
+from los_testbed.run.results import Results
 
 ROOT = Path(__file__).parents[3]
 ROW = re.compile(r"^\| (\d+) \| (.*) \| (.*) \|$", re.MULTILINE)
@@ -80,3 +83,27 @@ def test_an_interrupt_of_the_program_reaches_the_run(tmp_path):
     done = run_with(tmp_path, "os.kill(os.getppid(), signal.SIGTERM)", "--duration=600")
     assert done.returncode == 130
     assert "interrupted" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("left", "code"),
+    [
+        ({"failures": ["plant ended unexpectedly (signal 15); it was started again"]}, ExitCode.RESTARTED),
+        ({"interrupted": True}, ExitCode.INTERRUPTED),
+        ({}, ExitCode.USER_ERROR),
+    ],
+)
+def test_what_is_left_of_a_run_may_be_too_short_to_be_evaluated(tmp_path, monkeypatch, capsys, left, code):
+    """That is a mistake of the user only where nothing else has happened."""
+    done = run_command.execute
+
+    def execute(config, live):
+        bag, _ = done(config, live)
+        return bag, Results(bag=bag, **left)
+
+    monkeypatch.setattr(run_command, "execute", execute)
+    options = ["--mode=inprocess", "--duration=0.5", "--start=rest", "--no-report", f"--output={tmp_path / 'bag'}"]
+    with pytest.raises(SystemExit) as ended:
+        app.main(["run", *options])
+    assert ended.value.code == code
+    assert "the run must be longer than its start-up transient" in capsys.readouterr().err

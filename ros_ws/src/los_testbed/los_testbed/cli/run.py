@@ -163,12 +163,19 @@ def _run_and_tell(
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
-    summaries = summarise_runs([bag], bag / "report.html" if report else None)
+    ended = ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED if results.failures else None
+    try:
+        summaries = summarise_runs([bag], bag / "report.html" if report else None)
+    except ValueError as error:
+        if ended is None:
+            raise
+        # what a fault or a signal has left of the run may be too short: that is no mistake of the user
+        raise RunError(f"not evaluated: {error}", ended) from None
     print_summary(console, summaries, max_missed)
     if json_:
         print_json(summaries.runs[0])
-    if results.interrupted or results.failures:
-        raise typer.Exit(ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED)
+    if ended is not None:
+        raise typer.Exit(ended)
     if not signed:
         raise typer.Exit(ExitCode.FAILED)
     if (share := missed_share(summaries.runs[0])) > max_missed:
