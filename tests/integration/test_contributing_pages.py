@@ -192,7 +192,7 @@ def test_a_sensor_is_sampled_designed_and_predicted(guided: tuple[PackageCopy, l
     """With an observer that has a part of the camera's gain from the second camera; all views are one loop."""
     copy, _ = guided
     shutil.copy(ROOT / "tests/support/second_camera.py", copy.folder)
-    found = copy.values("from second_camera import found")
+    found = copy.values("import second_camera\nfound = second_camera.found()")
     samples, noise = found["samples"], found["noise"]
     assert found["held"] == 4
     assert samples["ticks"] == [0, 100, 200, 300] and samples["count"] == 300

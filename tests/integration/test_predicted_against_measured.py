@@ -52,7 +52,7 @@ def rewritten(run, target, files=None, **changes):
 
 def ratios(page):
     """Last column of the table: figures, or texts where a tone is not clear of noise."""
-    part = page[page.index('<section id="predicted"') : page.index('<section id="provenance"')]
+    part = page[page.index('<section id="predicted"') :].split("</section>", 1)[0]
     rows = re.findall(r"<tr>(<td.*?)</tr>", part, re.DOTALL)
     return [re.findall(r'class="n">([^<]*)</td>', row)[-1] for row in rows]
 

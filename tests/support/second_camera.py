@@ -43,7 +43,7 @@ from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.budget import error_budget
 from titop_plant.telescope.parameters import load_parameters
 
-GUIDE, STAGE, TICKS, SHARE = COLUMNS["guide_los"], "fsm+pma", 450, 0.4
+GUIDE, STAGE, TICKS, SHARE = COLUMNS.get("guide_los", slice(0, 0)), "fsm+pma", 450, 0.4
 PARAMETERS = load_parameters()
 SYSTEM = control_loop_plant(telescope(), PARAMETERS)
 STORED, K_PMA = load_designs("implemented")
@@ -175,12 +175,14 @@ def noise(k_fsm: SampledSystem) -> dict[str, object]:
     return found
 
 
-with one_thread():
-    K_FSM, MATRIX = observer()
-    found = {
-        "held": HELD.size,
-        "samples": samples(),
-        "prediction": prediction(K_FSM),
-        "gains": gains(K_FSM, MATRIX),
-        "noise": noise(K_FSM),
-    }
+def found() -> dict[str, object]:
+    """All of it."""
+    with one_thread():
+        k_fsm, matrix = observer()
+        return {
+            "held": HELD.size,
+            "samples": samples(),
+            "prediction": prediction(k_fsm),
+            "gains": gains(k_fsm, matrix),
+            "noise": noise(k_fsm),
+        }

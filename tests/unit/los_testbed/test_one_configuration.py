@@ -124,7 +124,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
 def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
     """From the words on the command line to the configuration."""
     seen = {}
-    monkeypatch.setattr("los_testbed.cli.run.execute", lambda config, **_: seen.update(config=config) or 1 / 0)
+    monkeypatch.setattr("los_testbed.cli.run.execute", lambda config, *_: seen.update(config=config) or 1 / 0)
     own, value = RunConfig.SETTINGS[name], OTHER[name]
     flag = "--" + name.replace("_", "-")
     if own.kind is bool:

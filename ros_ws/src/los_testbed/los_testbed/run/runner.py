@@ -268,10 +268,13 @@ class Runner:
                 for event in node.feed(data):
                     self._handle(node.name, event)
 
+    def _may_end(self, name: str) -> bool:
+        """Whether a node that a signal ends does as it should."""
+        return self._nodes[name].asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
+
     def _handle(self, name: str, event: dict[str, Any]) -> None:
         kind = str(event["event"])
-        in_order = self._nodes[name].asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
-        if kind == "done" and event.get("signal") and not in_order:
+        if kind == "done" and event.get("signal") and not self._may_end(name):
             kind = ENDED
             if event.get("bag"):
                 self._closed_by_recorder = [Path(event["bag"])]
