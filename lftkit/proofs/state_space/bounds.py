@@ -33,6 +33,8 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.uncertain_system import UncertainSystem
 
 WHOLE = (0.0, np.inf)
+SMALLEST = 1e-100
+"""Level for a gain of zero: its inverse square is finite."""
 SHARE = 0.9
 """Part of the gap at which a proof aims."""
 ATTEMPTS = 12
@@ -320,7 +322,7 @@ class _GainBounds:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
-        return max((1.0 + SHARE * self.gap) * self.worst.gain, 1e-300)
+        return max((1.0 + SHARE * self.gap) * self.worst.gain, SMALLEST)
 
     def _violated(self) -> bool:
         return self.level is not None and self.worst.gain >= self.level
