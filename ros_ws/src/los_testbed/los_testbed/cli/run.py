@@ -22,7 +22,7 @@ from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_
 from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import check_controllers
 from los_testbed.run.domains import free_domain
-from los_testbed.run.results import Results, RunError
+from los_testbed.run.results import MAX_MISSED, Results, RunError
 from los_testbed.run.screen import Screen, say
 from los_testbed.run.supervision import code_of_user, supervise
 from los_testbed.run.viewers import Live
@@ -31,9 +31,6 @@ from los_testbed.variants import check_ranges, chosen_member, layered, of_design
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-MAX_MISSED = 0.5
-"""Percent of the ticks of a run in real time that may be missed."""
 
 SUPERVISED = "LOS_TESTBED_SUPERVISED"
 """Environment variable of a program: code of the user runs in a process of its own, and its end is watched."""

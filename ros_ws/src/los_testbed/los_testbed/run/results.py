@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+MAX_MISSED = 0.5
+"""Percent of the ticks of a run in real time that may be missed."""
+
 
 class RunError(RuntimeError):
     """A node failed; `code` is the exit code that fits."""

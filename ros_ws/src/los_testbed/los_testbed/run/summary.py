@@ -15,6 +15,7 @@ from rich.text import Text
 
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
+from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.screen import met, printable, say
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.read.mcap.records import MAX_CHUNK
@@ -159,7 +160,7 @@ def missed_share(metrics: Mapping[str, Any]) -> float:
     return 100.0 * float(metrics["missed_ticks"]) / max(float(metrics["periods"]), 1.0)
 
 
-def print_summary(console: Console, results: RunSummaries, max_missed: float = 0.5) -> None:
+def print_summary(console: Console, results: RunSummaries, max_missed: float = MAX_MISSED) -> None:
     """Print a table for each run, and the paths; `max_missed` is the limit of the missed ticks [%]."""
     for summary, metrics in zip(results.summaries, results.runs):
         console.print(_table(summary, metrics, max_missed))
