@@ -15,6 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+MAX_VIEWERS = 16
+"""Viewers that each server of a run has at a time; each one costs some percent of a processor."""
+
 FOXGLOVE_SITE = "https://app.foxglove.dev"
 """Origin of the viewer of Foxglove in a browser."""
 

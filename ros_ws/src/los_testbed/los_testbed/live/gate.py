@@ -13,7 +13,7 @@ from tornado.httputil import HTTPHeaders, HTTPInputError, parse_request_start_li
 from tornado.iostream import IOStream, StreamClosedError, UnsatisfiableReadError
 from tornado.tcpserver import TCPServer
 
-from los_testbed.live.access import Access
+from los_testbed.live.access import MAX_VIEWERS, Access
 from los_testbed.live.connections import SilentConnections
 
 HEAD_S = 10.0
@@ -24,7 +24,6 @@ PIECE = 65536
 MAX_SILENT = 64
 """Connections that have subscribed to nothing."""
 
-MAX_VIEWERS = 16
 STALE_S = 5.0
 """A viewer that has taken nothing for this long is closed for another one."""
 

@@ -22,15 +22,13 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from los_testbed.live.access import Access
+from los_testbed.live.access import MAX_VIEWERS, Access
 from los_testbed.live.connections import SilentConnections
 
 STATIC = Path(__file__).with_name("static")
 FRAME_S = 0.1
 """Time between frames of a viewer that keeps up."""
 
-MAX_VIEWERS = 16
-"""Viewers that are served; each one costs the server some percent of a processor."""
 
 MAX_SILENT = 128
 """Connections that are no viewers."""
