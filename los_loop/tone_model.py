@@ -36,9 +36,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
-from titop_plant.simulation.build import PlantConfig, command_limits, plant_and_tones, sample
+from titop_plant.simulation.build import PlantConfig, PlantFamily, sample
 from titop_plant.simulation.disturbances import Tones
-from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
 WINDOW = 0.02
 
@@ -105,6 +104,7 @@ class ToneModel:
     @classmethod
     def of(
         cls,
+        family: PlantFamily,
         physical: PlantConfig,
         controllers: Mapping[str, SampledSystem],
         *,
@@ -116,8 +116,10 @@ class ToneModel:
 
         Parameters
         ----------
+        family : PlantFamily
+            Of the telescope.
         physical : PlantConfig
-            Telescope and disturbance of the run.
+            Member of the family and disturbance of the run.
         controllers : mapping
             ``k_fsm`` and ``k_pma``.
         loop : {"none", "isolator", "fsm", "fsm+pma"}
@@ -132,16 +134,16 @@ class ToneModel:
         ValueError
             A telescope outside its family.
         """
-        plant, tones = plant_and_tones(physical)
+        plant, tones = family.plant_and_tones(physical)
         closed = sampled_loop(
             plant,
             controllers["k_fsm"],
             controllers["k_pma"],
             loop=loop,
             frame_ticks=frame_ticks(physical.camera_rate),
-            los_sensitivity=float(load_parameters(physical.parameters or REFERENCE)["fsm"]["los_sensitivity"]),
+            los_sensitivity=float(family.parameters["fsm"]["los_sensitivity"]),
         )
-        limits = command_limits(physical)
+        limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
         omega = np.unique(tones.frequency)

@@ -58,7 +58,7 @@ def test_importing_a_runtime_module_does_not_load_scipy() -> None:
 
     code = (
         "import sys, los_estimator.runtime, fsm_pma_controller.runtime, titop_plant.interface\n"
-        "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(c.RunConfig())\n"
+        "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(m.RunParts(c.RunConfig()))\n"
         "print([m for m in ('scipy', 'control', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, check_controllers, load_controllers
+from los_testbed.factories import RunParts, build_controller, check_controllers
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.predictions import predictions
 from los_testbed.run.replay import controllers, drive
@@ -84,7 +84,7 @@ def test_the_simulation_does_what_the_sampled_loop_predicts(bag: Path) -> None:
 def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
     """Pointing errors and stability within 3 %, half the mirror; a law that divides by 0.1 has other errors."""
     metrics = []
-    chosen = load_controllers(config)
+    chosen = RunParts(config).models
     wrong = replace(chosen["k_fsm"], design_basis={"los_sensitivity": 0.1})
     for path, pair in (
         (None, load_designs("implemented")),
@@ -104,7 +104,7 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
 
 
 def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -> None:
-    chosen = load_controllers(config)
+    chosen = RunParts(config).models
     parameters = load_parameters(config.parameters)
     plant = control_loop_plant(telescope(config.parameters), parameters).data_at({})
     silent = replace(chosen["k_fsm"], design_basis={})

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, build_estimator, build_plant, run_start
+from los_testbed.factories import RunParts, build_controller, build_estimator, build_plant
 from los_testbed.loop.simulate import simulate
 from los_testbed.run_start import RunStart
 
@@ -28,7 +28,7 @@ def line_of_sight(config: RunConfig) -> np.ndarray:
         controller,
         config.ticks,
         lambda block, rows: found.append(block.truth[:rows].copy()),
-        run_start(config).command,
+        RunParts(config).start.command,
     )
     return np.concatenate(found)
 
@@ -49,7 +49,7 @@ def test_a_steady_start_has_no_transient(biased: RunConfig, loop: str) -> None:
     """Tone, its sidebands at the camera's frame rate and the harmonics of the bias: fitted to the last second, they are
     all that the first one holds."""
     config = replace(biased, loop=loop)
-    tone = run_start(config).tone
+    tone = RunParts(config).start.tone
     los, t = line_of_sight(config), DT * np.arange(config.ticks)
     frame = 2.0 * np.pi / (FRAME_TICKS * DT)
     columns = [np.exp(1j * (tone.omega + k * frame) * t) for k in range(-FRAME_TICKS // 2, FRAME_TICKS // 2)]
@@ -71,7 +71,7 @@ def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
 
 
 def test_the_bag_holds_the_start_to_the_last_bit() -> None:
-    start = run_start(RunConfig(loop="fsm"))
+    start = RunParts(RunConfig(loop="fsm")).start
     again = RunStart.from_bytes(start.to_bytes())
     assert again.tone.gamma == start.tone.gamma
     for name in ("plant", "command", "k_fsm", "k_pma", "camera"):
@@ -80,16 +80,14 @@ def test_the_bag_holds_the_start_to_the_last_bit() -> None:
 
 
 def test_open_stages_with_noise_alone_do_not_move() -> None:
-    start = run_start(RunConfig(loop="isolator", disturbance=False))
+    start = RunParts(RunConfig(loop="isolator", disturbance=False)).start
     assert not start.states.plant.any() and not start.states.command.any()
     assert start.states.k_fsm.any()  # the washout has answered the bias
 
 
 def test_a_loop_that_is_not_stable_starts_at_rest_and_says_so(tmp_path) -> None:
-    from los_testbed.factories import load_controllers
-
-    chosen = load_controllers(RunConfig())
+    chosen = RunParts(RunConfig()).models
     wild = replace(chosen["k_fsm"], C=40.0 * chosen["k_fsm"].C, D=40.0 * chosen["k_fsm"].D)
-    start = run_start(RunConfig(loop="fsm"), {**chosen, "k_fsm": wild})
+    start = RunParts(RunConfig(loop="fsm"), {**chosen, "k_fsm": wild}).start
     assert start.states is None and start.tone is not None
     assert "must be stable" in start.note and "rest" in start.note

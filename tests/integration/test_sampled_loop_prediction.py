@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import assemble_controller, controller_files
+from los_testbed.factories import RunParts, assemble_controller
 
 from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -28,7 +28,7 @@ def case():
     data = whole.select(
         inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
     ).data_at(POINT)
-    files = controller_files(RunConfig())
+    files = RunParts(RunConfig()).model_files
     return parameters, data, SampledSystem.from_file(files["k_fsm"]), SampledSystem.from_file(files["k_pma"])
 
 

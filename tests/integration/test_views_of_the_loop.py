@@ -39,7 +39,7 @@ from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
 from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, PLATFORM
-from titop_plant.simulation.build import command_limits, control_loop_plant, sample, telescope
+from titop_plant.simulation.build import PlantFamily, control_loop_plant, sample, telescope
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -104,7 +104,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     plant = system.data_at(system.sample_values(rng, 1)[0])
     (omega, amplitude), bias = tones(rng, parameters), 1e-5 * rng.standard_normal(22)
-    limits = command_limits(PlantConfig(disturbance=False))
+    limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
     model = ToneModel(loop, plant, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))

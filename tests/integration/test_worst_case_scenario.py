@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, build_estimator, build_plant, load_controllers, run_start
-from los_testbed.factories import plant_config as physical_settings
+from los_testbed.factories import RunParts, build_controller, build_estimator, build_plant
 from los_testbed.loop.simulate import simulate
 from los_testbed.variants import of_scenario
 
@@ -31,7 +30,7 @@ def measured(config: RunConfig, omega: float) -> float:
         controller,
         config.ticks,
         lambda block, rows: found.append(block.truth[:rows].copy()),
-        run_start(config).command,
+        RunParts(config).start.command,
     )
     t = DT * np.arange(config.ticks)
     basis = np.column_stack([np.cos(omega * t), np.sin(omega * t)])
@@ -45,7 +44,7 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
     """Within 2 %, at the worst parameters of the stage, with the designs that ship."""
     chosen = {"loop": loop, "worst_of": index, "duration": 10.0, "noise": False, "mode": "inprocess"}
     config = RunConfig.from_mapping({**chosen, **of_scenario(chosen)})
-    tone, parameters = run_start(config).tone, load_parameters()
+    tone, parameters = RunParts(config).start.tone, load_parameters()
     weight = 1.0 if index == "APE" else float(rpe_weight(tone.omega, parameters["weights"]["rpe_window"]))
     assert weight * measured(config, tone.omega) == pytest.approx(tone.gamma * tone.limit, rel=0.02)
     norm = np.linalg.norm(tone.amplitude / weight_amplitudes(parameters, tone.omega)[0])
@@ -53,8 +52,8 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
 
 
 def loop_at(config: RunConfig):
-    plant, _ = plant_and_tones(physical_settings(config))
-    chosen = load_controllers(config)
+    plant, _ = plant_and_tones(RunParts(config).physical)
+    chosen = RunParts(config).models
     return sampled_loop(plant, chosen["k_fsm"], chosen["k_pma"], loop=config.loop, frame_ticks=20), plant
 
 
@@ -85,7 +84,7 @@ def loop_response(loop, plant, omega: float, amplitude: np.ndarray) -> np.ndarra
 
 def test_the_phase_of_the_tone_puts_its_peak_into_the_middle_of_the_run() -> None:
     config = RunConfig(loop="isolator", worst_of="APE", noise=False, duration=10.0)
-    tone = run_start(config).tone
+    tone = RunParts(config).start.tone
     t = np.linspace(0.0, 10.0, 1001)
     size = np.linalg.norm((tone.los[:, None] * np.exp(1j * tone.omega * t)).imag, axis=0)
     assert t[size.argmax()] == pytest.approx(5.0, abs=0.011)
@@ -97,7 +96,7 @@ def test_imbalance_begins_at_structural_modes() -> None:
     speeds = of_scenario({"scenario": "imbalance"})["wheel_speed"]
     assert of_scenario({"scenario": "imbalance", "wheel_speed": [1.0, 2.0, 3.0, 4.0]}) == {}
     config = RunConfig(scenario="imbalance", loop="isolator", wheel_speed=tuple(speeds), disturbance=False)
-    plant, _ = plant_and_tones(physical_settings(config))
+    plant, _ = plant_and_tones(RunParts(config).physical)
 
     def loudness(wheel: int, speed: float) -> float:
         amplitude = np.zeros((22, 1), complex)

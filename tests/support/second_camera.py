@@ -36,7 +36,7 @@ from titop_plant.interface import (
     PLATFORM,
     DesignBasis,
 )
-from titop_plant.simulation.build import build_plant, command_limits, control_loop_plant, sample, telescope
+from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant, sample, telescope
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -84,7 +84,7 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     rng, found = np.random.default_rng(8), {}
     plant = SYSTEM.data_at(SYSTEM.sample_values(rng, 1)[0])
     omega, amplitude = tones(rng)
-    limits = command_limits(PlantConfig(disturbance=False))
+    limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     model = ToneModel(sampled_loop(plant, k_fsm, K_PMA, loop=STAGE), plant, omega, 1e-2 * amplitude, limits)
     bias = np.zeros(MEASUREMENTS)
     start = steady_start(model, bias, (k_fsm.order, K_PMA.order))

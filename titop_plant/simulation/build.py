@@ -62,7 +62,8 @@ class PlantFamily:
     def of(cls, config: PlantConfig) -> PlantFamily:
         """The family that a configuration belongs to."""
         parameters = load_parameters(config.parameters or REFERENCE)
-        return cls(parameters, _plant(config, parameters), config.parameters, config.isolated)
+        loop = control_loop_plant(telescope(config.parameters, config.isolated), parameters)
+        return cls(parameters, loop, config.parameters, config.isolated)
 
     def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
         """The member of a configuration, see :func:`build_plant`.
@@ -72,22 +73,68 @@ class PlantFamily:
         ValueError
             A configuration of another family; a value out of its range; a start of another size.
         """
+        number, tones = self.plant_and_tones(config)
+        state = _steady_state(number, tones) if start is None else start
+        if state.shape != (number.A.shape[0],):
+            raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
+        common, name = (state, self._sensors(config), self.limits), self.name(config)
+        if config.ramps:
+            return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
+        segments = [sample(number, tones, 1)]
+        return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+
+    def plant_and_tones(self, config: PlantConfig) -> tuple[StateSpace, Tones]:
+        """The continuous plant at the start of a run, and the disturbance that acts on it.
+
+        Returns
+        -------
+        plant : StateSpace
+            Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
+        tones : Tones
+            On the 22 disturbance inputs.
+
+        Raises
+        ------
+        ValueError
+            A configuration of another family; a value out of its range.
+        """
         if (config.parameters, config.isolated) != (self.path, self.isolated):
             raise ValueError(
                 f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
                 f"and {config.isolated}"
             )
         first = parameter_values(config, self.parameters)
-        number, tones = self.control_loop.data_at(first), _tones(config, self.parameters, first)
-        state = _steady_state(number, tones) if start is None else start
-        if state.shape != (number.A.shape[0],):
-            raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
-        common = state, _sensors(config, self.parameters), _limits(self.parameters)
-        name = _hash(config, self.parameters)
-        if config.ramps:
-            return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
-        segments = [sample(number, tones, 1)]
-        return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+        return self.control_loop.data_at(first), _tones(config, self.parameters, first)
+
+    @property
+    def limits(self) -> FloatArray:
+        """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
+        limits = np.empty(COMMANDS)
+        limits[MIRROR], limits[FORCES] = self.parameters["fsm"]["authority"], self.parameters["pma"]["authority"]
+        return limits
+
+    def bias(self, config: PlantConfig) -> FloatArray:
+        """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
+        bias = constant_error(self.parameters)
+        return np.asarray(bias if config.noise else np.zeros_like(bias))
+
+    def _sensors(self, config: PlantConfig) -> SensorModel:
+        sigma = float(config.noise) * noise_of_samples(self.parameters)
+        frame = frame_ticks(config.camera_rate)
+        return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
+
+    def name(self, config: PlantConfig) -> str:
+        """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
+        settings = config.to_mapping()
+        del settings["tau"]
+        settings["theta"], settings["wheel_acceleration"] = config.array_angle, config.wheel_acceleration or STEADY
+        if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
+            del settings["profile"]
+        content: list[Any] = [parameters_hash(self.parameters), settings]
+        if config.profile not in PROFILES:
+            content.append(motion(config, self.parameters).table())
+        text = json.dumps(content, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def nodes(self, config: PlantConfig, dt: float, finer: float = 1.0) -> tuple[list[FloatArray], int, MovingTones]:
         """Step matrices along the profile of a run, ticks between them, and the tones.
@@ -132,11 +179,6 @@ def build_plant(config: PlantConfig, start: FloatArray | None = None) -> Sampled
     return PlantFamily.of(config).build(config, start)
 
 
-def plant_order(config: PlantConfig) -> int:
-    """Number of states of :func:`build_plant`."""
-    return _plant(config, load_parameters(config.parameters or REFERENCE)).data_at({}).A.shape[0]
-
-
 def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     """Speeds of the four wheels [rad/s] at which their imbalance is strongest in the line of sight.
 
@@ -159,22 +201,6 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     return tuple(float(round(s, 3)) for s in speeds)
 
 
-def command_limits(config: PlantConfig) -> FloatArray:
-    """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
-    return _limits(load_parameters(config.parameters or REFERENCE))
-
-
-def configuration_hash(config: PlantConfig) -> str:
-    """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
-    return _hash(config, load_parameters(config.parameters or REFERENCE))
-
-
-def _limits(parameters: Parameters) -> FloatArray:
-    limits = np.empty(COMMANDS)
-    limits[MIRROR], limits[FORCES] = parameters["fsm"]["authority"], parameters["pma"]["authority"]
-    return limits
-
-
 def control_loop_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
     """The plant of the fine control loop: commands (8), disturbances (22) to measurements (22), line of sight (2).
 
@@ -185,25 +211,9 @@ def control_loop_plant(assembled: Telescope, parameters: Parameters) -> Uncertai
     )
 
 
-def _plant(config: PlantConfig, parameters: Parameters) -> UncertainSystem:
-    return control_loop_plant(telescope(config.parameters, config.isolated), parameters)
-
-
 def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
-    """The continuous plant at the start of a run, and the disturbance that acts on it.
-
-    What the run samples, for comparisons with its record.
-
-    Returns
-    -------
-    plant : StateSpace
-        Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
-    tones : Tones
-        On the 22 disturbance inputs.
-    """
-    parameters = load_parameters(config.parameters or REFERENCE)
-    values = parameter_values(config, parameters)
-    return _plant(config, parameters).data_at(values), _tones(config, parameters, values)
+    """Plant and disturbance of a run, see :meth:`PlantFamily.plant_and_tones`."""
+    return PlantFamily.of(config).plant_and_tones(config)
 
 
 def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
@@ -242,22 +252,6 @@ def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     if not config.disturbance or config.scenario not in FOLLOWING:
         return None
     return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(4)))
-
-
-def sensor_bias(config: PlantConfig) -> FloatArray:
-    """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
-    return _bias(config, load_parameters(config.parameters or REFERENCE))
-
-
-def _bias(config: PlantConfig, parameters: Parameters) -> FloatArray:
-    bias = constant_error(parameters)
-    return np.asarray(bias if config.noise else np.zeros_like(bias))
-
-
-def _sensors(config: PlantConfig, parameters: Parameters) -> SensorModel:
-    on, bias = 1.0 if config.noise else 0.0, _bias(config, parameters)
-    sigma = on * noise_of_samples(parameters)
-    return SensorModel(sigma, bias, frame_ticks(config.camera_rate), config.camera_dropout, config.seed)
 
 
 def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:
@@ -304,29 +298,12 @@ def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
     return state
 
 
-def _hash(config: PlantConfig, parameters: Parameters) -> str:
-    settings = config.to_mapping()
-    del settings["tau"]
-    settings["theta"], settings["wheel_acceleration"] = config.array_angle, config.wheel_acceleration or STEADY
-    if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
-        del settings["profile"]
-    content: list[Any] = [parameters_hash(parameters), settings]
-    if config.profile not in PROFILES:
-        content.append(motion(config, parameters).table())
-    text = json.dumps(content, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
 __all__ = [
     "PlantConfig",
     "PlantFamily",
     "build_plant",
-    "command_limits",
-    "configuration_hash",
     "control_loop_plant",
     "parameter_values",
     "plant_and_tones",
-    "plant_order",
     "resonant_speeds",
-    "sensor_bias",
 ]

@@ -19,12 +19,11 @@ from lftkit import sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
-from titop_plant.simulation.build import telescope
+from titop_plant.simulation.build import PlantFamily, telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, SADM_TORQUE, WHEEL_IMBALANCE
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
 DISTURBANCE_PORTS = (WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH)
 """Ports of the vector that a disturbance of the user writes."""
@@ -96,19 +95,19 @@ class DrivenPlant:
         truth += self._added[order + MEASUREMENTS :]
 
 
-def held_disturbance(config: PlantConfig, dt: float) -> FloatArray:
+def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
     """What a disturbance held for one tick adds to next state, measurement and truth, shape (n + 24, 28).
 
     Parameters
     ----------
+    family : PlantFamily
     config : PlantConfig
-        A telescope of constant parameters.
+        Member of the family, a telescope of constant parameters.
     dt : float
         Tick [s].
     """
-    parameters = load_parameters(config.parameters or REFERENCE)
-    whole = with_sensors(telescope(config.parameters, config.isolated).system, parameters)
+    whole = with_sensors(telescope(family.path, family.isolated).system, family.parameters)
     ports = tuple(port.name for port in DISTURBANCE_PORTS)
     driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
-    held = sampled(driven.data_at(parameter_values(config, parameters)), dt, method="hold")
+    held = sampled(driven.data_at(parameter_values(config, family.parameters)), dt, method="hold")
     return np.vstack([held.B, held.D])[:, -DISTURBANCE_SIZE:]

@@ -13,10 +13,10 @@ from los_testbed.campaign.dataset import CHUNK, Campaign, ResultFolder
 from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, metric_table
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 
 BASE = RunConfig(mode="inprocess")
-TIME_METRICS = metric_columns("time", requirements_of(BASE))
+TIME_METRICS = metric_columns("time", RunParts(BASE).requirements)
 
 
 def campaign(**changes: Any) -> Campaign:

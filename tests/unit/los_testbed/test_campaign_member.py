@@ -12,7 +12,7 @@ import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.factories import assemble_controller, requirements_of, run_start
+from los_testbed.factories import RunParts, assemble_controller
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
 from los_estimator.runtime import LosEstimator
@@ -20,7 +20,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
 BASE = RunConfig(mode="inprocess", duration=2.0)
-TIME_METRICS = metric_columns("time", requirements_of(BASE))
+TIME_METRICS = metric_columns("time", RunParts(BASE).requirements)
 
 
 def member(index: int) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def test_loops_together_have_the_bits_of_the_loop_alone(changes: dict[str, Any],
     runs = [evaluator._prepared(replace(base, **settings(member(k)))) for k in range(3)]
     evaluator._simulate(runs)
     for k, run in enumerate(runs):
-        start = run_start(replace(base, **settings(member(k))), pair)
+        start = RunParts(replace(base, **settings(member(k))), pair).start
         plant = evaluator._prepared(replace(base, **settings(member(k)))).loop.plant
         estimator = LosEstimator(pair["k_fsm"])
         controller = assemble_controller(pair, evaluator.telescope, base.loop)

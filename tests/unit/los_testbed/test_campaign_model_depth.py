@@ -13,7 +13,7 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files
+from los_testbed.factories import RunParts
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants
@@ -94,7 +94,7 @@ def test_responses_are_those_of_the_lft(depth: ModelDepth) -> None:
 
 def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_path: Path) -> None:
     """Gains of the mirror from a stable loop to an unstable one; the count of encirclements agrees at each."""
-    k_fsm = SampledSystem.from_file(controller_files(BASE)["k_fsm"])
+    k_fsm = SampledSystem.from_file(RunParts(BASE).model_files["k_fsm"])
     verdicts = []
     for factor in (1.0, -30.0):
         replace(k_fsm, C=factor * k_fsm.C, D=factor * k_fsm.D).to_file(tmp_path / f"{factor}.json")

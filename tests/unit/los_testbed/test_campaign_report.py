@@ -16,11 +16,11 @@ from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 from support import axe, headless_browser
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
-REQUIREMENTS = requirements_of(BASE)
+REQUIREMENTS = RunParts(BASE).requirements
 TIME_METRICS = metric_columns("time", REQUIREMENTS)
 
 

@@ -14,11 +14,10 @@ from los_testbed.bags.metadata import run_metadata
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 from los_testbed.factories import (
+    RunParts,
     build_controller,
     build_estimator,
     check_controllers,
-    load_controllers,
-    telescope_basis,
 )
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
@@ -147,14 +146,14 @@ def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path
     user = tmp_path / "user.toml"
     user.write_text("[fsm]\nauthority = 2e-3\n[pma]\nauthority = 12.0\n")
     config = RunConfig(parameters=str(user), **write_controllers(tmp_path))
-    assert telescope_basis(config).authority == (2e-3, 12.0)
+    assert RunParts(config).basis.authority == (2e-3, 12.0)
     out = np.zeros(COMMANDS)
     build_controller(config).step(np.array([1.0, -1.0]), np.full(6, 1e6), out)
     np.testing.assert_array_equal(np.abs(out[MIRROR]), 2e-3)
     np.testing.assert_array_equal(out[FORCES], 12.0)
-    assert run_metadata(config)["fsm_authority"] == "0.002"
-    assert telescope_basis(replace(config, fsm_authority=1e-3)).authority == (1e-3, 12.0)
-    assert json.loads(run_metadata(replace(config, pma_authority=5.0))["pma_authority"]) == 5.0
+    assert run_metadata(RunParts(config))["fsm_authority"] == "0.002"
+    assert RunParts(replace(config, fsm_authority=1e-3)).basis.authority == (1e-3, 12.0)
+    assert json.loads(run_metadata(RunParts(replace(config, pma_authority=5.0)))["pma_authority"]) == 5.0
 
 
 def test_another_limit_of_the_run_is_one_line_for_each_controller() -> None:
@@ -260,6 +259,6 @@ def test_what_neither_side_says_is_an_error() -> None:
 
 
 def test_files_keep_what_they_were_made_for(tmp_path: Path) -> None:
-    k_fsm = load_controllers(RunConfig())["k_fsm"]
+    k_fsm = RunParts(RunConfig()).models["k_fsm"]
     k_fsm.to_file(tmp_path / "copy.json")
     assert (tmp_path / "copy.json").read_bytes() == Path("los_estimator/designs/k_fsm.json").read_bytes()

@@ -14,7 +14,7 @@ from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import judged, model_verdicts, not_judged, verdicts
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from support.requirement_outputs import page_rows, screen_rows
 
@@ -71,7 +71,7 @@ def test_a_file_of_requirements_takes_their_place(own: Path, capsys: pytest.Capt
 
 def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     base = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", parameters=str(own / "mine.toml"))
-    requirements = requirements_of(base)
+    requirements = RunParts(base).requirements
     names = metric_columns("time", requirements)
     assert "rpe_window_above_9.99972_mas" in names and not any("above_40_mas" in name for name in names)
     asked = Campaign.of(base, "uniform", 2, 1, "time", {})
@@ -113,7 +113,9 @@ def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest
     bag = Path(__file__).parents[3] / "bags" / "reference"
     run = Run.open(bag)
     assert is_older(run) and recorded(run) is None
-    assert [v.requirement for v in summarise(with_requirements(run)).verdicts] == list(requirements_of(RunConfig()))
+    assert [v.requirement for v in summarise(with_requirements(run)).verdicts] == list(
+        RunParts(RunConfig()).requirements
+    )
     assert summarise(run).verdicts == ()  # the analysis alone knows no telescope
     other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)
     assert not is_older(other) and with_requirements(other) is other

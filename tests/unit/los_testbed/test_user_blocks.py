@@ -12,7 +12,7 @@ import pytest
 from los_testbed import plugins
 from los_testbed.cli import app
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, build_estimator, controller_files, run_start
+from los_testbed.factories import RunParts, build_controller, build_estimator
 from los_testbed.loop.contract import ContractError, RunFailedError
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.user_blocks import BlockFailedError, UserBlock
@@ -247,14 +247,14 @@ def test_settings_that_exclude_one_another() -> None:
     with pytest.raises(ValueError, match="ramp_duration must be 0"):
         RunConfig(disturbance_source="mine:Wind", ramp_duration=1.0)
     with pytest.raises(ValueError, match="only `los-testbed run` takes code, got mine:Law"):
-        controller_files(RunConfig(k_fsm="mine:Law", start="rest"))
+        _ = RunParts(RunConfig(k_fsm="mine:Law", start="rest")).model_files
 
 
 def test_a_file_is_a_file_whatever_it_is_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path(write_controllers(tmp_path)["k_fsm"]).rename("observer")
     config = RunConfig(k_fsm="observer", start="rest", mode="inprocess")
-    assert controller_files(config)["k_fsm"] == Path("observer")
+    assert RunParts(config).model_files["k_fsm"] == Path("observer")
 
 
 def test_entry_points_have_a_group_for_each_setting(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,11 +274,11 @@ def test_entry_points_have_a_group_for_each_setting(module: str, monkeypatch: py
 
 def test_the_tone_of_a_run_with_code_is_that_of_the_stage_without_it(module: str) -> None:
     """No model of the code is known: the tone is worst for the telescope on its isolator."""
-    code = run_start(RunConfig(k_fsm=f"{module}:Observer", start="rest", scenario="worst_case"))
-    isolator = run_start(RunConfig(loop="isolator", start="rest", scenario="worst_case"))
+    code = RunParts(RunConfig(k_fsm=f"{module}:Observer", start="rest", scenario="worst_case")).start
+    isolator = RunParts(RunConfig(loop="isolator", start="rest", scenario="worst_case")).start
     assert code.tone is not None and isolator.tone is not None
     assert code.tone.omega == isolator.tone.omega
-    assert run_start(RunConfig(disturbance_source="mine:Wind", scenario="worst_case")).tone is None
+    assert RunParts(RunConfig(disturbance_source="mine:Wind", scenario="worst_case")).start.tone is None
 
 
 def test_the_gain_of_the_mirror_follows_the_design_basis_of_a_class(module: str) -> None:

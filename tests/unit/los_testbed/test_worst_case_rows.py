@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 from los_testbed.run.worst_case_rows import level, limits_kept
 
 from pointing_analysis.budget.tone_budget import ToneBudget
 from titop_plant.telescope.budget import combined_level
 
-REQUIREMENTS = requirements_of(RunConfig())
+REQUIREMENTS = RunParts(RunConfig()).requirements
 
 
 def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:

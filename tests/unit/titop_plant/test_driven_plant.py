@@ -36,8 +36,10 @@ class Signal:
 
 
 def driven(rows: np.ndarray, config: PlantConfig = QUIET) -> DrivenPlant:
-    plant = simulation.build_plant(config, np.zeros(simulation.plant_order(config)))
-    whole = DrivenPlant(plant, held_disturbance(config, DT), Signal(rows), "test:Signal")
+    plant = simulation.build_plant(config, np.zeros(simulation.PlantFamily.of(config).control_loop.order))
+    whole = DrivenPlant(
+        plant, held_disturbance(simulation.PlantFamily.of(config), config, DT), Signal(rows), "test:Signal"
+    )
     whole.reset()
     return whole
 
@@ -88,7 +90,7 @@ def test_a_slow_sine_is_the_tone_of_a_scenario() -> None:
     tone = (omega, *amplitude, *np.zeros(22))
     config = replace(QUIET, disturbance=True, scenario="worst_case", tones=(tone,))
     assert given_tones(config.tones).frequency.tolist() == [omega]
-    continuous = simulation.build_plant(config, np.zeros(simulation.plant_order(config)))
+    continuous = simulation.build_plant(config, np.zeros(simulation.PlantFamily.of(config).control_loop.order))
     commands = np.zeros((ticks, COMMANDS))
     rows = np.zeros((ticks, DISTURBANCE_SIZE))
     rows[:, :22] = np.sin(omega * DT * (np.arange(ticks) + 0.5))[:, None] * amplitude

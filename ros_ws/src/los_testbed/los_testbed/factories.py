@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+import fsm_pma_controller
+import los_estimator
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
@@ -17,8 +20,8 @@ from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.plugins import RAISED, in_one_line, make
-from los_testbed.run_start import RunStart, find_run_start, with_tones
-from los_testbed.user_blocks import UserBlock, make_disturbance, make_law
+from los_testbed.run_start import AT_REST, RunStart, find_run_start, needs_tone, with_tones
+from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
@@ -26,9 +29,10 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from pointing_analysis.requirements.text import Requirement
-    from titop_plant.simulation.build import PlantConfig
+    from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.driven_plant import DrivenPlant
     from titop_plant.simulation.sampled_plant import SampledPlant
+    from titop_plant.telescope.parameters import Parameters
 
 
 class Plant(Protocol):
@@ -57,84 +61,232 @@ class Plant(Protocol):
         """Back to the state before the first step, noise included."""
 
 
-def controller_files(config: RunConfig) -> dict[str, Path]:
-    """Files of K_FSM and K_PMA: the named ones, else the stored designs.
+@dataclass(frozen=True)
+class RunParts:
+    """Telescope, controllers and start of one run, each made once, when it is asked for first.
 
-    Raises
-    ------
-    ValueError
-        One of them is code of the user, of which no model is known.
+    Parameters
+    ----------
+    config : RunConfig
+    recorded : mapping, optional
+        ``k_fsm`` and ``k_pma`` of a record; default: those that the configuration names.
+    recorded_start : RunStart, optional
+        Start of a recorded run; default: computed.
     """
-    for name in (code := code_of(config)):
-        raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {code[name]}")
-    return recorded_files(config)
 
+    config: RunConfig
+    recorded: Mapping[str, SampledSystem] | None = None
+    recorded_start: RunStart | None = None
 
-def code_of(config: RunConfig) -> dict[str, str]:
-    """Names of the controllers that are code of the user."""
-    return {name: getattr(config, name) for name in ("k_fsm", "k_pma") if is_code(getattr(config, name))}
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Values of the telescope; ValueError: the parameter file cannot be read."""
+        from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
+        return load_parameters(self.config.parameters or REFERENCE)
 
-def recorded_files(config: RunConfig) -> dict[str, Path]:
-    """Files of the controllers of a run, those aside that are code of the user."""
-    import fsm_pma_controller
-    import los_estimator
+    @cached_property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Pointing requirements of the telescope, those of all stages."""
+        from titop_plant.telescope.requirements import telescope_requirements
 
-    stored = {
-        "k_fsm": Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json",
-        "k_pma": Path(str(fsm_pma_controller.__file__)).parent / "designs" / "k_pma.json",
-    }
-    code = code_of(config)
-    return {name: Path(getattr(config, name) or path) for name, path in stored.items() if name not in code}
+        return telescope_requirements(self.parameters)
 
+    @cached_property
+    def basis(self) -> DesignBasis:
+        """What the controllers must have been made for: the telescope's values, with the limits of the run."""
+        from titop_plant.telescope.parameters import design_basis
 
-def requirements_of(config: RunConfig) -> tuple[Requirement, ...]:
-    """Pointing requirements of the telescope of a run, those of all stages; ValueError as :func:`telescope_basis`."""
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
-    from titop_plant.telescope.requirements import telescope_requirements
+        limits = {name: getattr(self.config, name) for name in ("fsm_authority", "pma_authority")}
+        return replace(design_basis(self.parameters), **{k: v for k, v in limits.items() if v is not None})
 
-    return telescope_requirements(load_parameters(config.parameters or REFERENCE))
+    @cached_property
+    def code(self) -> dict[str, str]:
+        """Names of the controllers that are code of the user."""
+        if self.recorded is not None:
+            return {}
+        return {name: text for name in LAWS if (text := getattr(self.config, name)) and is_code(text)}
 
+    @cached_property
+    def files(self) -> dict[str, Path]:
+        """Files of the controllers, the named ones, else the stored designs; those aside that are code of the user."""
+        return {
+            name: Path(getattr(self.config, name) or Path(str(package.__file__)).parent / "designs" / f"{name}.json")
+            for name, package in (("k_fsm", los_estimator), ("k_pma", fsm_pma_controller))
+            if name not in self.code
+        }
 
-def telescope_basis(config: RunConfig) -> DesignBasis:
-    """What the controllers of a run must have been made for: the telescope's values, with the limits of the run.
+    @cached_property
+    def k_fsm(self) -> SampledSystem | UserBlock:
+        """Observer: of a record, of a file, or code of the user.
 
-    Raises
-    ------
-    ValueError
-        The parameter file cannot be read.
-    """
-    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+        Raises
+        ------
+        ValueError
+            A file is missing or holds no controller; code that cannot be used.
+        """
+        return self._law("k_fsm")
 
-    own = design_basis(load_parameters(config.parameters or REFERENCE))
-    limits = {
-        name: value for name in ("fsm_authority", "pma_authority") if (value := getattr(config, name)) is not None
-    }
-    return replace(own, **limits)
+    @cached_property
+    def k_pma(self) -> SampledSystem | UserBlock:
+        """Proof-mass law, as :attr:`k_fsm`."""
+        return self._law("k_pma")
 
+    def _law(self, name: str) -> SampledSystem | UserBlock:
+        if self.recorded is not None:
+            return self.recorded[name]
+        return make_law(self.config, name) if name in self.code else SampledSystem.from_file(self.files[name])
 
-def load_controllers(config: RunConfig) -> dict[str, SampledSystem]:
-    """``k_fsm`` and ``k_pma`` of a configuration.
+    @property
+    def controllers(self) -> dict[str, SampledSystem | UserBlock]:
+        """``k_fsm`` and ``k_pma``."""
+        return {"k_fsm": self.k_fsm, "k_pma": self.k_pma}
 
-    Raises
-    ------
-    ValueError
-        A file is missing or holds no controller.
-    """
-    return {name: SampledSystem.from_file(path) for name, path in controller_files(config).items()}
+    @property
+    def model_files(self) -> dict[str, Path]:
+        """Files of the controllers; ValueError: one of them is code of the user, of which no model is known."""
+        for name, text in self.code.items():
+            raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
+        return self.files
 
+    @property
+    def models(self) -> dict[str, SampledSystem]:
+        """Models of the controllers; ValueError as :attr:`model_files`."""
+        return {name: law for name in self.model_files if isinstance(law := getattr(self, name), SampledSystem)}
 
-def run_controllers(config: RunConfig) -> dict[str, SampledSystem | UserBlock]:
-    """``k_fsm`` and ``k_pma`` of a run: of a file, or code of the user.
+    @cached_property
+    def settings(self) -> PlantConfig:
+        """Physical settings but for the worst-case tone: the scenario worst_case comes without disturbance.
 
-    Raises
-    ------
-    ValueError
-        A file is missing or holds no controller; code that cannot be used.
-    """
-    found: dict[str, SampledSystem | UserBlock] = {name: make_law(config, name) for name in code_of(config)}
-    found |= {name: SampledSystem.from_file(path) for name, path in recorded_files(config).items()}
-    return found
+        Raises
+        ------
+        ValueError
+            A parameter outside its range; the message names both.
+        """
+        from titop_plant.simulation.build import PlantConfig
+
+        config = self.config
+        check_ranges(config, self.parameters)
+        told = config.disturbance and config.scenario != "worst_case" and config.disturbance_source is None
+        return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
+
+    @cached_property
+    def family(self) -> PlantFamily:
+        """The telescopes with these parameters on this mounting."""
+        from titop_plant.simulation.build import PlantFamily
+
+        with one_thread():
+            return PlantFamily.of(self.settings)
+
+    @cached_property
+    def start(self) -> RunStart:
+        """Worst-case tone of the run and the states in which it starts."""
+        config = self.config
+        if self.recorded_start is not None:
+            return self.recorded_start
+        if config.plant or (config.start == "rest" and not needs_tone(config)):
+            return AT_REST
+        if self.code:  # no model of the code is known: the tone that is worst without fine control
+            opened = "isolator" if config.loop != "none" else "none"
+            return RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened)).start
+        return find_run_start(config, self.family, self.settings, self.models, self.basis.authority)
+
+    @cached_property
+    def physical(self) -> PlantConfig:
+        """Physical settings, with the worst-case tone; ValueError: a recorded start without the tone that it needs."""
+        return with_tones(self.settings, self.start) if needs_tone(self.config) else self.settings
+
+    def check(self) -> tuple[str, ...]:
+        """Refuse controllers that cannot be used; one line for each made for other parameters or limits than the run's.
+
+        Raises
+        ------
+        ValueError
+            A file that is no controller, or one with other ports or another period; one that would close a loop and was
+            made for another sensitivity of the mirror; code of the user that breaks its contract.
+        """
+        if isinstance(self.k_fsm, SampledSystem):
+            LosEstimator(self.k_fsm)
+        assemble_controller(self.controllers, self.basis, self.config.loop)
+        return self.compare()
+
+    def compare(self) -> tuple[str, ...]:
+        """Differences between controllers and telescope, see :func:`compare_with_telescope`."""
+        return compare_with_telescope(self.controllers, self.basis, self.config.loop)
+
+    @property
+    def states(self) -> LoopStart | None:
+        """States in which the run starts; None at rest, where nothing needs to be computed."""
+        return None if self.config.start == "rest" else self.start.states
+
+    def estimator(self) -> LosEstimator | UserBlock:
+        """Observer; its reset leads to the start of the run. ValueError as :meth:`check`, for K_FSM."""
+        design_warnings([self.k_fsm], self.basis, closed=self.config.loop in MIRROR_STAGES)
+        if isinstance(self.k_fsm, UserBlock):
+            return self.k_fsm
+        estimator = LosEstimator(self.k_fsm)
+        if self.states is not None:
+            estimator.start_at(self.states.k_fsm, self.states.camera)
+        return estimator
+
+    def controller(self) -> FsmPmaController:
+        """Mirror and proof-mass laws; the mirror's gain is that of the file of K_FSM.
+
+        Its reset leads to the start of the run. ValueError as :meth:`check`.
+        """
+        self.compare()
+        controller = assemble_controller(self.controllers, self.basis, self.config.loop)
+        if self.states is not None:
+            controller.start_at(self.states.k_pma)
+        return controller
+
+    def plant(self) -> Plant:
+        """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.
+
+        Raises
+        ------
+        ValueError
+            A parameter outside its range; the message names both. A file that is no controller. A plant that cannot be
+            made.
+        """
+        config = self.config
+        if config.plant:
+            return _user_plant(config)
+        with one_thread():
+            state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
+            telescope = self.family.build(self.physical, state)
+        own = config.disturbance_source if config.disturbance else None
+        plant = telescope if own is None else self._driven(telescope, own)
+        if not config.nonlinear:
+            return plant
+        from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
+
+        return NonlinearPlant(plant, DeviceLimits(), self.parameters["pma"])
+
+    def _driven(self, plant: SampledPlant, source: str) -> DrivenPlant:
+        """The telescope under the disturbance of the user."""
+        from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
+
+        disturbance = make_disturbance(self.config)
+        disturbance.reset()
+        with one_thread():
+            return DrivenPlant(plant, held_disturbance(self.family, self.physical, plant.dt), disturbance, source)
+
+    def tone_model(self) -> ToneModel:
+        """Model of the loop that runs, with its tones, for comparisons with a record.
+
+        Raises
+        ------
+        ValueError
+            A telescope outside its family, a file that is missing or no controller, code of the user.
+        """
+        from los_loop.tone_model import ToneModel
+
+        loop, steady = self.config.loop, self.start.states is not None
+        with one_thread():
+            return ToneModel.of(
+                self.family, self.physical, self.models, loop=loop, authority=self.basis.authority, steady=steady
+            )
 
 
 def compare_with_telescope(
@@ -153,66 +305,6 @@ def compare_with_telescope(
     if loop in FORCE_STAGES:
         lines += design_warnings([controllers["k_pma"]], telescope, closed=True)
     return lines
-
-
-def check_controllers(config: RunConfig) -> tuple[str, ...]:
-    """Refuse controllers that cannot be used; one line for each made for other parameters or limits than the run's.
-
-    Raises
-    ------
-    ValueError
-        A file that is no controller, or one with other ports or another period; one that would close a loop and was
-        made for another sensitivity of the mirror; code of the user that breaks its contract.
-    """
-    found, telescope = run_controllers(config), telescope_basis(config)
-    if isinstance(k_fsm := found["k_fsm"], SampledSystem):
-        LosEstimator(k_fsm)
-    assemble_controller(found, telescope, config.loop)
-    return compare_with_telescope(found, telescope, config.loop)
-
-
-def build_estimator(config: RunConfig) -> LosEstimator | UserBlock:
-    """Observer of the configuration; its reset leads to the start of the run.
-
-    Raises
-    ------
-    ValueError
-        As :func:`check_controllers`, for K_FSM.
-    """
-    code = "k_fsm" in code_of(config)
-    k_fsm = make_law(config, "k_fsm") if code else SampledSystem.from_file(recorded_files(config)["k_fsm"])
-    design_warnings([k_fsm], telescope_basis(config), closed=config.loop in MIRROR_STAGES)
-    if isinstance(k_fsm, UserBlock):
-        return k_fsm
-    estimator = LosEstimator(k_fsm)
-    states = _states(config)
-    if states is not None:
-        estimator.start_at(states.k_fsm, states.camera)
-    return estimator
-
-
-def build_controller(config: RunConfig) -> FsmPmaController:
-    """Mirror and proof-mass laws of the configuration; the mirror's gain is that of the file of K_FSM.
-
-    Its reset leads to the start of the run.
-
-    Raises
-    ------
-    ValueError
-        As :func:`check_controllers`.
-    """
-    found, telescope = run_controllers(config), telescope_basis(config)
-    compare_with_telescope(found, telescope, config.loop)
-    controller = assemble_controller(found, telescope, config.loop)
-    states = _states(config)
-    if states is not None:
-        controller.start_at(states.k_pma)
-    return controller
-
-
-def _states(config: RunConfig) -> LoopStart | None:
-    """States in which the run starts; None at rest, where nothing needs to be computed."""
-    return None if config.start == "rest" else run_start(config).states
 
 
 def assemble_controller(
@@ -245,34 +337,6 @@ def assemble_controller(
     )
 
 
-def build_plant(config: RunConfig) -> Plant:
-    """Telescope of the configuration, sampled at the tick rate, in the state in which the run starts; or its own plant.
-
-    Raises
-    ------
-    ValueError
-        A parameter outside its range; the message names both. A file that is no controller. A plant that cannot be
-        made.
-    """
-    if config.plant:
-        return _user_plant(config)
-    from titop_plant.simulation import build as simulation
-
-    start = run_start(config)
-    physical = plant_config(config, start)
-    with one_thread():
-        state = np.zeros(simulation.plant_order(physical)) if start.states is None else start.states.plant
-        telescope = simulation.build_plant(physical, state)
-    own = config.disturbance_source if config.disturbance else None
-    plant = telescope if own is None else _driven(telescope, config, physical, own)
-    if not config.nonlinear:
-        return plant
-    from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
-
-    return NonlinearPlant(plant, DeviceLimits(), load_parameters(config.parameters or REFERENCE)["pma"])
-
-
 def _user_plant(config: RunConfig) -> Plant:
     own: Plant = make(config)
     try:
@@ -282,99 +346,24 @@ def _user_plant(config: RunConfig) -> Plant:
     return own
 
 
-def _driven(plant: SampledPlant, config: RunConfig, physical: PlantConfig, source: str) -> DrivenPlant:
-    """The telescope under the disturbance of the user."""
-    from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
-
-    disturbance = make_disturbance(config)
-    disturbance.reset()
-    with one_thread():
-        return DrivenPlant(plant, held_disturbance(physical, plant.dt), disturbance, source)
+def check_controllers(config: RunConfig) -> tuple[str, ...]:
+    """Refuse controllers that cannot be used, see :meth:`RunParts.check`."""
+    return RunParts(config).check()
 
 
-def run_start(config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None) -> RunStart:
-    """Worst-case tone of a run and the states in which it starts.
-
-    Parameters
-    ----------
-    config : RunConfig
-    controllers : mapping, optional
-        ``k_fsm`` and ``k_pma``; default: those of the files that the configuration names.
-
-    Raises
-    ------
-    ValueError
-        A telescope outside its family, a file that is missing or no controller.
-    """
-    if config.plant:
-        return RunStart()
-    if code_of(config):  # no model of the code is known: the tone that is worst without fine control
-        config = replace(config, k_fsm=None, k_pma=None, loop="isolator" if config.loop != "none" else "none")
-    chosen = load_controllers(config) if controllers is None else controllers
-    return find_run_start(config, _physical(config), chosen, telescope_basis(config).authority)
+def build_plant(config: RunConfig) -> Plant:
+    """Plant of a run, see :meth:`RunParts.plant`."""
+    return RunParts(config).plant()
 
 
-def plant_config(config: RunConfig, start: RunStart | None = None) -> PlantConfig:
-    """Physical settings of a run.
-
-    Parameters
-    ----------
-    config : RunConfig
-    start : RunStart, optional
-        With the tone of the scenario worst_case; default: that of :func:`run_start`.
-
-    Raises
-    ------
-    ValueError
-        A parameter outside its range; the message names both. A start without the tone that the scenario needs.
-    """
-    physical = _physical(config)
-    if config.scenario != "worst_case" or not config.disturbance or config.disturbance_source:
-        return physical
-    return with_tones(physical, run_start(config) if start is None else start)
+def build_estimator(config: RunConfig) -> LosEstimator | UserBlock:
+    """Observer of a run, see :meth:`RunParts.estimator`."""
+    return RunParts(config).estimator()
 
 
-def _physical(config: RunConfig) -> PlantConfig:
-    """Physical settings but for the worst-case tone: the scenario worst_case comes without disturbance."""
-    from titop_plant.simulation.build import PlantConfig
-
-    check_ranges(config)
-    told = config.disturbance and config.scenario != "worst_case" and config.disturbance_source is None
-    return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
-
-
-def tone_model(
-    config: RunConfig, controllers: Mapping[str, SampledSystem] | None = None, start: RunStart | None = None
-) -> ToneModel:
-    """Model of the loop that runs, with its tones, for comparisons with a record.
-
-    Parameters
-    ----------
-    config : RunConfig
-    controllers : mapping, optional
-        ``k_fsm`` and ``k_pma``; default: those of the files that the configuration names.
-    start : RunStart, optional
-        Start of the recorded run; default: that of :func:`run_start`.
-
-    Raises
-    ------
-    ValueError
-        A telescope outside its family, a file that is missing or no controller.
-    """
-    from los_loop.tone_model import ToneModel
-
-    if controllers is None:
-        controllers = load_controllers(config)
-    if start is None:
-        start = run_start(config, controllers)
-    with one_thread():
-        return ToneModel.of(
-            plant_config(config, start),
-            controllers,
-            loop=config.loop,
-            authority=telescope_basis(config).authority,
-            steady=start.states is not None,
-        )
+def build_controller(config: RunConfig) -> FsmPmaController:
+    """Mirror and proof-mass laws of a run, see :meth:`RunParts.controller`."""
+    return RunParts(config).controller()
 
 
 def plant_notes(plant: Plant) -> dict[str, str]:

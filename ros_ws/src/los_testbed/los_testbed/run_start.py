@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
-from los_testbed.config import RunConfig, physical_hash
+from los_testbed.config import RunConfig
 
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
+    from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
-    from titop_plant.simulation.build import PlantConfig
+    from titop_plant.simulation.build import PlantConfig, PlantFamily
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
@@ -102,7 +104,11 @@ AT_REST = RunStart()
 
 
 def find_run_start(
-    config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
+    config: RunConfig,
+    family: PlantFamily,
+    settings: PlantConfig,
+    controllers: Mapping[str, SampledSystem],
+    authority: tuple[float, float],
 ) -> RunStart:
     """Tone and states of a run; what was computed last is kept.
 
@@ -112,33 +118,33 @@ def find_run_start(
     Parameters
     ----------
     config : RunConfig
-    physical : PlantConfig
-        Telescope and disturbance of the run; in the scenario worst_case without disturbance.
+        Its stage, start, duration and what the tone is worst for count.
+    family : PlantFamily
+        Of the telescope.
+    settings : PlantConfig
+        Member of the family and its disturbance; in the scenario worst_case without disturbance.
     controllers : mapping
         ``k_fsm`` and ``k_pma``.
     authority : (float, float)
         Largest commands of the run: mirror [rad], actuators [N].
     """
-    if config.start == "rest" and not _needs_tone(config):
-        return RunStart()
-    key = _key(config, physical, controllers)
+    chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
+    key = f"{chosen} {family.name(settings)} {_digest(controllers)}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]
         with one_thread():
-            _found[key] = _computed(config, physical, controllers, authority)
+            _found[key] = _computed(config, family, settings, controllers, authority)
     return _found[key]
 
 
-def _needs_tone(config: RunConfig) -> bool:
+def needs_tone(config: RunConfig) -> bool:
+    """Whether the disturbance of a run is the worst-case tone."""
     return config.scenario == "worst_case" and config.disturbance and not config.disturbance_source
 
 
-def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem]) -> str:
-    from titop_plant.simulation.build import configuration_hash
-
-    digest = hashlib.sha256(f"{physical_hash(config)} {config.loop} {config.start} {config.duration}".encode())
-    digest.update(configuration_hash(physical).encode())
+def _digest(controllers: Mapping[str, SampledSystem]) -> str:
+    digest = hashlib.sha256()
     for name in ("k_fsm", "k_pma"):
         system = controllers[name]
         for matrix in (system.A, system.B, system.C, system.D):
@@ -148,45 +154,39 @@ def _key(config: RunConfig, physical: PlantConfig, controllers: Mapping[str, Sam
 
 
 def _computed(
-    config: RunConfig, physical: PlantConfig, controllers: Mapping[str, SampledSystem], authority: tuple[float, float]
+    config: RunConfig,
+    family: PlantFamily,
+    settings: PlantConfig,
+    controllers: Mapping[str, SampledSystem],
+    authority: tuple[float, float],
 ) -> RunStart:
     from los_loop.steady_state import steady_start
     from los_loop.tone_model import ToneModel
-    from titop_plant.simulation.build import sensor_bias
 
     notes: list[str] = []
-    tone = _tone(config, physical, controllers, authority, notes) if _needs_tone(config) else None
+    model = partial(ToneModel.of, family, controllers=controllers, authority=authority)
+    tone = _tone(config, family, partial(model, settings), notes) if needs_tone(config) else None
     states = None
     if config.start == "steady":
-        chosen = with_tones(physical, RunStart(tone)) if tone else physical
-        model = ToneModel.of(chosen, controllers, loop=config.loop, authority=authority)
+        chosen = with_tones(settings, RunStart(tone)) if tone else settings
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
-            states = steady_start(model, sensor_bias(physical), orders)
+            states = steady_start(model(chosen, loop=config.loop), family.bias(settings), orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
     return RunStart(tone, states, "; ".join(notes))
 
 
-def _tone(
-    config: RunConfig,
-    physical: PlantConfig,
-    controllers: Mapping[str, SampledSystem],
-    authority: tuple[float, float],
-    notes: list[str],
-) -> WorstTone:
+def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel], notes: list[str]) -> WorstTone:
     """Worst tone of the loop; of the telescope without fine control where the loop is not stable."""
-    from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import worst_tone
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
-    parameters = load_parameters(config.parameters or REFERENCE)
-    open_loop = "isolator" if physical.isolated else "none"
+    open_loop = "isolator" if family.isolated else "none"
     for loop in (config.loop, open_loop):
-        model = ToneModel.of(physical, controllers, loop=loop, authority=authority)
+        of = model(loop=loop)
         try:
             found = worst_tone(
-                model.loop, model.plant, parameters, index=config.worst_of, stage=config.loop, closed=loop != open_loop
+                of.loop, of.plant, family.parameters, index=config.worst_of, stage=config.loop, closed=loop != open_loop
             )
         except ValueError as error:
             notes.append(f"{error}: the tone is the worst one of the stage {open_loop}")

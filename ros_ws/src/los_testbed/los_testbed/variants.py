@@ -21,6 +21,7 @@ from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
     from lftkit import RealParameter
+    from titop_plant.telescope.parameters import Parameters
 
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
@@ -51,8 +52,14 @@ def family(parameters: str | None = None) -> dict[str, RealParameter]:
     return uncertain_parameters(load_parameters(parameters or REFERENCE))
 
 
-def check_ranges(config: RunConfig) -> None:
+def check_ranges(config: RunConfig, parameters: Parameters | None = None) -> None:
     """Refuse a configuration whose plant is not in the family, at its start or at the end of its ramps.
+
+    Parameters
+    ----------
+    config : RunConfig
+    parameters : mapping, optional
+        Of the telescope; default: read from the file of `config`.
 
     Raises
     ------
@@ -66,7 +73,10 @@ def check_ranges(config: RunConfig) -> None:
         ...
     ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
-    table = family(config.parameters)
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
+
+    parameters = load_parameters(config.parameters or REFERENCE) if parameters is None else parameters
+    table = uncertain_parameters(parameters)
     for i in (1, 2):
         omega = getattr(config, f"omega_{i}")
         if omega is not None:
@@ -83,7 +93,8 @@ def check_ranges(config: RunConfig) -> None:
     for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
-        for i, (speed, gain) in enumerate(zip(_start_speeds(config), config.wheel_acceleration), start=1):
+        speeds = config.wheel_speed or parameters["reaction_wheel"]["default_speed"]
+        for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
             end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
 
@@ -95,13 +106,6 @@ def _check_profile(config: RunConfig, table: Mapping[str, RealParameter]) -> Non
         _between("theta", 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper), "rad", theta, when)
         for i, speed in enumerate(speeds, start=1):
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed, when)
-
-
-def _start_speeds(config: RunConfig) -> tuple[float, ...]:
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
-
-    parameters = load_parameters(config.parameters or REFERENCE)
-    return config.wheel_speed or tuple(parameters["reaction_wheel"]["default_speed"])
 
 
 def _within(name: str, parameter: RealParameter, value: float, when: str = "") -> None:

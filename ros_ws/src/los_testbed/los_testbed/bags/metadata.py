@@ -10,14 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 import yaml
 
 from los_design.synthesis.provenance import commit
-from los_testbed.config import RunConfig, physical_hash
-from los_testbed.factories import (
-    compare_with_telescope,
-    recorded_files,
-    requirements_of,
-    run_controllers,
-    telescope_basis,
-)
+from los_testbed.config import physical_hash
+from los_testbed.factories import RunParts
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
@@ -25,13 +19,13 @@ from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
+from titop_plant.telescope.parameters import Parameters, differences
 from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
-def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]:
+def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
 
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
@@ -43,14 +37,13 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user.
     """
-    telescope = telescope_basis(config)
-    warnings = compare_with_telescope(run_controllers(config), telescope, config.loop)
+    config, warnings = parts.config, parts.compare()
     return {
         **config.to_strings(),
-        **{name: json.dumps(value) for name, value in telescope.to_mapping().items()},
+        **{name: json.dumps(value) for name, value in parts.basis.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
-        "requirements": json.dumps(entries(requirements_of(config))),
-        "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(config)]),
+        "requirements": json.dumps(entries(parts.requirements)),
+        "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
@@ -63,38 +56,40 @@ def run_metadata(config: RunConfig, start: RunStart = AT_REST) -> dict[str, str]
     }
 
 
-def _sensors(config: RunConfig) -> tuple[RecordedSensor, ...]:
+def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run; without noise where it has none."""
-    noise = noise_of_samples(load_parameters(config.parameters or REFERENCE)) * float(config.noise)
+    config = parts.config
+    noise = noise_of_samples(parts.parameters) * float(config.noise)
     return tuple(
         RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
         for t in SENSORS
     )
 
 
-def _budget(config: RunConfig) -> dict[str, float]:
+def _budget(parameters: Parameters, loop: str) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
     from pointing_analysis.budget.tone_budget import EDGE
     from pointing_analysis.indices.errors import RAD_PER_MAS
     from titop_plant.telescope.budget import BAND_EDGE, error_budget
 
-    budget = error_budget(load_parameters(config.parameters or REFERENCE))
+    budget = error_budget(parameters)
     shares = {}
-    if config.loop in MIRROR_STAGES:
+    if loop in MIRROR_STAGES:
         shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
-    if config.loop in FORCE_STAGES:
+    if loop in FORCE_STAGES:
         shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
     return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, EDGE: BAND_EDGE}
 
 
 def final_metadata(
-    config: RunConfig, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
+    parts: RunParts, statistics: Mapping[str, Mapping[str, str]], start: RunStart = AT_REST
 ) -> dict[str, str]:
     """The same with the statistics of each node, as one JSON object, the plant's name and tones, ``rpe_budget_mas``.
 
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.budget.tone_budget`).
     """
-    record = {**run_metadata(config, start), "rpe_budget_mas": json.dumps(_budget(config))}
+    budget = _budget(parts.parameters, parts.config.loop)
+    record = {**run_metadata(parts, start), "rpe_budget_mas": json.dumps(budget)}
     plant = dict(statistics.get("plant", {}))
     for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
@@ -103,10 +98,10 @@ def final_metadata(
     return record
 
 
-def attachments(config: RunConfig, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
+def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Files of the controllers, the configuration as YAML, tone and states of the start."""
-    content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in recorded_files(config).items()}
-    text = yaml.safe_dump(config.to_plain(), sort_keys=False)
+    content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in parts.files.items()}
+    text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
     return content

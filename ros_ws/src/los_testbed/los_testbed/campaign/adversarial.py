@@ -11,7 +11,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.campaign.sampling import DELTA, members
 from los_testbed.config import RunConfig
-from los_testbed.factories import load_controllers, plant_config
+from los_testbed.factories import RunParts
 
 METRICS = ("slow", "fast")
 """Metrics that are searched: tones of the relative error."""
@@ -29,13 +29,12 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
     from los_design.search.worst_case_search import Search, SearchOptions
     from los_loop.implemented_loop import ImplementedLoop
     from los_loop.open_loop import OpenLoop
-    from titop_plant.simulation.build import PlantFamily
 
-    controllers = load_controllers(base)
+    parts = RunParts(replace(base, scenario="design"))
+    controllers = parts.models
     with one_thread():
-        family = PlantFamily.of(plant_config(replace(base, scenario="design")))
         options = SearchOptions(ascents=ascents, seed=seed)
-        open_loop = OpenLoop(family.control_loop, family.parameters)
+        open_loop = OpenLoop(parts.family.control_loop, parts.parameters)
         loop = ImplementedLoop(open_loop, controllers["k_fsm"], controllers["k_pma"], base.loop)
         found = Search(loop, options).run(METRICS)
     points = [point for band in found.values() for point in band]

@@ -23,7 +23,7 @@ from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
@@ -112,7 +112,7 @@ class Campaign:
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """Requirements of the telescope."""
-        return requirements_of(self.base)
+        return RunParts(self.base).requirements
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from los_testbed.campaign.local_cluster import local_cluster
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files, requirements_of
+from los_testbed.factories import RunParts
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
@@ -61,17 +61,18 @@ def identity(base: RunConfig) -> dict[str, str]:
         A file that cannot be read.
     """
     from pointing_analysis.requirements.text import entries
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+    from titop_plant.telescope.parameters import load_parameters, parameters_hash
     from titop_plant.telescope.requirements import telescope_requirements
 
-    required = json.dumps(entries(requirements_of(base)))
+    parts = RunParts(base)
+    required = json.dumps(entries(parts.requirements))
     reference = json.dumps(entries(telescope_requirements(load_parameters())))
-    controllers = {name: _digest(path) for name, path in controller_files(base).items()}
+    controllers = {name: _digest(path) for name, path in parts.model_files.items()}
     return {
         "version": __version__,
         "numpy": np.__version__,
         "scipy": scipy.__version__,
-        "parameters": parameters_hash(load_parameters(base.parameters or REFERENCE)),
+        "parameters": parameters_hash(parts.parameters),
         **controllers,
         **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
     }

@@ -27,14 +27,7 @@ from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import INDICES, judged, quantile_column, share_column
 from los_testbed.config import RunConfig
-from los_testbed.factories import (
-    assemble_controller,
-    load_controllers,
-    plant_config,
-    requirements_of,
-    run_start,
-    telescope_basis,
-)
+from los_testbed.factories import RunParts, assemble_controller
 from los_testbed.loop.simulate import LoopDivergedError
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
@@ -117,9 +110,8 @@ class MemberEvaluator:
         ValueError
             A file that cannot be read, controllers that cannot be used.
         """
-        with one_thread():
-            family = PlantFamily.of(plant_config(base))
-        return cls(base, family, load_controllers(base), telescope_basis(base), requirements_of(base))
+        parts = RunParts(base)
+        return cls(base, parts.family, parts.models, parts.basis, parts.requirements)
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -187,10 +179,10 @@ class MemberEvaluator:
         """The loop of a member at its start, and where its run is kept."""
         from pointing_analysis.indices.errors import default_transient
 
-        start = run_start(config, self.controllers)
-        states = start.states
+        parts = RunParts(config, self.controllers)
+        start, states = parts.start, parts.start.states
         rest = np.zeros(self.family.control_loop.order)
-        plant = self.family.build(plant_config(config, start), rest if states is None else states.plant)
+        plant = self.family.build(parts.physical, rest if states is None else states.plant)
         first = round((default_transient(config.duration) if states is None else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")

@@ -21,10 +21,10 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, build_controller, build_estimator, build_plant, plant_notes, run_start
+from los_testbed.factories import Plant, RunParts, plant_notes
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
-from los_testbed.run_start import RunStart, at_rest
+from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import TOPICS
 from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
@@ -196,14 +196,15 @@ def run_in_process(
         check_plant(plant)
         config = at_rest(config)
         name = {"plant": config.plant or f"{type(plant).__module__}:{type(plant).__qualname__}"}
-    estimator, controller = build_estimator(config), build_controller(config)
-    start = run_start(config) if plant is None else RunStart()
+    parts = RunParts(config)
+    estimator, controller = parts.estimator(), parts.controller()
+    start = parts.start if plant is None else AT_REST
     if plant is None:
-        plant = build_plant(config)
+        plant = parts.plant()
     estimator.reset()
     controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
-    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(config, start)}, attachments(config, start))
+    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(parts, start)}, attachments(parts, start))
     sink, done = BagSink(bag, plant.frame_ticks), 0
 
     def write(block: SampleBlock, rows: int) -> None:
@@ -221,7 +222,7 @@ def run_in_process(
     finally:
         statistics["plant"]["ticks"] = str(done)
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
-        _close(bag, {METADATA_NAME: final_metadata(config, statistics, start)}, done)
+        _close(bag, {METADATA_NAME: final_metadata(parts, statistics, start)}, done)
     return statistics
 
 

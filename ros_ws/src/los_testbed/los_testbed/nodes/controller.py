@@ -12,7 +12,7 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller, check_controllers, telescope_basis
+from los_testbed.factories import RunParts, build_controller
 from los_testbed.loop.changes import ACTIVE, Apply, Fade
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
@@ -23,6 +23,7 @@ from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
+from titop_plant.interface import DesignBasis
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore
@@ -39,10 +40,11 @@ def main(
 
     def body(context: NodeContext) -> int:
         own = build is not build_controller
-        controller = made_by(build, context.config, "controller") if own else build(context.config)
+        run = RunParts(context.config)
+        controller = made_by(build, context.config, "controller") if own else run.controller()
         control, reset = watched(controller.step, "step"), watched(controller.reset, "reset")
         if not own:
-            context.warn_alone(check_controllers(context.config))
+            context.warn_alone(run.check())
         parts = [
             TickPart(codec_for(ISOLATOR_ACCEL), ACCEL),
             TickPart(codec_for(LOS_ESTIMATE), ESTIMATE),
@@ -51,7 +53,7 @@ def main(
         command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
         step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
         fade = Fade(context.config.fade_ticks)
-        changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(context.config))
+        changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(run.basis))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
 
         def tick(stamp: int, sample: FloatArray, gap: int) -> None:
@@ -87,9 +89,9 @@ def _appliers(controller: ControllerCore) -> dict[str, Apply]:
     }
 
 
-def _limits(config: RunConfig) -> dict[str, float]:
+def _limits(telescope: DesignBasis) -> dict[str, float]:
     """Authorities of the start: the plant rejects more."""
-    return dict(zip(("fsm_authority", "pma_authority"), telescope_basis(config).authority))
+    return dict(zip(("fsm_authority", "pma_authority"), telescope.authority))
 
 
 if __name__ == "__main__":

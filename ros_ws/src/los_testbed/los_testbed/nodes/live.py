@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from los_testbed.bags.cdr import codec_for, stamp_of
-from los_testbed.factories import requirements_of, telescope_basis
+from los_testbed.factories import RunParts
 from los_testbed.live.access import certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import Frames
@@ -102,7 +102,8 @@ class LiveNode:
         channels = {t.path: topic.type_name for t, topic in zip(self.tracks, TOPICS) if topic.name in self._served}
         if OWN_DIAGNOSTICS in self._served:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
-        self.frames = Frames(config, telescope_basis(config).authority, requirements_of(config))
+        parts = RunParts(config)
+        self.frames = Frames(config, parts.basis.authority, parts.requirements)
         self.foxglove = FoxgloveServer(channels, host, port, live.origins, tls)
         self.page = PageServer(host, port and port + 1, self.frames.next, self._act, tls)
         # one request at a time, by a node of its own: this one's executor answers requests to it

@@ -18,7 +18,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, build_plant, plant_notes, run_start
+from los_testbed.factories import Plant, RunParts, build_plant, plant_notes
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.contract import RunFailedError, check_plant
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
@@ -56,11 +56,12 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
         others = OtherPlants(context)
         context.event("alone")
         own, command = build is not build_plant, None
-        plant = made_by(build, context.config, "plant") if own else build(context.config)
+        parts = RunParts(context.config)
+        plant = made_by(build, context.config, "plant") if own else parts.plant()
         if own or context.config.plant:
             check_plant(plant)
         if not own:
-            command = run_start(context.config).command
+            command = parts.start.command
         elif context.config.start != "rest":
             context.event("warning", message=OWN_PLANT)
             context.warn_alone([OWN_PLANT])

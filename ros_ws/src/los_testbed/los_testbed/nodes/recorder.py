@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.factories import run_start
+from los_testbed.factories import RunParts
 from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
@@ -65,9 +65,10 @@ class Recorder:
         self.path = Path(config.output) if config.output else default_bag()
         check_new_bag(self.path)
         self._base = self.path
-        final_metadata(config, {})  # what it imports takes most of a second: not at real-time priority
+        self.parts = RunParts(config)
+        final_metadata(self.parts, {})  # what it imports takes most of a second: not at real-time priority
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
-        self.start = AT_REST if config.start == "rest" else run_start(config)
+        self.start = AT_REST if config.start == "rest" else self.parts.start
         self._reported: dict[str, int] = {}
         self.tracks = [
             Track(
@@ -191,11 +192,10 @@ class Recorder:
         if self.bag is None:
             if not any(track.data for track in self.tracks):
                 return
-            config = self.context.config
             self.bag = BagWriter(
                 self.path,
-                {METADATA_NAME: run_metadata(config, self.start)},
-                attachments(config, self.start),
+                {METADATA_NAME: run_metadata(self.parts, self.start)},
+                attachments(self.parts, self.start),
                 diagnostics=not self.simulated,
             )
         for track in self.tracks:
@@ -255,7 +255,7 @@ class Recorder:
         """Results into the head of the bag, and its index."""
         if self.bag is not None:
             final = {**self.statistics, "recorder": self.own_statistics()}
-            self.bag.close({METADATA_NAME: final_metadata(self.context.config, final, self.start)})
+            self.bag.close({METADATA_NAME: final_metadata(self.parts, final, self.start)})
 
     def _take_last_statistics(self) -> None:
         """Those that the runner has of each node, where there is one: of a report that was lost they are not."""

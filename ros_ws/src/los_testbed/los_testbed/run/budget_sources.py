@@ -19,13 +19,13 @@ from lftkit.support.threads import one_thread
 from los_loop.sampled_loop import SampledLoop
 from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
-from los_testbed.factories import requirements_of, tone_model
+from los_testbed.factories import RunParts
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.telescope.parameters import REFERENCE, load_parameters
+from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
 
 GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
@@ -60,21 +60,22 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
         raise ValueError(f"{' / '.join(path)}: settings must be of {', '.join(sorted(SETTINGS))}, got {unknown}")
     values = {key: table[key] for key in ("loop", "scenario", "seed") if key in table}
     config = RunConfig.from_mapping({**settings, **values})
-    model = tone_model(config)
+    parts = RunParts(config)
+    model = parts.tone_model()
     if not model.loop.spectral_radius() < 1:
         raise ValueError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
     found = []
     if part != "noise":
         found += _tones(path, model, unit)
     if part != "tones" and config.loop in MIRROR_STAGES and config.noise:
-        found += _noise(path, model.loop, config, unit)
+        found += _noise(path, model.loop, parts.parameters, unit)
     return found
 
 
 def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:
     """Requirements of the telescope of a table of type ``testbed``, those of its stage."""
     config = RunConfig.from_mapping({**dict(table.get("settings", {})), "loop": table.get("loop", RunConfig().loop)})
-    return tuple(r for r in requirements_of(config) if not r.loops or config.loop in r.loops)
+    return tuple(r for r in RunParts(config).requirements if not r.loops or config.loop in r.loops)
 
 
 def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]:
@@ -87,8 +88,8 @@ def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]
     ]
 
 
-def _noise(path: tuple[str, ...], loop: SampledLoop, config: RunConfig, unit: float) -> list[Source]:
-    sigma = noise_of_samples(load_parameters(config.parameters or REFERENCE))
+def _noise(path: tuple[str, ...], loop: SampledLoop, parameters: Parameters, unit: float) -> list[Source]:
+    sigma = noise_of_samples(parameters)
     found = []
     for name in GROUPS:
         chosen = np.zeros_like(sigma)

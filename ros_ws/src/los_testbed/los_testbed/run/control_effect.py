@@ -12,7 +12,7 @@ import numpy as np
 
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
-from los_testbed.factories import tone_model
+from los_testbed.factories import RunParts
 from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
@@ -72,7 +72,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
             return None
         controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
         with one_thread():
-            model = tone_model(replace(config, loop="isolator"), controllers, start)
+            model = RunParts(replace(config, loop="isolator"), controllers, start).tone_model()
             amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
     except (ValueError, OSError, OverflowError):
         return None

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
-from los_testbed.factories import plant_config, tone_model
-from los_testbed.factories import run_start as find_start
+from los_testbed.factories import RunParts
 from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
@@ -21,7 +20,6 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import Prediction
 from titop_plant.interface import TICK_NS, period_ticks
-from titop_plant.simulation.build import configuration_hash
 
 LONGEST = 60.0
 """Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""
@@ -65,17 +63,16 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         if START_FILE not in run.attachments:
             raise ValueError(f"the bag does not hold {START_FILE}")
-        run_start = RunStart.from_bytes(run.attachments[START_FILE])
+        start_of_run = RunStart.from_bytes(run.attachments[START_FILE])
         _check(run, config, start, stop)
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
-        if run_start.states is None and run_start.tone is None:  # the recorder node leaves the tone out at rest
-            run_start = find_start(config, controllers)
-        physical = plant_config(config, run_start)
-        if physical.ramps:
+        untold = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
+        parts = RunParts(config, controllers, None if untold else start_of_run)
+        if parts.physical.ramps:
             return None
-        if value_of(configuration_hash(physical)) != known:
+        if value_of(parts.family.name(parts.physical)) != known:
             raise ValueError("the telescope's figures are no longer those of the run")
-        model = tone_model(config, controllers, run_start)
+        model = parts.tone_model()
         tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
     except (ValueError, TypeError, OSError, OverflowError) as error:
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)

@@ -22,7 +22,7 @@ from lftkit.arrays import FloatArray
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
-from los_testbed.factories import controller_files, plant_config, tone_model
+from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
@@ -218,7 +218,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     for config in plan.members().values():
         check_ranges(config)
         if MOVING in plan.scenarios:
-            plant_config(replace(config, scenario=MOVING))
+            RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
     plan.folder.mkdir(parents=True)
     results = []
     for run in plan.runs():
@@ -250,7 +250,7 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     summary: Summary = summarise(opened, requirements=None if run.part == "all" else ())
     values = (summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_windows_p997)
     alone = run.part == "disturbance" and run.scenario != MOVING and not run.config.ramp_duration
-    tones = tone_responses(opened, tone_model(run.config)) if alone else ()
+    tones = tone_responses(opened, RunParts(run.config).tone_model()) if alone else ()
     kept = bag if plan.keep or run.reported else None
     worst = worst_tone_of(opened) if alone and run.scenario == WORST else None
     return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, kept, worst=worst, summary=summary)
@@ -268,10 +268,9 @@ def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) 
 def provenance(plan: Plan) -> dict[str, Any]:
     """Origin of the results: software, configuration, controllers."""
     keys = ("software_version", "commit", "python")
-    metadata = run_metadata(plan.base)
-    designs = {
-        name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in controller_files(plan.base).items()
-    }
+    parts = RunParts(plan.base)
+    metadata = run_metadata(parts)
+    designs = {name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in parts.model_files.items()}
     return {
         **{key: metadata[key] for key in keys},
         "mode": plan.base.mode,

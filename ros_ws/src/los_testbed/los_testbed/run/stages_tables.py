@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from los_testbed.factories import requirements_of
+from los_testbed.factories import RunParts
 from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -58,7 +58,7 @@ def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
             summary = whole[index].summary
             if alone.worst is not None and summary is not None:
                 cells.append((loop, alone.worst, summary))
-    return worst_case_rows.rows(cells, requirements_of(plan.base))
+    return worst_case_rows.rows(cells, RunParts(plan.base).requirements)
 
 
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:

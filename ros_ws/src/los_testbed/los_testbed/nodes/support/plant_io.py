@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
-from los_testbed.factories import telescope_basis
+from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
@@ -39,7 +39,7 @@ class PlantIo:
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
         self.watch = SourceWatch(node, [self.fsm_input, self.pma_input, self.progress_input])
         hold = config.hold_ticks, config.fade_ticks
-        mirror, force = telescope_basis(config).authority
+        mirror, force = RunParts(config).basis.authority
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)
         self.pma_gate = CommandGate(codec_for(PMA_COMMAND), force, *hold)
         self.start = 0
