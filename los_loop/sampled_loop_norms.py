@@ -197,8 +197,30 @@ def disturbance_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray
     return tone_response(loop, plant, omega).fundamental
 
 
-def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ToneResponse:
-    """Response at the ticks, the zero-order-hold values closed around the rest of the loop.
+@dataclass(frozen=True)
+class ToneModes:
+    """Eigenvalues and eigenvectors for :func:`tone_response`, for several calls with one loop.
+
+    Parameters
+    ----------
+    loop, plant : tuple of ndarray
+        Of the loop at a tick without held values, and of the continuous plant.
+    """
+
+    loop: tuple[ComplexArray, ComplexArray]
+    plant: tuple[ComplexArray, ComplexArray]
+
+    @classmethod
+    def of(cls, loop: SampledLoop, plant: StateSpace) -> ToneModes:
+        """Of a loop and its continuous plant."""
+        size = loop.hold.shape[0] - HELD.size
+        return cls(eigenpairs(loop.at(1)[0][:size, :size]), eigenpairs(plant.A))
+
+
+def tone_response(
+    loop: SampledLoop, plant: StateSpace, omega: FloatArray, modes: ToneModes | None = None
+) -> ToneResponse:
+    """Response at the ticks, the zero-order-hold values closed around the rest of the loop; `modes` if they are known.
 
     A tone at w makes signals at ``w + l w_N`` with the frequency ``w_N`` of the period of N ticks. A sensor with a
     sample every n ticks sees those alike whose l differ by a multiple of ``N / n``: its samples have ``N / n``
@@ -213,13 +235,14 @@ def tone_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> To
     kept = np.concatenate([size + np.arange(HELD.size)[part] for part, _, _ in held]) if held else np.arange(0)
     outputs = np.zeros((APPLIED.stop, size))
     outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
-    mu, W = eigenpairs(A[:, :size])
+    modes = modes or ToneModes.of(loop, plant)
+    mu, W = modes.loop
     right, left = linalg.inv(W), np.vstack([outputs, loop.frame[kept, :size]]) @ W
     z = np.exp(1j * omega * DT)
     rows = left[None] / (z[:, None, None] - mu)  # (k, 10 + held, size), to be followed by `right`
     # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
     through = plant.D[:MEASUREMENTS, COMMANDS:]
-    forced = _forced(plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
+    forced = _forced(plant, modes.plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
     if not held:
         return ToneResponse(forced, None, [])
     forced[:, APPLIED.stop :] += loop.noise_frame[kept] @ through
@@ -267,9 +290,15 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
     return places
 
 
-def _forced(plant: StateSpace, omega: FloatArray, rows: ComplexArray, right: ComplexArray) -> ComplexArray:
+def _forced(
+    plant: StateSpace,
+    modes: tuple[ComplexArray, ComplexArray],
+    omega: FloatArray,
+    rows: ComplexArray,
+    right: ComplexArray,
+) -> ComplexArray:
     """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) and `right` (size, n)."""
-    values, vectors = eigenpairs(plant.A)
+    values, vectors = modes
     drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
     z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
     near = np.abs(s - values) < 1e-9

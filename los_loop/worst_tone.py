@@ -27,7 +27,7 @@ from lftkit import StateSpace
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop
-from los_loop.sampled_loop_norms import loop_grid, tone_response
+from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
@@ -166,13 +166,18 @@ def worst_tone(
     if closed and not radius < 1.0:
         raise ValueError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
     row = figure(index)
+    modes = ToneModes.of(loop, plant)
+
+    def weighted(omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        return _weighted(tone_response(loop, plant, omega, modes), parameters, omega, row)
+
     omega = _band(loop_grid(plant, loop.free), row)
-    gains = _gains(loop, plant, parameters, omega, row)
+    gains = _gains(weighted(omega)[0])
     for peaks in (PEAKS, *[1] * ZOOMS):
         omega = _around(omega, gains, peaks)
-        gains = _gains(loop, plant, parameters, omega, row)
+        gains = _gains(weighted(omega)[0])
     w = omega[gains.argmax()]
-    matrix, response = _weighted(loop, plant, parameters, np.array([w]), row)
+    matrix, response = weighted(np.array([w]))
     gain, right = _leading(matrix[0])
     size = weight_amplitudes(parameters, w)[0]
     amplitude = size * right
@@ -202,18 +207,14 @@ def _band(omega: FloatArray, row: FigureOfMerit) -> FloatArray:
     return np.asarray(np.unique(np.append(omega[(omega > row.band[0]) & (omega < row.band[1])], edges)))
 
 
-def _gains(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
-) -> FloatArray:
-    matrix, _ = _weighted(loop, plant, parameters, omega, row)
+def _gains(matrix: ComplexArray) -> FloatArray:
     return np.asarray(np.linalg.norm(matrix, ord=2, axis=(1, 2)))
 
 
 def _weighted(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
+    tone: ToneResponse, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
 ) -> tuple[ComplexArray, ComplexArray]:
     """Weighted response (k, rows, 22), its largest singular value is the gain; line of sight by phasors (k, 2, 22)."""
-    tone = tone_response(loop, plant, omega)
     size = weight_amplitudes(parameters, omega)[:, None, :]
     los = tone.fundamental[:, OUTPUTS[LINE_OF_SIGHT]]
     if not row.relative:

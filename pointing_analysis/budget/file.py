@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget import sources as kinds
@@ -221,6 +220,8 @@ class _Reader:
             if isinstance(entry, (int, float)) and not isinstance(entry, bool):
                 total = total * abs(float(entry))
             elif isinstance(entry, dict) and set(entry) == {"numerator", "denominator"}:
+                from scipy import signal  # slow to import, and few budgets have such a transfer
+
                 _, response = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
                 total = total * np.abs(response)
             elif isinstance(entry, dict) and set(entry) == {"file"}:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from scipy import signal
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
@@ -64,6 +63,8 @@ def moving_pictures(views: Sequence[RunView], limits: Sequence[float]) -> list[P
 
 def _spectra(view: RunView) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Frequencies [rad/s], times [s] and amplitude densities [mas/sqrt(Hz)], shape (frequencies, times)."""
+    from scipy import signal  # slow to import, and in most pages nothing moves
+
     n = len(view.series.values)
     step = max(SEGMENT // 4, -(-(n - SEGMENT) // COLUMNS))
     f, t, power = signal.spectrogram(

@@ -41,6 +41,10 @@ with both controllers."""
 TOTAL_NOISE = 0.29
 """Share of the noise (rms) with both controllers; the rest is for tones."""
 
+TONE = 0.48958363084749135
+"""Share of the amplitude of a tone that keeps the limit beside this noise, :func:`largest_tone` of it: every bag holds
+the budget, and the search for this number would take most of the time that a recorder needs to start."""
+
 MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
 """Largest singular value of a sensitivity that a design may have, and the ones that K_FSM and K_PMA are tuned for: the
 sampled loop has a little more than the design model, at the forces near half of the sampling rate."""
@@ -150,8 +154,8 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     40.0
     """
     limit = float(parameters["weights"]["rpe_limit_fine"])
-    tone = limit * largest_tone(TOTAL_NOISE, 1.0)
-    return ErrorBudget(limit, NOISE * limit, SLOW * limit, FAST_MIRROR * limit, FAST * limit, TOTAL_NOISE * limit, tone)
+    shares = (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, TONE)
+    return ErrorBudget(limit, *(share * limit for share in shares))
 
 
 def band_error_weight(parameters: Parameters, band: str) -> StateSpace:

@@ -8,6 +8,8 @@ import pytest
 from titop_plant.telescope.budget import (
     BAND_EDGE,
     CONFIDENCE,
+    TONE,
+    TOTAL_NOISE,
     band_error_weight,
     band_weight,
     combined_level,
@@ -55,6 +57,7 @@ def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> 
     alone = combined_level(max(budget.slow, budget.fast_mirror), budget.noise)
     assert alone <= parameters["weights"]["rpe_limit"]
     assert combined_level(budget.tone, budget.total_noise) == pytest.approx(budget.limit)
+    assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0), rel=1e-12) == TONE
     assert budget.fast <= budget.tone
     assert budget.fast <= budget.tone < budget.fast_mirror
     weight = band_error_weight(parameters, "fast").to_control()

@@ -21,7 +21,6 @@ from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.report import write_report
 from pointing_analysis.requirements.rows import HEADS, cells, digits
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
@@ -87,6 +86,7 @@ def summarise_runs(
     )
     if report is not None:
         from los_testbed.run.predictions import predictions
+        from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
         expected = predictions(opened, transient)
         write_report(
