@@ -43,7 +43,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, id=name, marks=[pytest.mark.slow] * ("off the grid" in name)) for name, case in CASES.items()],
+)
 def test_a_flood_under_the_name_of_a_node_changes_no_message_of_the_bag(tmp_path, undisturbed, case):
     results = attacked(tmp_path, case)
     assert topic_hashes(results.bag) == undisturbed
@@ -59,10 +62,10 @@ def test_a_flood_under_the_name_of_a_node_changes_no_message_of_the_bag(tmp_path
     ("topic", "stamps"),
     [
         ("recorder/progress", "hold"),
-        ("recorder/progress", "future"),
-        ("truth/los", "hold"),
         ("isolator/accel", "future"),
-        ("los_estimate", "future"),
+        pytest.param("recorder/progress", "future", marks=pytest.mark.slow),
+        pytest.param("truth/los", "hold", marks=pytest.mark.slow),
+        pytest.param("los_estimate", "future", marks=pytest.mark.slow),
     ],
 )
 def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_path, undisturbed, topic, stamps):
@@ -98,7 +101,7 @@ def expected(tmp_path_factory):
     return messages_of(run_beside(tmp_path_factory.mktemp("alone"), None).bag)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [3, pytest.param(1, marks=pytest.mark.slow)])
 def test_cases_of_the_campaign_are_right_or_refused(tmp_path, expected, seed):
     """All of them: make attacks."""
     kind, said = judge(tmp_path, case_of(seed), expected)

@@ -37,7 +37,7 @@ def until_replaced(name):
     return fault
 
 
-@pytest.mark.parametrize("name", ["estimator", "controller"])
+@pytest.mark.parametrize("name", ["controller", pytest.param("estimator", marks=pytest.mark.slow)])
 def test_a_follower_that_is_told_to_end_by_a_stranger_is_replaced(tmp_path, name):
     results = run_with_fault(tmp_path, 400, until_replaced(name), after=1500)
     (failure,) = results.failures

@@ -33,7 +33,10 @@ TABLE = """time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4
 """
 
 
-@pytest.mark.parametrize("profile", ["linear", "trapezoidal", "file"])
+@pytest.mark.parametrize(
+    "profile",
+    ["trapezoidal", pytest.param("linear", marks=pytest.mark.slow), pytest.param("file", marks=pytest.mark.slow)],
+)
 def test_a_ramp_in_lockstep_has_the_bytes_of_the_ramp_in_one_process(profile: str, tmp_path: Path) -> None:
     moves = {**THROUGH_REST, "profile": profile}
     if profile == "file":

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -83,24 +84,75 @@ def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):
     assert ours["/telescope/fsm/command"][0] == 1500
 
 
-def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(tmp_path):
-    config = config_for(tmp_path, duration=60.0)
-    stopped = []
+SECOND = f"""
+import sys
+sys.path.insert(0, {str(Path(simple_telescope.__file__).parent)!r})
+import simple_telescope
+sys.exit(simple_telescope.main(listen_s=float(sys.argv.pop(1))))
+"""
+"""A plant that listens for so long before it sends; not at all is as where discovery takes longer than it listens."""
 
-    def stop(ticks):
-        if ticks > 500 and not stopped:
-            stopped.append(ticks)
+
+def second_plant(config, folder, listen_s):
+    """How a plant ends that is started by hand beside the one of a run."""
+    parameters = folder / "run.yaml"
+    parameter_file(config, parameters)
+    command = [sys.executable, "-c", SECOND, str(listen_s), "--ros-args", "--params-file", str(parameters)]
+    return subprocess.run(command, env=environment(config, folder), capture_output=True, text=True, timeout=240)
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """A long run that is interrupted after others were refused beside it, and what they said."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    config, found = config_for(folder, duration=600.0), {}
+    found["folder of the second run"] = folder / "second"
+    found["folder of the second run"].mkdir()
+    second = config_for(found["folder of the second run"])
+
+    def meanwhile(ticks):
+        if ticks > 200 and "second run" not in found:
+            begin = time.monotonic()
+            with pytest.raises(ValueError) as refused:
+                Runner(second, commands={"plant": PLANT}).run()
+            found["second run"] = str(refused.value)
+            for name, listen_s in (("at once", LISTEN_S), ("discovered late", 0.0)):
+                found[name] = second_plant(config, folder, listen_s)
+            found["ticks"] = ticks + 1000 * (time.monotonic() - begin)  # the plant did not wait for this
+        if ticks > 500 and "stopped" not in found:
+            found["stopped"] = True
             raise KeyboardInterrupt
 
-    results = Runner(config, stop, {"plant": PLANT}).run()
+    return Runner(config, meanwhile, {"plant": PLANT}).run(), found
+
+
+def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(interrupted):
+    results, found = interrupted
     assert results.interrupted
     run = Run.open(results.bag)
     assert not run.problems
     count = len(span_of(run))
-    assert 500 < count < 10_000
+    assert 500 < count < found["ticks"] + 10_000
     assert_plant_is_recorded(run, count)
     for name, node in FOLLOWERS.items():
         assert_gaps_are_counted(run, name, node)
+
+
+def test_a_second_run_on_the_same_domain_is_refused(interrupted):
+    found = interrupted[1]
+    assert "must be a ROS domain without another run" in found["second run"]
+    assert not (found["folder of the second run"] / "bag").exists()
+
+
+@pytest.mark.parametrize("heard", ["at once", "discovered late"])
+def test_a_plant_that_hears_another_one_refuses_to_start(interrupted, heard):
+    """Also from another machine, where no lock file helps."""
+    results, found = interrupted
+    assert found[heard].returncode == 2
+    assert "ROS_DOMAIN_ID must be a domain without a plant" in found[heard].stderr
+    assert found[heard].stderr.count("\n") == 1
+    run = Run.open(results.bag)
+    assert run["truth/los"].integrity.conflicts == 0
 
 
 FAKE = """
@@ -143,8 +195,17 @@ sys.exit({node}.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
-@pytest.mark.parametrize("node", ["estimator", "controller", "recorder"])
+@pytest.mark.parametrize(
+    ("node", "mode"),
+    [
+        ("estimator", "lockstep"),
+        ("recorder", "realtime"),
+        pytest.param("controller", "lockstep", marks=pytest.mark.slow),
+        pytest.param("recorder", "lockstep", marks=pytest.mark.slow),
+        pytest.param("estimator", "realtime", marks=pytest.mark.slow),
+        pytest.param("controller", "realtime", marks=pytest.mark.slow),
+    ],
+)
 def test_a_node_that_dies_before_the_run_begins_is_started_again(tmp_path, node, mode):
     """Nothing is lost with it: the run is whole, with a warning."""
     commands = {"plant": PLANT, node: [sys.executable, "-c", ONCE.format(node=node, mark=str(tmp_path / "mark"))]}
@@ -162,57 +223,6 @@ def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
     with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:
         Runner(config_for(tmp_path, duration=0.3, wait_for_recorder=False), commands=commands).run()
     assert error.value.code == 1
-
-
-def test_a_second_run_on_the_same_domain_is_refused(tmp_path):
-    first = config_for(tmp_path, duration=60.0)
-    (tmp_path / "second").mkdir()
-    second = config_for(tmp_path / "second")
-    refused = []
-
-    def meanwhile(ticks):
-        if ticks > 200 and not refused:
-            with pytest.raises(ValueError, match="must be a ROS domain without another run") as error:
-                Runner(second, commands={"plant": PLANT}).run()
-            refused.append(str(error.value))
-            raise KeyboardInterrupt
-
-    Runner(first, meanwhile, {"plant": PLANT}).run()
-    assert refused
-    assert not (tmp_path / "second" / "bag").exists()
-
-
-SECOND = f"""
-import sys
-sys.path.insert(0, {str(Path(simple_telescope.__file__).parent)!r})
-import simple_telescope
-sys.exit(simple_telescope.main(listen_s=float(sys.argv.pop(1))))
-"""
-"""A plant that listens for so long before it sends; not at all is as where discovery takes longer than it listens."""
-
-
-@pytest.mark.parametrize("listen_s", [LISTEN_S, 0.0], ids=["at once", "discovered late"])
-def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, listen_s):
-    """Also from another machine, where no lock file helps."""
-    config = config_for(tmp_path, duration=60.0)
-    parameters = tmp_path / "run.yaml"
-    parameter_file(config, parameters)
-    command = [sys.executable, "-c", SECOND, str(listen_s), "--ros-args", "--params-file", str(parameters)]
-    outcome = []
-
-    def meanwhile(ticks):
-        if ticks > 200 and not outcome:
-            outcome.append(
-                subprocess.run(command, env=environment(config, tmp_path), capture_output=True, text=True, timeout=240)
-            )
-            raise KeyboardInterrupt
-
-    results = Runner(config, meanwhile, {"plant": PLANT}).run()
-    assert outcome[0].returncode == 2
-    assert "ROS_DOMAIN_ID must be a domain without a plant" in outcome[0].stderr
-    assert outcome[0].stderr.count("\n") == 1
-    run = Run.open(results.bag)
-    assert run["truth/los"].integrity.conflicts == 0
 
 
 def test_a_node_that_dies_ends_the_run_and_is_named(tmp_path):

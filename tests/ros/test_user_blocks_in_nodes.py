@@ -102,24 +102,28 @@ def test_a_value_that_is_not_finite_ends_the_run_and_names_tick_and_port(tmp_pat
         Runner(config, lambda ticks: None).run()
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+LAW_RAISES = (
+    "k_pma",
+    "Raising",
+    300,
+    r"controller: k_pma {module}:Raising failed at tick 30\d: KeyError: 'no such key' "
+    r"\(Raising.step, {module}.py:{line}\)",
+)
+PLANT_RAISES = (
+    "plant",
+    "Plant",
+    700,
+    r"plant: failed at tick 700: LinAlgError: Singular matrix \(Plant.step, {module}.py:{line}\)",
+)
+
+
 @pytest.mark.parametrize(
-    ("setting", "name", "ticks", "words"),
+    ("mode", "setting", "name", "ticks", "words"),
     [
-        (
-            "k_pma",
-            "Raising",
-            300,
-            r"controller: k_pma {module}:Raising failed at tick 30\d: KeyError: 'no such key' "
-            r"\(Raising.step, {module}.py:{line}\)",
-        ),
-        (
-            "plant",
-            "Plant",
-            700,
-            r"plant: failed at tick 700: LinAlgError: Singular matrix "
-            r"\(Plant.step, {module}.py:{line}\)",
-        ),
+        ("lockstep", *LAW_RAISES),
+        ("realtime", *PLANT_RAISES),
+        pytest.param("realtime", *LAW_RAISES, marks=pytest.mark.slow),
+        pytest.param("lockstep", *PLANT_RAISES, marks=pytest.mark.slow),
     ],
 )
 def test_any_exception_of_the_user_ends_the_run_with_one_line_and_a_whole_bag(
@@ -157,7 +161,9 @@ sys.exit({node}.main(sys.argv[1:], build=lambda config: {made}))
 """
 
 
-@pytest.mark.parametrize(("node", "outputs"), [("plant", 1), ("estimator", -1), ("controller", -1)])
+@pytest.mark.parametrize(
+    ("node", "outputs"), [("plant", 1), pytest.param("estimator", -1, marks=pytest.mark.slow), ("controller", -1)]
+)
 def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, node: str, outputs: int) -> None:
     file = tmp_path / "own_node.py"
     file.write_text(BUILT.format(node=node, outputs=outputs, made="Own()"))
@@ -168,7 +174,7 @@ def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, 
     assert len(Run.open(tmp_path / "bag")["truth/los"]) > 300
 
 
-@pytest.mark.parametrize("node", ["plant", "estimator", "controller"])
+@pytest.mark.parametrize("node", ["plant", pytest.param("estimator", marks=pytest.mark.slow), "controller"])
 def test_a_function_that_makes_nothing_for_a_node_is_a_mistake_of_the_user(tmp_path: Path, node: str) -> None:
     file = tmp_path / "own_node.py"
     file.write_text(BUILT.format(node=node, outputs=1, made='{}["telescope"]'))
