@@ -105,11 +105,12 @@ def main(domain: int, case: Case) -> None:
     rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(case.name, namespace=case.namespace)
     heard = RawSubscription(node, f"/telescope/{TRUTH_LOS.name}", TRUTH_LOS.type_name, 1)
-    newest, start = 0, time.time_ns() // 1_000_000 * 1_000_000
+    newest, count_heard, start = 0, 0, time.time_ns() // 1_000_000 * 1_000_000
 
     def listen() -> None:
-        nonlocal newest, first
+        nonlocal newest, first, count_heard
         while (taken := heard.take()) is not None:
+            count_heard += 1
             stamp = stamp_of(taken[0]) if len(taken[0]) >= 12 else 0
             if 0 < stamp < newest + 10**9 or not newest:
                 newest, first = max(newest, stamp), first or stamp
@@ -130,7 +131,7 @@ def main(domain: int, case: Case) -> None:
         rest = start_time + count / case.rate - time.monotonic()
         if rest > 0:
             time.sleep(min(rest, 0.1))
-    sys.stdout.write(f"sent {count}\n")
+    sys.stdout.write(f"sent {count}, heard {count_heard}\n")
     sys.stdout.flush()
     while not ended:
         time.sleep(0.05)

@@ -50,6 +50,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
     los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it computes
 
+    los-testbed run --isolated                         # no other program of this machine is on its ROS domain
+
     los-testbed run --only plant                       # this host runs the plant, others the rest
 
     los-testbed run --theta 1.57 --wheel-speed 200 -210 220 -230    # arrays a quarter turn round
@@ -99,6 +101,10 @@ def run(
     live_topic: live_options.Topics = None,
     live_tls_cert: live_options.TlsCert = None,
     live_tls_key: live_options.TlsKey = None,
+    isolated: Annotated[
+        bool,
+        typer.Option("--isolated", help="A network of the run's own: no other program is on its ROS domain."),
+    ] = False,
     max_missed: Annotated[
         float, typer.Option(metavar="PERCENT", min=0.0, max=100.0, help="Most ticks in real time that may be missed.")
     ] = MAX_MISSED,
@@ -117,9 +123,13 @@ def run(
     if only is not None:
         if sign_key is not None:
             raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
+        if isolated:
+            raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
         from los_testbed.run.node_launch import run_alone
 
         raise typer.Exit(run_alone(only, chosen))
+    if isolated and chosen.mode == "inprocess":
+        raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
     viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
     key = None
     if sign_key is not None:
@@ -129,7 +139,7 @@ def run(
     if SUPERVISED in os.environ and code_of_user(chosen):
         del os.environ[SUPERVISED]
         supervise(chosen)
-    _run_and_tell(chosen, viewers, max_missed, report, json_, key)
+    _run_and_tell(chosen, viewers, isolated, max_missed, report, json_, key)
 
 
 def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
@@ -147,6 +157,7 @@ def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 def _run_and_tell(
     config: RunConfig,
     live: Live | None,
+    isolated: bool,
     max_missed: float,
     report: bool,
     json_: bool,
@@ -156,7 +167,7 @@ def _run_and_tell(
     from los_testbed.run.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
-    bag, results = execute(config, live)
+    bag, results = execute(config, live, isolated)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
@@ -306,7 +317,7 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     return given
 
 
-def execute(config: RunConfig, live: Live | None = None) -> tuple[Path, Results]:
+def execute(config: RunConfig, live: Live | None = None, isolated: bool = False) -> tuple[Path, Results]:
     """Run, with a progress bar and, if `live` is given, a server for viewers; the bag and what happened."""
     warnings = check(config)
     if live is not None:
@@ -334,7 +345,7 @@ def execute(config: RunConfig, live: Live | None = None) -> tuple[Path, Results]
             return path, Results(bag=path)
         from los_testbed.run.runner import Runner
 
-        results = Runner(replace(config, wait_for_recorder=True), progress, live=live).run()
+        results = Runner(replace(config, wait_for_recorder=True), progress, live=live, isolated=isolated).run()
     if results.bag is None:  # the runner has raised unless it was interrupted
         raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]

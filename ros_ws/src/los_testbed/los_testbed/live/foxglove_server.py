@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import secrets
 import ssl
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import foxglove
 from foxglove import Channel, Context, Schema
-from tornado.netutil import bind_sockets
 
 from los_testbed.bags.schemas import DEFINITIONS
 from los_testbed.live.access import FOXGLOVE_SITE, Access
 from los_testbed.live.gate import Gate
+from los_testbed.run.viewers import listening_sockets
 
 BACKLOG = 16_384
 """Messages that are kept for a viewer that is slow, about 2 s or 3 MB; of older ones it gets none."""
@@ -35,6 +35,8 @@ class FoxgloveServer:
         Sites whose pages may connect, beside those of this machine and of Foxglove.
     tls : ssl.SSLContext, optional
         The certificate; then the address begins with wss.
+    inherited : sequence of int
+        Descriptors of sockets that listen already; empty: it opens its own.
 
     Raises
     ------
@@ -49,11 +51,9 @@ class FoxgloveServer:
         port: int,
         origins: tuple[str, ...] = (),
         tls: ssl.SSLContext | None = None,
+        inherited: Sequence[int] = (),
     ) -> None:
-        try:
-            sockets = bind_sockets(port, host)
-        except OSError as error:
-            raise ValueError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
+        sockets = listening_sockets(host, port, inherited)
         self.port = int(sockets[0].getsockname()[1])
         self._context = Context()  # nothing else keeps it alive
         inside = hidden_address()

@@ -12,18 +12,18 @@ import json
 import secrets
 import ssl
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream
-from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from los_testbed.live.access import MAX_VIEWERS, Access
 from los_testbed.live.connections import SilentConnections
+from los_testbed.run.viewers import listening_sockets
 
 STATIC = Path(__file__).with_name("static")
 FRAME_S = 0.1
@@ -171,6 +171,8 @@ class PageServer:
         Performs actions; it is called in another thread.
     tls : ssl.SSLContext, optional
         The certificate; then the address begins with https.
+    inherited : sequence of int
+        Descriptors of sockets that listen already; empty: it opens its own.
 
     Raises
     ------
@@ -178,17 +180,22 @@ class PageServer:
         The port is in use, or no address of this machine.
     """
 
-    def __init__(self, host: str, port: int, frame: Frame, act: Act, tls: ssl.SSLContext | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        frame: Frame,
+        act: Act,
+        tls: ssl.SSLContext | None = None,
+        inherited: Sequence[int] = (),
+    ) -> None:
         self.frame, self.act, self.access = frame, act, Access(host)
         self.silent = SilentConnections(MAX_SILENT)
         self.token = secrets.token_urlsafe(16)
         self.viewers: set[_Data] = set()
         own = {"server": self}
         handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, own)]
-        try:
-            sockets = bind_sockets(port, host)
-        except OSError as error:
-            raise ValueError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
+        sockets = listening_sockets(host, port, inherited)
         self.port = int(sockets[0].getsockname()[1])
         application = Application(handlers, websocket_ping_interval=PING_S, websocket_ping_timeout=PING_S)
         limits = {"max_body_size": MAX_REQUEST, "idle_connection_timeout": IDLE_S, "body_timeout": IDLE_S}

@@ -50,6 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--topic", action="append", default=[], help="topic that is served; repeatable; default: all")
     parser.add_argument("--tls-cert", default="", help="certificate (PEM)")
     parser.add_argument("--tls-key", default="", help="its private key (PEM)")
+    for name in ("--foxglove-socket", "--page-socket"):
+        parser.add_argument(name, action="append", type=int, default=[], help="descriptor of a socket that listens")
     own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
 
     live = Live(
@@ -59,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         topics=tuple(own.topic),
         tls_cert=own.tls_cert,
         tls_key=own.tls_key,
+        foxglove_sockets=tuple(own.foxglove_socket),
+        page_sockets=tuple(own.page_socket),
     )
 
     async def serve(context: NodeContext) -> int:
@@ -98,14 +102,14 @@ class LiveNode:
         }
         self._simulated = config.mode == "lockstep"
         self._next_look = 0
-        tls, host, port = certificate(live.tls_cert or None, live.tls_key or None), live.host, live.port
+        tls, host = certificate(live.tls_cert or None, live.tls_key or None), live.host
         channels = {t.path: topic.type_name for t, topic in zip(self.tracks, TOPICS) if topic.name in self._served}
         if OWN_DIAGNOSTICS in self._served:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         parts = RunParts(config)
         self.frames = Frames(config, parts.basis.authority, parts.requirements)
-        self.foxglove = FoxgloveServer(channels, host, port, live.origins, tls)
-        self.page = PageServer(host, port and port + 1, self.frames.next, self._act, tls)
+        self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets)
+        self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
         # one request at a time, by a node of its own: this one's executor answers requests to it
         self._user = Node(f"live_control_{os.getpid()}", context=node.context)
         self._remote = RemoteControl(self._user, config.namespace)

@@ -21,6 +21,12 @@ EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 STATISTICS_VARIABLE = "LOS_TESTBED_STATISTICS"
 """File with the last statistics of each node, as JSON, that the runner writes before it ends the recorder."""
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
+"""Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
+TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+LAYER_VARIABLE, LAYER = "RMW_IMPLEMENTATION", "rmw_fastrtps"
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Fast DDS 2 and 3 call it differently."""
 
 
 def node_command(name: str) -> list[str]:

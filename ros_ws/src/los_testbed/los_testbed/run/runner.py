@@ -17,6 +17,7 @@ from los_testbed.factories import check_controllers
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.domains import domain_lock
+from los_testbed.run.isolation import Network, network_of_nodes
 from los_testbed.run.memory import check_address_space
 from los_testbed.run.memory_file import MemoryFile, memory_file
 from los_testbed.run.node_launch import (
@@ -58,6 +59,10 @@ class Runner:
         Commands for nodes that are not the package's own (another plant, another controller).
     live : Live, optional
         Serves viewers; without it nobody does.
+    isolated : bool
+        The nodes have a network of their own, in which nobody else is.
+    lock_domain : bool
+        Refuse another run on the domain and namespace; False where the caller holds them.
     """
 
     def __init__(
@@ -66,13 +71,15 @@ class Runner:
         progress: Callable[[int], None] = lambda ticks: None,
         commands: Mapping[str, Sequence[str]] | None = None,
         live: Live | None = None,
+        isolated: bool = False,
+        lock_domain: bool = True,
     ) -> None:
         self._live = live
+        self._isolated, self._lock_domain = isolated, lock_domain and not isolated
+        self._network = Network()
         self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
         self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
-        if live is not None:
-            self._commands[LIVE] = [*node_command(LIVE), *live.arguments()]
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
@@ -110,7 +117,7 @@ class Runner:
         Raises
         ------
         ValueError
-            A mistake that shows before anything is started.
+            A mistake that shows before anything is started; isolation that is not permitted.
         RunError
             A node failed; the others were ended.
         """
@@ -120,16 +127,20 @@ class Runner:
         self.results.warnings += check_controllers(self._config)
         text = parameter_text(self._config).encode()
         with (
-            domain_lock(self.domain, self._config.namespace),
+            domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
+            network_of_nodes(self._isolated) as self._network,
+            self._network.server(self._live) as self._live,
             memory_file(text, "run.yaml") as self._parameters,
             memory_file(b"", "statistics.json") as self._statistics,
             memory_file(self._unlisted().encode(), "members") as self._members,
         ):
             self._variables = {
-                **environment(self._config),
+                **self._network.environment(environment(self._config)),
                 STATISTICS_VARIABLE: self._statistics.path,
                 MEMBERS_VARIABLE: self._members.path,
             }
+            if self._live is not None:
+                self._commands[LIVE] = [*node_command(LIVE), *self._live.arguments()]
             try:
                 self._perform()
             except RunError as error:
@@ -225,7 +236,9 @@ class Runner:
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
         files = [self._parameters.descriptor, self._statistics.descriptor, self._members.descriptor]
-        node = self._nodes[name] = NodeProcess(name, command, self._variables, files)
+        files += self._live.sockets if name == LIVE and self._live is not None else ()
+        files += self._network.descriptors
+        node = self._nodes[name] = NodeProcess(name, self._network.command(command), self._variables, files)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)

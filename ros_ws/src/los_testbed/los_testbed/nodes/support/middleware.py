@@ -10,24 +10,22 @@ from __future__ import annotations
 from collections.abc import MutableMapping
 from pathlib import Path
 
-from los_testbed.run.node_launch import RANGE_VARIABLE
+from los_testbed.run.node_launch import (
+    LAYER,
+    LAYER_VARIABLE,
+    LOCALHOST_VARIABLE,
+    PROFILE_VARIABLES,
+    RANGE_VARIABLE,
+    TRANSPORT_VARIABLE,
+)
 
 _PROFILES = Path(__file__).parents[2] / "profiles"
 NETWORK_PROFILE = _PROFILES / "fastdds.xml"
 LOCALHOST_PROFILE = _PROFILES / "fastdds_localhost.xml"
 """Times of discovery and resending; the second one also keeps discovery to this machine."""
 
-PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Fast DDS 2 and 3 call it differently."""
-
-LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
-"""Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
-
 WIDER_RANGES = (None, "SUBNET", "OFF", "SYSTEM_DEFAULT")
 """Ranges that the ROS layer does not take for ``LOCALHOST``, as it takes every value that it does not know."""
-
-TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
-LAYER_VARIABLE = "RMW_IMPLEMENTATION"
 
 
 def choose_middleware(environment: MutableMapping[str, str]) -> None:
@@ -38,7 +36,7 @@ def choose_middleware(environment: MutableMapping[str, str]) -> None:
     the profile alone. The profile binds every socket to 127.0.0.1, so ``ROS_STATIC_PEERS`` has no effect with it.
     Another middleware than Fast DDS does not read the profile: its environment is left alone.
     """
-    if not environment.get(LAYER_VARIABLE, "rmw_fastrtps").startswith("rmw_fastrtps"):
+    if not environment.get(LAYER_VARIABLE, LAYER).startswith(LAYER):
         return
     environment.setdefault(TRANSPORT_VARIABLE, "UDPv4")
     if any(variable in environment for variable in PROFILE_VARIABLES):
