@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from los_testbed.bags.repair import repair_bag
-from los_testbed.run.domains import free_domain
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
@@ -66,7 +65,7 @@ def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
     bag = folder / "bag"
     (folder / "temporary").mkdir()
     command = [sys.executable, "-c", BEGIN, "run", f"--mode={mode}", f"--duration={duration:g}"]
-    command += [f"--output={bag}", "--no-report", f"--domain={free_domain('/telescope')}"]
+    command += [f"--output={bag}", "--no-report", "--domain=free"]
     variables = {**os.environ, "BAG_OF_TEST": str(bag), "TMPDIR": str(folder / "temporary")}
     process = subprocess.Popen(
         command,

@@ -1,6 +1,8 @@
 """Two testbeds on one domain of one machine, each in its namespace: names, counts and verdicts of its own."""
 
 import socket
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -107,9 +109,7 @@ def test_the_bag_holds_the_diagnostics_of_its_own_nodes(both, namespace):
 
 
 def test_a_free_domain_is_one_without_participants_and_without_a_run():
-    first = free_domain("/telescope")
-    with domain_lock(first, "/telescope"):
-        second = free_domain("/telescope")
+    with free_domain("/telescope") as first, free_domain("/telescope") as second:
         assert second > first
         with pytest.raises(ValueError, match="must be a ROS domain without another run in namespace /telescope"):
             domain_lock(first, "/telescope").__enter__()
@@ -117,21 +117,39 @@ def test_a_free_domain_is_one_without_participants_and_without_a_run():
 
 
 def test_a_domain_with_a_participant_is_not_free():
-    domain = free_domain("/another")
+    with free_domain("/another") as domain:
+        pass
     stranger = Bystander(domain, wait=False)
     try:
-        assert free_domain("/another") != domain
+        with free_domain("/another") as other:
+            assert other != domain
     finally:
         stranger.close()
 
 
 def test_a_domain_whose_first_participant_has_ended_is_not_free():
     """As after a run whose plant was killed: its other nodes may still be there."""
-    domain = free_domain("/another")
+    with free_domain("/another") as domain:
+        pass
     second = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT + PARTICIPANT_GAIN
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as left:
         left.bind(("", second))
-        assert free_domain("/another") != domain
+        with free_domain("/another") as other:
+            assert other != domain
+
+
+def test_runs_that_look_for_a_free_domain_at_the_same_moment_get_two(tmp_path):
+    """From the choice to the end of the run nobody else gets it."""
+    options = ["--mode=lockstep", "--duration=1.2", "--no-report", "--start=rest", "--domain=free"]
+    command = [sys.executable, "-m", "los_testbed.cli.app", "run", *options]
+    runs = [
+        subprocess.Popen([*command, f"--output={tmp_path / name}"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        for name in ("one", "other")
+    ]
+    told = [process.communicate(timeout=240)[1].decode() for process in runs]
+    assert [process.returncode for process in runs] == [0, 0], told
+    domains = [line for text in told for line in text.splitlines() if line.startswith("ROS domain")]
+    assert len(set(domains)) == 2, domains
 
 
 @pytest.mark.parametrize("name", ["foo", "", "/foo/", "/foo//bar", "/9", "/a b"])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -115,31 +116,54 @@ def run(
     json_: Json = False,
 ) -> None:
     """See RUN_EXAMPLES."""
-    if given["domain"] == FREE:
-        given["domain"] = free_domain(given["namespace"] or NAMESPACE)
-        sys.stderr.write(f"ROS domain {given['domain']}\n")
-    given |= _disturbance(disturbance, no_disturbance)
-    chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
-    if only is not None:
+    with contextlib.ExitStack() as held:
+        free = given["domain"] == FREE
+        if free:
+            given["domain"] = held.enter_context(free_domain(given["namespace"] or NAMESPACE))
+            sys.stderr.write(f"ROS domain {given['domain']}\n")
+        given |= _disturbance(disturbance, no_disturbance)
+        chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
+        if only is not None:
+            _run_alone(only, chosen, sign_key is not None, isolated)
+        if isolated and chosen.mode == "inprocess":
+            raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
+        viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
+        key = None
         if sign_key is not None:
-            raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
-        if isolated:
-            raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
-        from los_testbed.run.node_launch import run_alone
+            from los_testbed.bags.signature import private_key
 
-        raise typer.Exit(run_alone(only, chosen))
-    if isolated and chosen.mode == "inprocess":
-        raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
-    viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
-    key = None
-    if sign_key is not None:
-        from los_testbed.bags.signature import private_key
+            key = private_key("--sign-key", sign_key)
+        if SUPERVISED in os.environ and code_of_user(chosen):
+            del os.environ[SUPERVISED]
+            supervise(chosen)
+        _run_and_tell(chosen, Nodes(viewers, isolated, not free), max_missed, report, json_, key)
 
-        key = private_key("--sign-key", sign_key)
-    if SUPERVISED in os.environ and code_of_user(chosen):
-        del os.environ[SUPERVISED]
-        supervise(chosen)
-    _run_and_tell(chosen, viewers, isolated, max_missed, report, json_, key)
+
+@dataclass(frozen=True)
+class Nodes:
+    """What is chosen of the nodes of a run beside their parameters.
+
+    Attributes
+    ----------
+    live : server for viewers
+    isolated : whether they have a network of their own
+    lock_domain : whether their domain has to be held; False where it is held already
+    """
+
+    live: Live | None = None
+    isolated: bool = False
+    lock_domain: bool = True
+
+
+def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool) -> NoReturn:
+    """Run one node in this process."""
+    if signed:
+        raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
+    if isolated:
+        raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
+    from los_testbed.run.node_launch import run_alone
+
+    raise typer.Exit(run_alone(name, config))
 
 
 def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
@@ -156,8 +180,7 @@ def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 
 def _run_and_tell(
     config: RunConfig,
-    live: Live | None,
-    isolated: bool,
+    nodes: Nodes,
     max_missed: float,
     report: bool,
     json_: bool,
@@ -167,7 +190,7 @@ def _run_and_tell(
     from los_testbed.run.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
-    bag, results = execute(config, live, isolated)
+    bag, results = execute(config, nodes)
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
@@ -317,11 +340,11 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     return given
 
 
-def execute(config: RunConfig, live: Live | None = None, isolated: bool = False) -> tuple[Path, Results]:
-    """Run, with a progress bar and, if `live` is given, a server for viewers; the bag and what happened."""
+def execute(config: RunConfig, nodes: Nodes) -> tuple[Path, Results]:
+    """Run, with a progress bar and, if one is given, a server for viewers; the bag and what happened."""
     warnings = check(config)
-    if live is not None:
-        check_live(config, live)
+    if nodes.live is not None:
+        check_live(config, nodes.live)
     warn(warnings)
     for line in telescope_differences(config):
         sys.stderr.write(f"telescope: {line}\n")
@@ -345,7 +368,10 @@ def execute(config: RunConfig, live: Live | None = None, isolated: bool = False)
             return path, Results(bag=path)
         from los_testbed.run.runner import Runner
 
-        results = Runner(replace(config, wait_for_recorder=True), progress, live=live, isolated=isolated).run()
+        watched = replace(config, wait_for_recorder=True)
+        results = Runner(
+            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain
+        ).run()
     if results.bag is None:  # the runner has raised unless it was interrupted
         raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]

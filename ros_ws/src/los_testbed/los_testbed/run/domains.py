@@ -35,19 +35,32 @@ def domain_lock(domain: int, namespace: str) -> Iterator[None]:
         yield
 
 
-def free_domain(namespace: str) -> int:
-    """Smallest domain, 0 to 101, in which no participant of this machine listens and no run holds the namespace.
+@contextlib.contextmanager
+def free_domain(namespace: str) -> Iterator[int]:
+    """Hold the smallest domain, 0 to 101, in which no participant of this machine listens and no run has the namespace.
 
     Raises
     ------
     ValueError
         All of them are in use.
     """
-    for domain in range(MAX_DOMAIN + 1):
-        with contextlib.suppress(OSError, ValueError), domain_lock(domain, namespace):
-            first = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT
-            for participant in range(PARTICIPANTS):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("", first + PARTICIPANT_GAIN * participant))
-            return domain
-    raise ValueError(f"a ROS domain from 0 to {MAX_DOMAIN} must be free on this machine, got participants in all")
+    with contextlib.ExitStack() as held:
+        for domain in range(MAX_DOMAIN + 1):
+            with contextlib.suppress(OSError, ValueError), contextlib.ExitStack() as tried:
+                tried.enter_context(domain_lock(domain, namespace))
+                _refuse_participants(domain)
+                held.enter_context(tried.pop_all())
+                break
+        else:
+            raise ValueError(
+                f"a ROS domain from 0 to {MAX_DOMAIN} must be free on this machine, got participants in all"
+            )
+        yield domain
+
+
+def _refuse_participants(domain: int) -> None:
+    """Raise OSError where a participant of this machine listens."""
+    first = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT
+    for participant in range(PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("", first + PARTICIPANT_GAIN * participant))
