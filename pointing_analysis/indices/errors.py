@@ -10,7 +10,7 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
-from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.mcap.records import BagError, ShortRunError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.topic import on_grid, read_only
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
@@ -78,7 +78,7 @@ def transient_of(run: Recording, transient: float | None, duration: float) -> fl
 def _drop(values: FloatArray, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
     first = round(min(transient / dt, len(values)))
     if first >= len(values):
-        raise BagError(
+        raise ShortRunError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
     rest = by_parts(np.array, values[first:, :2])

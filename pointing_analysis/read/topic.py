@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, empty, parts
-from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.mcap.records import BagError, ShortRunError
 
 NANO = 1_000_000_000
 MANY_STEPS = 100_000  # different intervals of stamps that are counted one by one
@@ -258,7 +258,7 @@ def on_grid(topic: Topic) -> tuple[FloatArray, float]:
     """
     state = topic.integrity
     if len(topic) < 2:
-        raise BagError(f"{topic.name}: topic must have at least two samples, got {len(topic)}")
+        raise ShortRunError(f"{topic.name}: topic must have at least two samples, got {len(topic)}")
     if state.conflicts:
         raise BagError(
             f"{topic.name}: each stamp must have one value, got {state.conflicts} with two "

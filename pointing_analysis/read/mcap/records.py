@@ -48,6 +48,10 @@ class BagError(ValueError):
     """The file is not a bag, or not one that can be read; the message says what it must be and what it is."""
 
 
+class ShortRunError(BagError):
+    """The recording is whole and shorter than what can be evaluated."""
+
+
 class RefutedBagError(BagError):
     """What is left of the bag is not enough, because its own digests refute the rest."""
 

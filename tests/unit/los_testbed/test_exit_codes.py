@@ -1,5 +1,6 @@
 """The page of exit codes and the table in the code; code of the user that ends the program."""
 
+import json
 import os
 import re
 import signal
@@ -12,6 +13,8 @@ from los_testbed.cli import app
 from los_testbed.cli import run as run_command
 from los_testbed.exit_codes import COMMANDS, MEANINGS, ExitCode
 from los_testbed.run.results import Results
+
+from pointing_analysis.read.run import Run
 
 ROOT = Path(__file__).parents[3]
 ROW = re.compile(r"^\| (\d+) \| (.*) \| (.*) \|$", re.MULTILINE)
@@ -85,25 +88,41 @@ def test_an_interrupt_of_the_program_reaches_the_run(tmp_path):
     assert "interrupted" in done.stderr.splitlines()[-1]
 
 
+def ended_with(arguments):
+    """Exit code of the program."""
+    try:
+        return app.main(arguments)
+    except SystemExit as stop:
+        return stop.code
+
+
 @pytest.mark.parametrize(
     ("left", "code"),
     [
         ({"failures": ["plant ended unexpectedly (signal 15); it was started again"]}, ExitCode.RESTARTED),
         ({"interrupted": True}, ExitCode.INTERRUPTED),
-        ({}, ExitCode.USER_ERROR),
+        ({}, ExitCode.FINISHED),
     ],
 )
 def test_what_is_left_of_a_run_may_be_too_short_to_be_evaluated(tmp_path, monkeypatch, capsys, left, code):
-    """That is a mistake of the user only where nothing else has happened."""
+    """That is said; a mistake of the user it is not, since the work is done."""
     done = run_command.execute
 
-    def execute(config, live):
-        bag, _ = done(config, live)
+    def execute(config, nodes):
+        bag, _ = done(config, nodes)
         return bag, Results(bag=bag, **left)
 
     monkeypatch.setattr(run_command, "execute", execute)
     options = ["--mode=inprocess", "--duration=0.5", "--start=rest", "--no-report", f"--output={tmp_path / 'bag'}"]
-    with pytest.raises(SystemExit) as ended:
-        app.main(["run", *options])
-    assert ended.value.code == code
-    assert "the run must be longer than its start-up transient" in capsys.readouterr().err
+    assert ended_with(["run", *options]) == code
+    told = capsys.readouterr()
+    assert "not evaluated" in told.out + told.err
+    assert "the run must be longer than its start-up transient" in " ".join((told.out + told.err).split())
+    assert len(Run.open(tmp_path / "bag")["truth/los"]) == 500
+
+
+def test_a_run_that_is_too_short_is_said_to_be_in_its_json(tmp_path, capsys):
+    options = ["--mode=inprocess", "--duration=0.05", "--start=rest", "--no-report", f"--output={tmp_path / 'bag'}"]
+    assert ended_with(["run", "--json", *options]) == ExitCode.FINISHED
+    found = json.loads(capsys.readouterr().out)
+    assert found["bag"] == str(tmp_path / "bag") and "start-up transient of 1 s" in found["not_evaluated"]

@@ -29,6 +29,7 @@ from los_testbed.run.supervision import code_of_user, supervise
 from los_testbed.run.viewers import Live
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
+from pointing_analysis.read.mcap.records import ShortRunError
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -197,11 +198,16 @@ def _run_and_tell(
     ended = ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED if results.failures else None
     try:
         summaries = summarise_runs([bag], bag / "report.html" if report else None)
-    except ValueError as error:
-        if ended is None:
-            raise
-        # what a fault or a signal has left of the run may be too short: that is no mistake of the user
-        raise RunError(f"not evaluated: {error}", ended) from None
+    except ShortRunError as error:  # of what was asked for, or of what a request, a fault or a signal has left
+        if ended is not None:
+            raise RunError(f"not evaluated: {error}", ended) from None
+        say(console, f"not evaluated: {error}; the bag is whole", "warning")
+        if json_:
+            print_json({"bag": str(bag), "not_evaluated": str(error)})
+        raise typer.Exit(ExitCode.FINISHED if signed else ExitCode.FAILED) from None
+    except ValueError as error:  # no mistake of the user that shows before the work
+        code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
+        raise RunError(f"not evaluated: {error}", code) from None
     print_summary(console, summaries, max_missed)
     if json_:
         print_json(summaries.runs[0])
