@@ -33,12 +33,12 @@ help:
 	@echo "make lock       new requirements.lock (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
 
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock pyproject.toml lftkit/pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 10) <= v <= (3, 13) else \
 	    "expected Python 3.10 to 3.13, $(PYTHON) is %d.%d: name another, for example make run PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e ./lftkit -e .
 	@touch $(READY)
 
 run: $(READY)
@@ -130,8 +130,8 @@ lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
 	echo 'numpy>=2.2,<2.3' > .venv-lock/override.txt
 	.venv-lock/bin/uv pip compile --universal --python-version 3.10 --all-extras --no-header --no-annotate \
-	    --override .venv-lock/override.txt pyproject.toml -o requirements.lock
+	    --override .venv-lock/override.txt --no-emit-package lftkit pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info
+	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
 	rm -rf ros_ws/build ros_ws/install ros_ws/log

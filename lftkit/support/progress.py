@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
-
-from rich import progress
-from rich.console import Console
+from typing import Any
 
 
 class Progress:
     """Context with a progress bar on the error output: done, total, elapsed and remaining time.
+
+    Without the package rich, which is optional, there is no bar, and lines are printed plainly.
 
     Parameters
     ----------
@@ -26,32 +27,48 @@ class Progress:
 
     def __init__(self, what: str, shown: bool = True) -> None:
         self._what, self._shown = what, shown
-        self._console = Console(stderr=True)
-        self._bar = progress.Progress(
-            progress.TextColumn("{task.description}"),
-            progress.BarColumn(),
-            progress.TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-            progress.TimeElapsedColumn(),
-            progress.TimeRemainingColumn(),
-            console=self._console,
-            transient=True,
-            disable=not (shown and self._console.is_terminal),
-        )
-        self._task = self._bar.add_task(what, total=1.0)
+        self._bar = _bar() if shown else None
+        if self._bar is not None:
+            self._task = self._bar.add_task(what, total=1.0)
 
     def __enter__(self) -> Progress:
-        self._bar.start()
+        if self._bar is not None:
+            self._bar.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._bar.stop()
+        if self._bar is not None:
+            self._bar.stop()
 
     def report(self, done: float, total: float, *, what: str = "", best: float | None = None) -> None:
         """Show `done` of `total`, with a part's name `what` and the best value so far where they are given."""
         text = (what or self._what) + ("" if best is None else f", best {best:.6g}")
-        self._bar.update(self._task, description=text, completed=done, total=total)
+        if self._bar is not None:
+            self._bar.update(self._task, description=text, completed=done, total=total)
 
     def print(self, line: str) -> None:
         """Print a line that stays above the bar."""
-        if self._shown:
-            self._console.print(line, highlight=False, soft_wrap=True)
+        if self._bar is not None:
+            self._bar.console.print(line, highlight=False, soft_wrap=True)
+        elif self._shown:
+            sys.stderr.write(line + "\n")
+
+
+def _bar() -> Any:
+    """The bar, drawn on a terminal only; None without rich."""
+    try:
+        from rich import progress
+        from rich.console import Console
+    except ImportError:
+        return None
+    console = Console(stderr=True)
+    return progress.Progress(
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )

@@ -16,6 +16,7 @@ else:
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+LIBRARY = tomllib.loads((ROOT / "lftkit/pyproject.toml").read_text("utf-8"))
 FOLDERS = {
     "lftkit": ROOT / "lftkit",
     "titop_plant": ROOT / "titop_plant",
@@ -83,14 +84,31 @@ def test_functions_are_short(case: tuple[str, Path]) -> None:
     assert not long
 
 
-def test_every_package_is_in_the_distribution() -> None:
-    listed = set(PROJECT["tool"]["setuptools"]["packages"])
+def test_every_package_is_in_one_distribution() -> None:
+    both = [project["tool"]["setuptools"]["packages"] for project in (PROJECT, LIBRARY)]
+    assert all(name.split(".")[0] == "lftkit" for name in both[1])
+    listed = set(both[0] + both[1])
+    assert len(listed) == len(both[0]) + len(both[1])
     found = {
         ".".join([name, *path.parent.relative_to(folder).parts])
         for name, folder in FOLDERS.items()
         for path in folder.rglob("__init__.py")
     }
     assert found == listed
+
+
+def test_the_library_imports_its_dependencies_only() -> None:
+    """Every import of lftkit, also inside functions: the standard library, its dependencies, its optional pictures."""
+    allowed = {"lftkit", "numpy", "scipy", "control", "threadpoolctl", *sys.stdlib_module_names}
+    optional = {"lftkit/analysis/plots.py": {"matplotlib"}, "lftkit/support/progress.py": {"rich"}}
+    others = {}
+    for path in FOLDERS["lftkit"].rglob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+        names |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+        name = path.relative_to(ROOT).as_posix()
+        others[name] = {n.split(".")[0] for n in names} - allowed - optional.get(name, set())
+    assert not {name: found for name, found in others.items() if found}
 
 
 def test_test_modules_have_names_of_their_own() -> None:

@@ -1,4 +1,4 @@
-"""Wheel and sdist: complete, installed and run outside the tree, without ROS and with it; one version everywhere."""
+"""Wheels and sdists of los-testbed and lftkit: complete, run outside the tree, without ROS and with it; one version."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from pathlib import Path
 import los_testbed
 import pytest
 import yaml
-from support.installed_wheel import ROOT, environment, run, sdist_and_wheel
+from packaging.requirements import Requirement
+from support.installed_wheel import LFTKIT, ROOT, environment, run, sdist_and_wheel
 from support.ros_runs import private_domain
+
+import lftkit
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -23,6 +26,9 @@ else:
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 PACKAGES = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
 TOP = sorted({name.split(".")[0] for name in PACKAGES})
+LIBRARY = tomllib.loads((ROOT / "lftkit/pyproject.toml").read_text("utf-8"))["project"]
+HEAVY = ("rclpy", "mcap", "typer", "jinja2", "pydantic", "matplotlib", "rich", "yaml", "los_testbed", "titop_plant")
+"""What neither the distribution lftkit needs nor its import loads."""
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +37,19 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.fixture(scope="module")
-def without_ros(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return environment(tmp_path_factory.mktemp("core") / "env", built[1], PROJECT["dependencies"])
+def library(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return sdist_and_wheel(tmp_path_factory.mktemp("library"), LFTKIT)
+
+
+@pytest.fixture(scope="module")
+def without_ros(built: tuple[Path, Path], library: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("core") / "env"
+    return environment(folder, [library[1], built[1]], PROJECT["dependencies"])
+
+
+@pytest.fixture(scope="module")
+def lftkit_alone(library: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return environment(tmp_path_factory.mktemp("alone") / "env", [library[1]], LIBRARY["dependencies"])
 
 
 def test_the_version_is_written_down_once() -> None:
@@ -44,6 +61,45 @@ def test_the_version_is_written_down_once() -> None:
     assert str(citation["version"]) == version
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_the_testbed_takes_the_library_of_its_repository() -> None:
+    (needed,) = [text for text in PROJECT["dependencies"] if text.startswith("lftkit")]
+    assert Requirement(needed).specifier.contains(lftkit.__version__)
+    assert "version" in LIBRARY["dynamic"] and "lftkit" not in TOP
+
+
+def test_the_wheel_of_the_library_has_its_files_and_no_other(library: tuple[Path, Path]) -> None:
+    sdist, wheel = library
+    assert f"lftkit-{lftkit.__version__}" in sdist.name and f"lftkit-{lftkit.__version__}" in wheel.name
+    inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    folder = ROOT / "lftkit"
+    assert inside == {
+        f"lftkit/{path.relative_to(folder).as_posix()}"
+        for path in folder.rglob("*")
+        if path.suffix in (".py", ".json", ".typed") and "build" not in path.parts
+    }
+    with tarfile.open(sdist) as archive:
+        names = {name.split("/", 1)[-1] for name in archive.getnames()}
+    assert {"LICENSE", "README.md", "pyproject.toml"} <= names
+
+
+def test_the_library_alone_needs_no_testbed(lftkit_alone: Path, tmp_path: Path) -> None:
+    """In an environment with its dependencies only: every module is imported, an example runs."""
+    code = (
+        "import sys, pkgutil, importlib, lftkit, json\n"
+        "for module in pkgutil.walk_packages(lftkit.__path__, 'lftkit.'):\n"
+        "    if not module.name.endswith('.plots'): importlib.import_module(module.name)\n"
+        f"print(json.dumps([n for n in {HEAVY} if n in sys.modules]), lftkit.__file__)\n"
+    )
+    done = run(lftkit_alone / "python", "-c", code, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("[] ") and str(lftkit_alone.parent) in done.stdout
+    others = tuple(name for name in HEAVY if name != "matplotlib")  # python-control needs it
+    found = f"import importlib.util as u; print([n for n in {others} if u.find_spec(n)])"
+    assert run(lftkit_alone / "python", "-c", found, folder=tmp_path).stdout == "[]\n"
+    done = run(lftkit_alone / "python", str(ROOT / "examples/multi_requirement_pid.py"), folder=tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_wheel_from_the_sdist_has_every_file_of_the_packages(built: tuple[Path, Path]) -> None:
@@ -95,10 +151,12 @@ def test_messages_about_a_missing_package_name_the_extra(without_ros: Path, tmp_
 
 
 @pytest.mark.ros
-def test_the_wheel_runs_outside_the_tree_with_ros(built: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_wheel_runs_outside_the_tree_with_ros(
+    built: tuple[Path, Path], library: tuple[Path, Path], tmp_path: Path
+) -> None:
     pytest.importorskip("rclpy")
     needed = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["ros"]
-    programs = environment(tmp_path / "env", built[1], needed)
+    programs = environment(tmp_path / "env", [library[1], built[1]], needed)
     options = ("--mode", "lockstep", "--duration", "2", "--output", "bag", "--json", "--no-report")
     domain = ("--domain", str(private_domain()))
     done = run(programs / "los-testbed", "run", *domain, *options, folder=tmp_path)

@@ -1,4 +1,4 @@
-"""Wheel and sdist of the project, and environments with the wheel and chosen dependencies, made without the network."""
+"""Wheels and sdists of both distributions, and environments with them and chosen dependencies, without the network."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from pathlib import Path
 
 from support.packages import LIBRARIES, ROOT
 
-NAME = "los-testbed"
+NAMES = {"lftkit", "los-testbed"}
+LFTKIT = ("lftkit",)
+"""What the distribution lftkit is made from."""
 PARTS = (
-    *LIBRARIES,
+    *(name for name in LIBRARIES if name != "lftkit"),
     "ros_ws",
     "pyproject.toml",
     "MANIFEST.in",
@@ -24,6 +26,7 @@ PARTS = (
     "CITATION.cff",
     "CHANGELOG.md",
 )
+"""What the distribution los-testbed is made from."""
 IGNORED = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "install", "log", ".*")
 
 
@@ -35,16 +38,16 @@ def build(kind: str, source: Path, target: Path) -> Path:
     return target / done.stdout.splitlines()[-1]
 
 
-def sdist_and_wheel(folder: Path) -> tuple[Path, Path]:
-    """Sdist of a copy of the repository, and the wheel that is built from the unpacked sdist."""
+def sdist_and_wheel(folder: Path, parts: tuple[str, ...] = PARTS) -> tuple[Path, Path]:
+    """Sdist of a copy of parts of the repository, and the wheel that is built from the unpacked sdist."""
     copy = folder / "copy"
     copy.mkdir()
-    for part in PARTS:
+    for part in parts:
         if (ROOT / part).is_dir():
             shutil.copytree(ROOT / part, copy / part, ignore=IGNORED)
         else:
             shutil.copy(ROOT / part, copy / part)
-    sdist = build("sdist", copy, folder)
+    sdist = build("sdist", copy if (copy / "pyproject.toml").exists() else copy / parts[0], folder)
     with tarfile.open(sdist) as archive:
         archive.extractall(folder / "unpacked")
     (unpacked,) = (folder / "unpacked").iterdir()
@@ -75,11 +78,11 @@ def closure(requirements: list[str]) -> set[str]:
             if (_key(requirement.name), wanted) not in found:
                 found.add((_key(requirement.name), wanted))
                 waiting += [(Requirement(text), wanted) for text in installed.requires or ()]
-    return names - {NAME}
+    return names - NAMES
 
 
-def environment(folder: Path, wheel: Path, requirements: list[str]) -> Path:
-    """Virtual environment with the wheel and what the requirements need; returns its folder of programs."""
+def environment(folder: Path, wheels: list[Path], requirements: list[str]) -> Path:
+    """Virtual environment with the wheels and what the requirements need; returns its folder of programs."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True, timeout=120)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     site = folder / "lib" / version / "site-packages"
@@ -90,7 +93,7 @@ def environment(folder: Path, wheel: Path, requirements: list[str]) -> Path:
             if original.exists() and not (site / top).exists():
                 (site / top).symlink_to(original)
     install = [sys.executable, "-m", "pip", "--python", str(folder / "bin/python"), "install", "--quiet"]
-    options = ["--no-deps", "--no-index", "--disable-pip-version-check", str(wheel)]
+    options = ["--no-deps", "--no-index", "--disable-pip-version-check", *map(str, wheels)]
     subprocess.run([*install, *options], check=True, timeout=120)
     return folder / "bin"
 

@@ -1,7 +1,7 @@
 """ament_python package of the nodes.
 
-The numeric packages (titop_plant, los_estimator, ...) come from the distribution ``los-testbed`` at the
-root of the repository: ``pip install .`` there, in the environment that builds this workspace.
+The numeric packages come from the distributions ``lftkit`` and ``los-testbed`` (titop_plant, los_estimator, ...):
+``pip install ./lftkit .`` at the root of the repository, in the environment that builds this workspace.
 """
 
 import ast

@@ -27,6 +27,12 @@ def test_line_of_each_type(whole: UncertainSystem) -> None:
     assert repr(whole).startswith("UncertainSystem(order 204, ")
 
 
+def test_the_telescope_is_summarised_in_one_line(whole: UncertainSystem) -> None:
+    assert repr(whole).startswith(f"UncertainSystem(order 204, {sum(p.size for p in whole.inputs)} inputs, ")
+    assert "solar_array.tau (32)" in repr(whole)
+    assert "48 occurrences in Delta" in whole.summary()
+
+
 def test_none_is_longer_than_some_lines_of_a_terminal(whole: UncertainSystem) -> None:
     shown = [whole, whole.data_at({}), *load_designs("implemented")]
     assert max(len(repr(system)) for system in shown) < 5 * 80

@@ -7,7 +7,6 @@ import pytest
 
 from lftkit import Port, RealParameter, StateSpace, UncertainSystem, bode_band, pole_map, sigma_plot, state_space
 from lftkit.analysis.frequency_response import frequency_response
-from titop_plant.simulation.build import telescope
 
 K = RealParameter("k", 2.0, 1.0, 3.0, "N/m")
 
@@ -41,13 +40,6 @@ def test_a_certain_system_and_names_that_are_markup() -> None:
     assert repr(system) == "UncertainSystem(order 1, 1 input, 1 output, certain)"
     assert system.summary().endswith("certain")
     assert "a&lt;b" in system._repr_html_()
-
-
-def test_the_telescope_is_summarised_in_one_line() -> None:
-    system = telescope().system
-    assert repr(system).startswith(f"UncertainSystem(order 204, {sum(p.size for p in system.inputs)} inputs, ")
-    assert "solar_array.tau (32)" in repr(system)
-    assert "48 occurrences in Delta" in system.summary()
 
 
 def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass: UncertainSystem) -> None:

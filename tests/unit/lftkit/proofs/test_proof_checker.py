@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -142,20 +140,3 @@ def test_coverage_finds_a_hole_of_any_size() -> None:
     cells[2] = [(np.nextafter(0.5, 1.0), 1.0), (1.0, np.inf)]
     assert uncovered(box, cells) == [(0.5, np.nextafter(0.5, 1.0)), (1.0, np.inf)]
     assert uncovered(box, []) == box
-
-
-def test_the_command_checks_a_file(proof: Content, tmp_path: Path) -> None:
-    path = tmp_path / "proof.json"
-    code = "import sys; from los_testbed.cli.app import main; main(sys.argv[1:])"
-    for content, expected, text in (
-        (proof, 0, "proven: stable"),
-        ({**proof, "level": 1.0}, 1, "refused: the content must match"),
-    ):
-        path.write_text(json.dumps(content), "utf-8")
-        done = subprocess.run(
-            [sys.executable, "-c", code, "design", "check-proof", str(path)],
-            capture_output=True,
-            text=True,
-            timeout=250,
-        )
-        assert done.returncode == expected and text in done.stdout + done.stderr
