@@ -28,7 +28,9 @@ def feasibility_runs(
     best = min(runs, key=lambda run: run.rank)
     if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED:
         return []
-    alone = [replace(r, hard=False) for r in problem.requirements if r.hard]
+    alone = [replace(r, hard=False) for r in problem.given if r.hard]
+    if not alone:
+        return []
     only_hard = Problem(
         problem.models,
         alone,
@@ -36,6 +38,7 @@ def feasibility_runs(
         loop_delay=problem.loop_delay,
         pade_order=problem.pade_order,
         min_decay=problem.min_decay,
+        limit=problem.limit,
     )
     limits_alone = replace(limits, target=HARD_TARGET)
     ends = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ENDPOINTS]

@@ -29,14 +29,13 @@ def lower_order(structure: object) -> AffineStructure | None:
     fixed[last, last] = 0.0
     if np.any(fixed[last]) or np.any(fixed[:, last]) or np.intersect1d(kept, dropped).size or kept.size == 0:
         return None
+    smaller = structure.with_entries(~touching)
     return replace(
-        structure,
+        smaller,
         order=last,
         base=read_only(np.delete(np.delete(structure.base, last, axis=0), last, axis=1)),
-        rows=_without(structure.rows[~touching], last),
-        columns=_without(structure.columns[~touching], last),
-        parameters=np.unique(kept, return_inverse=True)[1].astype(np.intp),
-        coefficients=structure.coefficients[~touching],
+        rows=_without(smaller.rows, last),
+        columns=_without(smaller.columns, last),
     )
 
 

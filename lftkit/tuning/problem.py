@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from lftkit.arrays import BoolArray, ComplexArray, FloatArray
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
@@ -21,12 +22,14 @@ from lftkit.tuning.requirements import (
     ControllerPoles,
     H2Gain,
     HinfGain,
+    ParameterBounds,
     Requirement,
     check_names,
 )
 from lftkit.tuning.structures import Structure
 
 MIN_DECAY = 1e-6
+AT_LIMIT = 0.2  # of the largest magnitude of a parameter, from which on it counts as reached
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,11 @@ class Problem:
     pade_order : int
     min_decay : float
         A loop counts as stable when every pole decays faster than this [rad/s].
+    limit : float or ndarray, shape (size,)
+        Magnitude of the parameters beyond which no point is looked at.
+    responses_of : Problem, optional
+        Another problem with the same models and requirements and the same ports of the controller: the responses of
+        its plants are taken over.
 
     Raises
     ------
@@ -88,12 +96,18 @@ class Problem:
         loop_delay: float = 0.0,
         pade_order: int = 6,
         min_decay: float = MIN_DECAY,
+        limit: float | FloatArray = np.inf,
+        responses_of: Problem | None = None,
     ) -> None:
         check_names(requirements)
         if not models:
             raise ValueError("a design needs at least one model, got none")
-        self.requirements = tuple(requirements)
+        self.given, self.bounds = tuple(requirements), bounds_of(structure)
+        self.requirements: tuple[Requirement | ParameterBounds, ...] = self.given
+        if self.bounds is not None:
+            self.requirements = (*self.given, ParameterBounds())
         self.structure = structure
+        self.limit = limit
         self.loop_delay = loop_delay
         self.pade_order = pade_order
         self.min_decay = min_decay
@@ -106,22 +120,48 @@ class Problem:
         self.hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
         self.h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
         self.gain_numbers = self.hinf + self.h2
-        for model in models:
-            self.add_model(model)
+        for k, model in enumerate(models):
+            self.add_model(model, None if responses_of is None else responses_of.gains[k])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by what it was made of: small, and a copy in another process computes the same bits."""
         return _rebuilt, (
             self.models,
-            self.requirements,
+            self.given,
             self.structure,
             self.loop_delay,
             self.pade_order,
             self.min_decay,
+            self.limit,
         )
 
-    def add_model(self, model: StateSpace) -> None:
-        """Make one more model active."""
+    def with_structure(self, structure: Structure) -> Problem:
+        """The same problem for another structure with the same ports."""
+        return Problem(
+            self.models,
+            self.given,
+            structure,
+            loop_delay=self.loop_delay,
+            pade_order=self.pade_order,
+            min_decay=self.min_decay,
+            responses_of=self,
+        )
+
+    def inside(self, x: FloatArray) -> bool:
+        """The magnitudes of the parameters (size,) are within the limit."""
+        return bool(np.all(np.abs(x) <= self.limit))
+
+    def admitted(self, x: FloatArray) -> FloatArray:
+        """The parameters (size,), those beyond the limit or a bound put there."""
+        within = x if self.inside(x) else np.asarray(np.clip(x, -self.limit, self.limit))
+        return within if self.bounds is None else self.bounds.clipped(within)
+
+    def at_limit(self, x: FloatArray) -> IntArray:
+        """Numbers of the parameters (size,) that have nearly the largest magnitude that is looked at."""
+        return np.flatnonzero(np.abs(x) > AT_LIMIT * self.limit)
+
+    def add_model(self, model: StateSpace, known: LoopGains | None = None) -> None:
+        """Make one more model active; `known`: its gains for another structure with the same ports."""
         _check_sizes(model, self.structure)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
         order = self.structure.order
@@ -143,10 +183,14 @@ class Problem:
                 **common,
             )
             self._refuse_feedthrough(variances[i], r.name)
-        gains: Any = tuple(self.requirements[i] for i in self.gain_numbers)
-        loop = LoopGains(
-            PlantResponses(model, self._measurements, self._commands, gains, self.loop_delay),
-            tuple(range(len(self.hinf))),
+        gains: Any = tuple(self.given[i] for i in self.gain_numbers)
+        loop = (
+            known.copied()
+            if known is not None
+            else LoopGains(
+                PlantResponses(model, self._measurements, self._commands, gains, self.loop_delay),
+                tuple(range(len(self.hinf))),
+            )
         )
         self.gains.append(loop)
         self._bare.append(bare)
@@ -162,7 +206,9 @@ class Problem:
             )
 
     def abscissa(self, x: FloatArray) -> float:
-        """Largest real part of the closed-loop poles over all models [rad/s]."""
+        """Largest real part of the closed-loop poles over all models [rad/s]; infinite beyond the limit."""
+        if not self.inside(x):
+            return np.inf
         K = self.structure.gain_matrix(x)
         return max(spectrum(plant.closed(K), derivatives=False).abscissa for plant in self._bare)
 
@@ -175,14 +221,21 @@ class Problem:
         return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
 
     def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
-        """Pieces of the pole requirements of all models."""
-        pieces: list[Piece] = []
+        """Pieces of the pole requirements of all models, and of the bounds of the parameters."""
+        pieces = self._bound_pieces(x)
+        if not any(isinstance(r, ClosedLoopPoles | ControllerPoles) for r in self.given):
+            return pieces
         for k, plant in enumerate(self._bare):
             pieces += self._pole_pieces(x, K, k, spectrum(plant.closed(K), derivatives=True), band, True)
         return pieces
 
+    def _bound_pieces(self, x: FloatArray) -> list[Piece]:
+        return [] if self.bounds is None else self.bounds.pieces(x, len(self.given))
+
     def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
         """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
+        if not self.inside(x):
+            return np.inf, []
         K = self.structure.gain_matrix(x)
         spectra = [spectrum(plant.closed(K), derivatives=True) for plant in self._bare]
         worst = max(s.abscissa for s in spectra)
@@ -204,15 +257,17 @@ class Problem:
         With an unstable loop (abscissa above ``-min_decay``) every value is infinite. With `h2_once` the H2 norms are
         computed at the first model and taken for those of all: where they do not depend on the model.
         """
-        K = self.structure.gain_matrix(x)
         shape = (len(self.requirements), len(self.models))
         values, frequencies = np.full(shape, np.inf), np.zeros(shape)
+        if not self.inside(x):
+            return Evaluation(np.inf, values, frequencies, ())
+        K = self.structure.gain_matrix(x)
         spectra: list[LoopSpectrum] = []
         for plant in self._bare:
             spectra.append(spectrum(plant.closed(K), derivatives=gradients))
             if not spectra[-1].abscissa < -self.min_decay:
                 return Evaluation(spectra[-1].abscissa, values, frequencies, ())
-        pieces: list[Piece] = []
+        pieces = self._bound_pieces(x)
         values[:] = -np.inf
         for k in range(len(self.models)):
             pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)
@@ -269,7 +324,7 @@ class Problem:
     ) -> list[Piece]:
         pieces: list[Piece] = []
         n = self.structure.order
-        for i, r in enumerate(self.requirements):
+        for i, r in enumerate(self.given):
             if isinstance(r, ClosedLoopPoles):
                 poles_of = own
             elif isinstance(r, ControllerPoles) and k == 0 and n:
@@ -301,8 +356,10 @@ def _rebuilt(
     loop_delay: float,
     pade_order: int,
     min_decay: float,
+    limit: float | FloatArray,
 ) -> Problem:
-    return Problem(models, requirements, structure, loop_delay=loop_delay, pade_order=pade_order, min_decay=min_decay)
+    common: dict[str, Any] = {"loop_delay": loop_delay, "pade_order": pade_order, "min_decay": min_decay}
+    return Problem(models, requirements, structure, **common, limit=limit)
 
 
 def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:

@@ -150,6 +150,14 @@ class ControllerPoles(_Poles):
     """Location of the controller's own poles; ``ControllerPoles(min_decay=1e-3)`` asks for a stable controller."""
 
 
+@dataclass(frozen=True)
+class ParameterBounds:
+    """Bounds of the structure's parameters, kept by the descents as a hard requirement: not one that users give."""
+
+    hard: bool = True
+    name: str = "bounds of the parameters"
+
+
 Requirement = HinfGain | H2Gain | ClosedLoopPoles | ControllerPoles
 
 

@@ -18,12 +18,12 @@ from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.single_start import tune_from
-from lftkit.tuning.descent.starts import start_checked
+from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.structures import Structure
-from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_of, result_of, tune
+from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_from, limits_of, result_of, tune
 from lftkit.tuning.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
 
 
@@ -115,7 +115,7 @@ def tune_robust(
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
     state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, start_time)
-    return state.run(chosen, [start_checked(x, structure.size) for x in initial], slack, max_rounds)
+    return state.run(chosen, [start_checked(x, structure) for x in initial], slack, max_rounds)
 
 
 @dataclass
@@ -136,6 +136,7 @@ class _Rounds:
     ) -> RobustResult:
         models = [self.build(p).renamed(_label(p)) for p in chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
+        problem.limit = limits_from(self.options, start_sizes(problem, given, self.options.seed))
         rounds: list[Round] = []
         tuning: TuningResult | None = None
         worst: tuple[WorstCase, ...] = ()

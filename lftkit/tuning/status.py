@@ -15,6 +15,7 @@ class TuningStatus(str, Enum):
     ITERATIONS = "iterations"
     NOT_STABILISED = "not_stabilised"
     INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
     OUT_OF_TIME = "out_of_time"
     INTERRUPTED = "interrupted"
 
@@ -40,6 +41,10 @@ _ADVICE = {
     ),
     "infeasible": (
         "a hard requirement stays above 1: make it soft to see what is reachable, relax its bound, or raise the order"
+    ),
+    "unbounded": (
+        "parameters grew to the limit: the value falls for ever as they do, or does not depend on them; add a "
+        "requirement on commands, noise or controller poles, or give bounds"
     ),
     "out_of_time": "the wall limit was reached; the best point so far is given: allow more time or start from it",
     "interrupted": "stopped by the user; the best point so far is given",

@@ -19,6 +19,7 @@ from scipy import linalg
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.systems.ports import Port, read_only
 from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.bounds import Bounds, bounds_by_name, number_of
 
 
 @runtime_checkable
@@ -91,6 +92,10 @@ class AffineStructure:
     coefficients : ndarray, shape (k,)
     spread : float
         Standard deviation of random starts.
+    names : tuple of str
+        Names of the parameters; default: those of the first entries that they stand in, ``A[0,1]``, ``D[0,0]``.
+    bounds : Bounds, optional
+        Of the parameters; default: none.
     """
 
     inputs: tuple[Port, ...]
@@ -102,6 +107,17 @@ class AffineStructure:
     parameters: IntArray
     coefficients: FloatArray
     spread: float = 1.0
+    names: tuple[str, ...] = ()
+    bounds: Bounds | None = None
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            named = {k: f"x[{k}]" for k in range(self.size)}
+            for k, row, column in zip(self.parameters[::-1], self.rows[::-1], self.columns[::-1]):
+                named[int(k)] = _entry_name(int(row), int(column), self.order)
+            object.__setattr__(self, "names", tuple(named.values()))
+        if len(self.names) != self.size or len(set(self.names)) < self.size:
+            raise ValueError(f"names must be {self.size} different ones, got {self.names}")
 
     @property
     def size(self) -> int:
@@ -122,6 +138,10 @@ class AffineStructure:
     def start(self, rng: np.random.Generator) -> FloatArray:
         """Random parameters."""
         return self.spread * rng.standard_normal(self.size)
+
+    def values(self, x: ArrayLike) -> dict[str, float]:
+        """Parameters (size,) by name."""
+        return dict(zip(self.names, np.asarray(x, dtype=float).tolist(), strict=True))
 
     def parameters_of(self, model: StateSpace) -> FloatArray:
         """Parameters that give `model`, which must have this structure.
@@ -146,25 +166,87 @@ class AffineStructure:
             raise ValueError(f"{model.name} does not have this structure: an entry differs by {residual:.3g}")
         return np.asarray(x, dtype=float)
 
-    def with_fixed(self, entries: Mapping[tuple[int, int], float]) -> AffineStructure:
-        """Same structure with entries (row, column) of the gain matrix held at given values."""
-        base, keep = self.base.copy(), np.ones(len(self.rows), dtype=bool)
-        for (row, column), value in entries.items():
+    def with_fixed(self, entries: Mapping[str | tuple[int, int], float]) -> AffineStructure:
+        """Same structure with parameters, by name, or entries (row, column) of the gain matrix held at given values.
+
+        A parameter that an entry depends on is held in all entries that it stands in.
+
+        Raises
+        ------
+        ValueError
+            Another name or entry than those of the structure, an entry that depends on several parameters, or two
+            values for one parameter.
+
+        Examples
+        --------
+        >>> pi = pid("e", "u", derivative_filter=0.1).with_fixed({"Kd": 0.0})
+        >>> pi.names, gain([("y", 2)], [("u", 1)]).with_fixed({(0, 1): -3.0}).names
+        (('Kp', 'Ki'), ('D[0,0]',))
+        """
+        base, held = self.base.copy(), dict[int, float]()
+        for key, value in entries.items():
+            if isinstance(key, str):
+                self._hold(held, number_of(key, self.names), value)
+                continue
+            row, column = key
             if not (0 <= row < base.shape[0] and 0 <= column < base.shape[1]):
                 raise ValueError(
                     f"entry ({row}, {column}) is outside the {base.shape[0]} x {base.shape[1]} gain matrix"
                 )
-            keep &= ~((self.rows == row) & (self.columns == column))
-            base[row, column] = value
-        _, parameters = np.unique(self.parameters[keep], return_inverse=True)
+            own = np.flatnonzero((self.rows == row) & (self.columns == column))
+            if len(own) > 1:
+                names = " and ".join(self.names[k] for k in self.parameters[own])
+                raise ValueError(f"entry ({row}, {column}) depends on {names}: fix parameters by name")
+            if len(own):
+                difference = (value - self.base[row, column]) / self.coefficients[own[0]]
+                self._hold(held, int(self.parameters[own[0]]), float(difference))
+            else:
+                base[row, column] = value
+        x, fixed = np.zeros(self.size), np.isin(self.parameters, list(held))
+        x[list(held)] = list(held.values())
+        np.add.at(base, (self.rows[fixed], self.columns[fixed]), self.coefficients[fixed] * x[self.parameters[fixed]])
+        return replace(self.with_entries(~fixed), base=read_only(base))
+
+    def _hold(self, held: dict[int, float], number: int, value: float) -> None:
+        if not np.isfinite(value):
+            raise ValueError(f"value of {self.names[number]} must be finite, got {value}")
+        if abs(held.get(number, value) - value) > 1e-12 * abs(value):
+            raise ValueError(f"{self.names[number]} must be fixed once, got {held[number]:g} and {value:g}")
+        held[number] = value
+
+    def with_entries(self, kept: BoolArray) -> AffineStructure:
+        """Same structure without some of the tuned entries, shape (k,), and the parameters that only they depend on."""
+        left, parameters = np.unique(self.parameters[kept], return_inverse=True)
         return replace(
             self,
-            base=read_only(base),
-            rows=self.rows[keep],
-            columns=self.columns[keep],
+            rows=self.rows[kept],
+            columns=self.columns[kept],
             parameters=parameters.reshape(-1).astype(np.intp),
-            coefficients=self.coefficients[keep],
+            coefficients=self.coefficients[kept],
+            names=tuple(self.names[k] for k in left),
+            bounds=None if self.bounds is None else self.bounds.of(left),
         )
+
+    def with_bounds(self, limits: Mapping[str, tuple[float, float]]) -> AffineStructure:
+        """Same structure with parameters, by name, kept between (lowest, highest); either may be infinite.
+
+        Raises
+        ------
+        ValueError
+            An unknown name, or a lowest value that is not below the highest.
+
+        Examples
+        --------
+        >>> pid("e", "u", derivative_filter=0.1).with_bounds({"Kp": (0.0, 5.0), "Ki": (0.0, np.inf)}).bounds.upper
+        array([ 5., inf, inf])
+        """
+        return replace(self, bounds=bounds_by_name(self.names, self.bounds, limits))
+
+
+def _entry_name(row: int, column: int, order: int) -> str:
+    """Of an entry of the gain matrix, in the part where it stands: ``A[0,1]``, ``B[..]``, ``C[..]``, ``D[..]``."""
+    part = ("A", "B", "C", "D")[2 * (row >= order) + (column >= order)]
+    return f"{part}[{row - order * (row >= order)},{column - order * (column >= order)}]"
 
 
 def _affine(
@@ -237,7 +319,7 @@ def gain(inputs: Sequence[Any], outputs: Sequence[Any]) -> AffineStructure:
 
 
 def pid(measurement: str, command: str, *, derivative_filter: float, terms: str = "PID") -> AffineStructure:
-    """``u = (Kp + Ki / s + Kd s / (derivative_filter s + 1)) y`` with parameters (Kp, Ki, Kd), those in `terms`.
+    """``u = (Kp + Ki / s + Kd s / (derivative_filter s + 1)) y`` with parameters Kp, Ki, Kd, those in `terms`.
 
     Examples
     --------
@@ -266,6 +348,7 @@ def pid(measurement: str, command: str, *, derivative_filter: float, terms: str 
         np.array([position[c] for c in columns.tolist()], dtype=np.intp),
         parameters,
         np.array([e[3] for e in listed]),
+        names=tuple(f"K{term.lower()}" for term in terms),
     )
 
 

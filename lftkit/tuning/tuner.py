@@ -22,18 +22,19 @@ from lftkit.tuning.descent.descent import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
 from lftkit.tuning.descent.smooth_phase import FEASIBLE
 from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_starts
-from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked
+from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.nested_orders import embedded, lower_order
-from lftkit.tuning.problem import MIN_DECAY, Problem, worst_values
+from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures import AffineStructure, Structure, controller
 
 AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
+OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
@@ -62,6 +63,9 @@ class TuningOptions:
         Peaks above this fraction of the largest enter the quadratic programs.
     progress : bool
         Show a progress line.
+    parameter_limit : float
+        Magnitude of a parameter beyond which no controller is looked at, for want of a bound of its own; at least a
+        thousand times that of the starts. A run that ends there is ``unbounded``.
     """
 
     starts: int = 24
@@ -73,6 +77,7 @@ class TuningOptions:
     target: float = -np.inf
     band: float = 0.3
     progress: bool = False
+    parameter_limit: float = 1e8
 
     def __post_init__(self) -> None:
         if self.starts < 0 or self.workers < 1 or self.iterations < 1:
@@ -82,6 +87,8 @@ class TuningOptions:
             )
         if not self.wall_limit > 0:
             raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
+        if not self.parameter_limit > 0:
+            raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
         if not 0 < self.band < 1:
             raise ValueError(f"band must be between 0 and 1, got {self.band}")
 
@@ -102,6 +109,8 @@ class TuningResult:
     soft, hard : float
         Worst soft and hard values (normalised) over requirements and models; minus infinity where there are none.
     values : ndarray, shape (requirements, models)
+        Those of the certificate where there is no delay (which it approximates): gains are reached, and at most
+        ``certificate.upper`` is.
     peak_frequencies : ndarray, shape (requirements, models)
         Frequencies of the values [rad/s].
     abscissa : float
@@ -115,6 +124,8 @@ class TuningResult:
         Of all starts.
     starts : tuple of float
         Final worst soft value of every start (infinite: not stabilised or not feasible).
+    at_bounds : tuple of str
+        Parameters that ended at a bound of their own, or at the limit of all.
     """
 
     status: TuningStatus
@@ -133,6 +144,7 @@ class TuningResult:
     iterations: int
     starts: tuple[float, ...]
     requirement_names: tuple[str, ...] = field(default=())
+    at_bounds: tuple[str, ...] = field(default=())
 
     @property
     def feasible(self) -> bool:
@@ -193,10 +205,11 @@ def tune(
     options = options or TuningOptions()
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
-    problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
-    given = [start_checked(x, structure.size) for x in initial]
+    given = [start_checked(x, structure) for x in initial]
     if not given and not options.starts:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
+    problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
+    problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         search = _search(problem, given, options, deadline, progress)
@@ -206,7 +219,7 @@ def tune(
         result = result_of(problem, runs, time.monotonic() - start_time)
     cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
     status = TuningStatus.OUT_OF_TIME if cut else result.status
-    return replace(result, status=status, advice=status.advice)
+    return replace(result, status=status, advice=_advice(status, result.at_bounds))
 
 
 def _search(
@@ -241,16 +254,10 @@ def _from_lower_order(
     if lower is None:
         return [], True
     try:
-        smaller = Problem(
-            problem.models,
-            problem.requirements,
-            lower,
-            loop_delay=problem.loop_delay,
-            pade_order=problem.pade_order,
-            min_decay=problem.min_decay,
-        )
+        smaller = problem.with_structure(lower)
     except ValueError:  # an H2 norm that is infinite for every controller of the lower order
         return [], True
+    smaller.limit = limits_from(options, start_sizes(smaller, [], options.seed))
     now = time.monotonic()
     batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
     search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches)
@@ -265,6 +272,11 @@ def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:
     return DescentOptions(options.iterations, options.tolerance, target=options.target, deadline=deadline)
 
 
+def limits_from(options: TuningOptions, sizes: FloatArray) -> FloatArray:
+    """Largest magnitudes of the parameters (size,) for the sizes of their starts."""
+    return np.asarray(np.maximum(options.parameter_limit, OVER_STARTS * sizes))
+
+
 def _refined(
     problem: Problem, runs: Sequence[StartResult], options: TuningOptions, deadline: float
 ) -> list[StartResult]:
@@ -276,8 +288,8 @@ def _refined(
             break
         found = problem.evaluate(best.x, gradients=False)
         K = controller(problem.structure, best.x)
-        certificate = certify(problem.models, K, problem.requirements, problem.loop_delay)
-        if _agree(certificate, found.values) or not np.all(np.isfinite(certificate.values)):
+        certificate = certify(problem.models, K, problem.given, problem.loop_delay)
+        if _agree(certificate, found.values[: len(problem.given)]) or not np.all(np.isfinite(certificate.values)):
             break
         for k, loop in enumerate(problem.gains):
             loop.add(certificate.peak_frequencies[list(problem.hinf), k])
@@ -295,23 +307,31 @@ def _agree(certificate: Certificate, values: FloatArray) -> bool:
 def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
     """Best of several starts, certified; of equal ones the last."""
     best = min(reversed(runs), key=lambda run: run.rank)
-    found = problem.evaluate(best.x, gradients=False)
-    soft, hard = worst_values(problem, found)
-    K = controller(problem.structure, best.x)
+    x = best.x if problem.bounds is None else problem.bounds.clipped(best.x)
+    found, count = problem.evaluate(x, gradients=False), len(problem.given)
+    values, frequencies = found.values[:count], found.peak_frequencies[:count]
+    K = controller(problem.structure, x)
     stable = found.abscissa < -problem.min_decay
-    certificate = certify(problem.models, K, problem.requirements, problem.loop_delay) if stable else None
+    certificate = certify(problem.models, K, problem.given, problem.loop_delay) if stable else None
     status = best.status
-    if certificate is not None and not _agree(certificate, found.values):
+    if certificate is not None and not _agree(certificate, values):
         status = TuningStatus.INACCURATE
+    if certificate is not None and not problem.loop_delay:
+        # what the tuner has not seen between its frequencies, the certificate has
+        gains = np.isin(np.arange(count), problem.hinf)[:, None] & np.isfinite(values)
+        frequencies = np.where(gains, certificate.peak_frequencies, frequencies)
+        values = np.where(np.isfinite(values), certificate.values, values)
+    hard = np.array([r.hard for r in problem.given])
+    at_bounds = _at_bounds(problem, x)
     return TuningResult(
         status,
-        status.advice,
+        _advice(status, at_bounds),
         K,
-        best.x,
-        soft,
-        hard,
-        found.values,
-        found.peak_frequencies,
+        x,
+        float(values[~hard].max(initial=-np.inf)),
+        float(values[hard].max(initial=-np.inf)),
+        values,
+        frequencies,
         found.abscissa,
         best.stationarity,
         certificate,
@@ -319,5 +339,17 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         sum(r.evaluations for r in runs),
         sum(r.iterations for r in runs),
         tuple(r.soft if r.hard <= 1.0 + FEASIBLE else np.inf for r in runs),
-        tuple(r.name for r in problem.requirements),
+        tuple(r.name for r in problem.given),
+        at_bounds,
     )
+
+
+def _at_bounds(problem: Problem, x: FloatArray) -> tuple[str, ...]:
+    """Names of the parameters (size,) that are at bounds of their own or at the limit of all."""
+    names = getattr(problem.structure, "names", [f"x[{k}]" for k in range(len(x))])
+    numbers = problem.at_limit(x) if problem.bounds is None else np.union1d(problem.at_limit(x), problem.bounds.at(x))
+    return tuple(names[k] for k in numbers)
+
+
+def _advice(status: TuningStatus, at_bounds: tuple[str, ...]) -> str:
+    return f"{status.advice}; at their bounds: {', '.join(at_bounds)}" if at_bounds else status.advice

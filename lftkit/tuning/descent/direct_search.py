@@ -203,6 +203,7 @@ class _Direct:
         """The best point so far."""
         point, target = self.point, self._limits.target
         status = TuningStatus.OUT_OF_TIME if self.late() else TuningStatus.ITERATIONS
+        status = TuningStatus.UNBOUNDED if self._problem.at_limit(point.x).size else status
         status = TuningStatus.TARGET if point.soft < target else status
         count = self._evaluations + self._value.evaluations
         return StartResult(status, point.x, point.soft, point.hard, point.found.abscissa, np.inf, count, 0)

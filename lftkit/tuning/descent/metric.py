@@ -12,6 +12,7 @@ from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.pieces import OracleResult, Piece
 
 EIGENVALUE_FLOOR = 1e-9  # of the scaled Gauss-Newton matrix: directions that change nothing keep a finite length
+SMALLEST_DIAGONAL = 1e-30  # squared relative change of the values by one parameter below which there is none
 SMALLEST_SCALE, LARGEST_SCALE = 1e-2, 1e3  # of a diagonal metric, about the geometric mean of the slopes
 
 
@@ -52,9 +53,12 @@ def diagonal_metric(x: FloatArray, result: OracleResult) -> Metric:
 def metric_of(matrix: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
     """Metric in which the positive semidefinite `matrix` (n, n) becomes the identity.
 
-    The matrix is first scaled to a unit diagonal; eigenvalues below `floor` times the largest are raised to it.
+    The matrix is first scaled to a unit diagonal; eigenvalues below `floor` times the largest are raised to it. The
+    identity for a matrix of zeros.
     """
     diagonal = np.diag(matrix)
+    if not diagonal.max(initial=0.0) > SMALLEST_DIAGONAL:
+        return Metric(np.eye(len(matrix)), np.eye(len(matrix)))
     scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max(initial=0.0)), 1e-300)))
     values, vectors = linalg.eigh(matrix * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, floor * max(float(values[-1]), 1e-300)))

@@ -114,6 +114,8 @@ class _Run:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, first = self._limits, self.point
         self.point = self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
+        if self._at_limit():
+            return TuningStatus.UNBOUNDED
         negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
         if self.point.feasible and -np.inf < self.point.soft <= negligible:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
@@ -127,6 +129,8 @@ class _Run:
             self.stationarity = found.stationarity
             self._take(point_at(self._problem, found.x))
             self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
+            if self._at_limit():
+                return TuningStatus.UNBOUNDED
             if found.reason in ENDS or self.steps >= limits.iterations:
                 break
             confirmed = self._confirmed()
@@ -136,6 +140,10 @@ class _Run:
             return TuningStatus.ITERATIONS
         late = time.monotonic() > limits.deadline
         return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
+
+    def _at_limit(self) -> bool:
+        """A feasible point with parameters as large as they may be."""
+        return self.point.feasible and self._problem.at_limit(self.point.x).size > 0
 
     def _take(self, point: Point) -> None:
         """Keep `point` unless it is worse: rounding of the constraint apart, the bundle method never rises."""

@@ -136,6 +136,8 @@ class SmoothObjective:
         By the poles of small loops; for large ones by the return difference on the grid: no encirclement, and no
         frequency at which it has nearly vanished.
         """
+        if not self._problem.inside(x):
+            return False
         K = self._problem.structure.gain_matrix(x)
         for k, grid in enumerate(self._grids):
             reference = self._reference[k]
@@ -231,6 +233,8 @@ class SmoothObjective:
         p, structure = self.power, self._problem.structure
         logs = [np.log(np.maximum(e.values, 1e-300)) for e in entries]
         top = max(float(v.max(initial=-np.inf)) for v in logs)
+        if top <= LEAST_LOG:  # all values are zero, as that of the command without any gain is
+            return LEAST_LOG, np.zeros(len(x))
         total = sum(float(np.sum(np.exp(p * (v - top)))) for v in logs)
         gradient = np.zeros(len(x))
         for entry, v in zip(entries, logs):
@@ -344,7 +348,9 @@ class SmoothObjective:
             own = [e for e in entries if self._problem.requirements[e.requirement].hard is hard]
             if not own:
                 continue
-            top = float(np.log(max(1e-300, *(float(e.values.max()) for e in own))))
+            top = _log_of_largest(own)
+            if top <= LEAST_LOG:
+                continue
             weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in own]
             sum_of_weights = sum(float(w.sum()) for w in weights)
             mean, share = np.zeros(len(x)), 0.0

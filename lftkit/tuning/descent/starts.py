@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.descent.gain_moves import with_gain
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.stable_state_space import StableStateSpace
-from lftkit.tuning.structures import AffineStructure
+from lftkit.tuning.structures import AffineStructure, Structure
 
 SIZES = (0.1, 1.0, 0.01, 3.0, 10.0, 0.3, 100.0, 30.0)  # of random starts in turn
 LOWER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)
@@ -32,10 +33,17 @@ class Start:
     def parameters(self, problem: Problem) -> FloatArray:
         """The parameters (size,)."""
         if self.x is not None:
-            return self.x
+            return problem.admitted(self.x)
         rng = np.random.default_rng(self.seed)
         x = SIZES[self.number % len(SIZES)] * problem.structure.start(rng)
-        return _at_the_speed_of_the_plant(problem, x, rng)
+        x = _at_the_speed_of_the_plant(problem, x, rng)
+        return problem.admitted(x if problem.bounds is None else problem.bounds.drawn(x, rng))
+
+
+def start_sizes(problem: Problem, given: Sequence[FloatArray], seed: int) -> FloatArray:
+    """Magnitudes of the parameters of starts (size,), at least 1: the given ones and a random one of each size."""
+    random = [start.parameters(problem) for start in random_starts(len(SIZES), seed, 0)]
+    return np.asarray(np.abs([*given, *random]).max(axis=0, initial=1.0))
 
 
 def given_starts(points: Sequence[FloatArray], seed: int) -> list[Start]:
@@ -95,9 +103,16 @@ def _at_the_speed_of_the_plant(problem: Problem, x: FloatArray, rng: np.random.G
     return x if lowered is None else lowered
 
 
-def start_checked(x: ArrayLike, size: int) -> FloatArray:
+def start_checked(x: ArrayLike, structure: Structure) -> FloatArray:
     """A given start as an array, or ValueError."""
     start: Any = np.asarray(x, dtype=float)
-    if start.shape != (size,) or not np.all(np.isfinite(start)):
-        raise ValueError(f"a start must be {size} finite parameters, got an array of shape {start.shape}")
+    if start.shape != (structure.size,) or not np.all(np.isfinite(start)):
+        raise ValueError(f"a start must be {structure.size} finite parameters, got an array of shape {start.shape}")
+    bounds = bounds_of(structure)
+    outside = [] if bounds is None else np.flatnonzero((start < bounds.lower) | (start > bounds.upper)).tolist()
+    for k in outside[:1]:
+        assert bounds is not None
+        name = getattr(structure, "names", {k: f"x[{k}]"})[k]
+        interval = f"({bounds.lower[k]:g}, {bounds.upper[k]:g})"
+        raise ValueError(f"start of {name} must be within its bounds {interval}, got {start[k]:g}")
     return np.asarray(start)

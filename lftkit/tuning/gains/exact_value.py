@@ -35,7 +35,7 @@ class ExactValue:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._structure, self._limit = problem.structure, -problem.min_decay
+        self._structure, self._limit, self._inside = problem.structure, -problem.min_decay, problem.inside
         self.evaluations = 0
         measured = tuple(p.name for p in problem.structure.inputs)
         commanded = tuple(p.name for p in problem.structure.outputs)
@@ -72,6 +72,8 @@ class ExactValue:
     def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient (size,); infinite and zero outside the domain."""
         self.evaluations += 1
+        if not self._inside(x):
+            return OUTSIDE, np.zeros(len(x))
         try:
             return self._evaluated(x)
         except (ValueError, ArithmeticError):  # matrices near overflow
@@ -96,6 +98,8 @@ class ExactValue:
     def abscissa(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Largest real part of the closed-loop poles [rad/s] and its gradient (size,)."""
         self.evaluations += 1
+        if not self._inside(x):
+            return OUTSIDE, np.zeros(len(x))
         K = self._structure.gain_matrix(x)
         worst, slope = -np.inf, np.zeros(K.shape)
         for plant in self._plants:

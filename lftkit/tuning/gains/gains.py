@@ -36,11 +36,17 @@ class LoopGains:
     plant : PlantResponses
     which : tuple of int
         Numbers of the H-infinity requirements among those of the plant.
+    grid : Arrays, optional
+        Responses on the first grid.
     """
 
-    def __init__(self, plant: PlantResponses, which: tuple[int, ...]) -> None:
+    def __init__(self, plant: PlantResponses, which: tuple[int, ...], grid: Arrays | None = None) -> None:
         self.plant, self._which = plant, which
-        self.grid = plant.arrays(plant.grid())
+        self._first_grid = self.grid = plant.arrays(plant.grid()) if grid is None else grid
+
+    def copied(self) -> LoopGains:
+        """The same gains, with the grid as it was at first: for controllers of another structure."""
+        return LoopGains(self.plant, self._which, self._first_grid)
 
     def add(self, omega: FloatArray) -> None:
         """Add frequencies [rad/s] to the grid."""

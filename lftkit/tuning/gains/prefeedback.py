@@ -19,6 +19,8 @@ SUFFICIENT = 2e-3  # damping ratio that is enough for every pole
 SIZES = np.geomspace(1e-6, 1e6, 25)  # of F, relative to 1 / gain of the plant
 DIRECTIONS = 4
 MAX_CONDITION = 1e3  # of I - F D22
+MAX_ORDER, MAX_TRIED = 100, 12  # of a plant whose poles are computed for every F; number of them for larger ones
+LEAST_PRODUCT = 1e-10  # of left and right eigenvectors of unit length: those of a defective pole have none
 
 
 def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) -> FloatArray:
@@ -38,8 +40,11 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
     shifted = A - (scale + float(np.abs(poles.real).max())) * np.eye(len(A))
     gain = max(float(np.abs(C2 @ linalg.solve(shifted, B2)).max()) + float(np.abs(D22).max(initial=0.0)), 1e-300)
     directions = [rng.standard_normal(zero.shape) for _ in range(DIRECTIONS)]
-    for size in SIZES:
-        for F in (sign * d * size / gain for d in directions for sign in (1.0, -1.0)):
+    tried = [[sign * d * size / gain for d in directions for sign in (1.0, -1.0)] for size in SIZES]
+    if len(A) > MAX_ORDER:
+        tried = [[F] for F in _promising(A, B2, C2, [F for of_size in tried for F in of_size], scale)]
+    for of_size in tried:
+        for F in of_size:
             inner = np.eye(len(F)) - F @ D22
             values = linalg.svdvals(inner)
             if values[0] > MAX_CONDITION * values[-1]:
@@ -50,6 +55,22 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
         if most_damped > SUFFICIENT:
             break
     return best
+
+
+def _promising(
+    A: FloatArray, B2: FloatArray, C2: FloatArray, tried: list[FloatArray], scale: float
+) -> list[FloatArray]:
+    """The matrices F that damp the poles most as far as the first derivatives of the poles say."""
+    found: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
+    poles, left, right = found
+    product = np.sum(left.conj() * right, axis=0)
+    rows = (left.conj() / np.where(np.abs(product) < LEAST_PRODUCT, LEAST_PRODUCT, product)).T @ B2
+    size, moved = np.maximum(np.abs(poles), 1e-6 * scale), []
+    for F in tried:
+        change = np.sum((rows @ F) * (C2 @ right).T, axis=1)
+        far = np.count_nonzero(np.abs(change) > 0.5 * size)  # for which a first derivative says little
+        moved.append(_least_damping(poles + change, scale) if far <= 0.1 * len(poles) else -1.0)
+    return [tried[k] for k in np.argsort(-np.array(moved), kind="stable")[:MAX_TRIED]]
 
 
 def _least_damping(poles: Any, scale: float) -> float:

@@ -8,7 +8,7 @@ import pytest
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.smooth_phase import Point, point_at, smooth_phase
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures import gain
 from lftkit.tuning.tuner import TuningOptions, tune
 
@@ -79,3 +79,20 @@ def test_infeasible_has_the_least_violation_whatever_the_start() -> None:
         assert result.status == "infeasible" and not result.feasible
         assert result.hard == pytest.approx(4.0 / 3.0, rel=1e-3)
         assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("start", [0.5, -1e3])
+def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float) -> None:
+    """The sum of the poles is -0.2 whatever the gain is: no decay of 10 rad/s."""
+    plant = StateSpace(
+        [[0, 1], [-1, -0.2]],
+        [[0, 0], [1, 1]],
+        [[1, 0], [0, 0], [1, 0]],
+        [[0, 0], [0, 1], [0, 0]],
+        [("w", 1), ("u", 1)],
+        [("z", 2), ("y", 1)],
+    )
+    needs = [HinfGain("w", "z"), ClosedLoopPoles(min_decay=10.0)]
+    result = tune([plant], needs, STATIC, initial=[[start]], options=TuningOptions(starts=0))
+    assert result.status == "infeasible"
+    assert result.hard == pytest.approx(2.0 - 0.1 / 10.0, rel=1e-9)

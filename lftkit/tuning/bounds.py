@@ -1,0 +1,116 @@
+"""Bounds of the parameters of a controller structure, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lftkit.arrays import FloatArray, IntArray
+from lftkit.systems.ports import read_only
+from lftkit.tuning.descent.pieces import HARD_TARGET, Piece
+
+AT_BOUND = 1e-4  # distance from a bound, of its scale, at which a parameter counts as being there
+NEAR_BOUND = 0.5  # distance, of its scale, from which a bound is told to the descent
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Lowest and highest values of the parameters (size,), infinite where there is none."""
+
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, read_only(np.array(getattr(self, name), dtype=float)))
+        wrong = np.flatnonzero(~(self.lower < self.upper))
+        if len(wrong):
+            low, high = float(self.lower[wrong[0]]), float(self.upper[wrong[0]])
+            raise ValueError(f"bounds must be a lowest and a higher highest value, got ({low:g}, {high:g})")
+
+    def of(self, numbers: IntArray) -> Bounds:
+        """Those of some of the parameters."""
+        return Bounds(self.lower[numbers], self.upper[numbers])
+
+    @property
+    def scales(self) -> FloatArray:
+        """Half the width of each interval; of a single bound its size, but at least 1."""
+        finite = np.isfinite(self.lower) & np.isfinite(self.upper)
+        single = np.where(np.isfinite(self.lower), np.abs(self.lower), np.abs(self.upper))
+        with np.errstate(invalid="ignore"):
+            half = 0.5 * (self.upper - self.lower)
+        return np.asarray(np.where(finite, half, np.maximum(np.where(np.isfinite(single), single, 1.0), 1.0)))
+
+    def clipped(self, x: FloatArray) -> FloatArray:
+        """Parameters (size,) within the bounds."""
+        return np.asarray(np.clip(x, self.lower, self.upper))
+
+    def drawn(self, x: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Random parameters (size,) within: those outside are drawn from their interval, or reflected at a bound."""
+        share = rng.uniform(0.01, 0.99, len(x))
+        both = np.isfinite(self.lower) & np.isfinite(self.upper)
+        with np.errstate(invalid="ignore"):
+            uniform = self.lower + share * (self.upper - self.lower)
+            reflected = np.where(x < self.lower, 2.0 * self.lower - x, 2.0 * self.upper - x)
+        outside = (x < self.lower) | (x > self.upper)
+        return np.asarray(np.where(outside, np.where(both, uniform, reflected), x))
+
+    def at(self, x: FloatArray) -> IntArray:
+        """Numbers of the parameters that are at a bound."""
+        distance = np.minimum(x - self.lower, self.upper - x)
+        return np.flatnonzero(distance <= AT_BOUND * self.scales)
+
+    def pieces(self, x: FloatArray, requirement: int) -> list[Piece]:
+        """Bounds near the parameters `x`, as pieces of a hard requirement that is met exactly at the bound."""
+        scales, found = self.scales, []
+        for sign, distance in ((-1.0, x - self.lower), (1.0, self.upper - x)):
+            for k in np.flatnonzero(distance <= NEAR_BOUND * scales):
+                gradient = np.zeros(len(x))
+                gradient[k] = sign / scales[k]
+                value = HARD_TARGET - float(distance[k]) / float(scales[k])
+                # pieces are told apart by frequency: one of its own for each parameter
+                found.append(Piece(value, gradient, True, requirement, 0, 2.0 ** float(k % 1000)))
+        return found
+
+
+def bounds_of(structure: object) -> Bounds | None:
+    """Bounds of a structure; None where it has none."""
+    bounds = getattr(structure, "bounds", None)
+    if bounds is not None and not isinstance(bounds, Bounds):
+        raise ValueError(f"bounds of a structure must be Bounds or None, got {type(bounds).__name__}")
+    if bounds is None or not (np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any()):
+        return None
+    return bounds
+
+
+def number_of(name: str, names: Sequence[str]) -> int:
+    """Number of a parameter.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, with those that there are.
+    """
+    if name not in names:
+        raise ValueError(f"parameter must be one of {', '.join(names)}, got {name!r}")
+    return list(names).index(name)
+
+
+def bounds_by_name(names: Sequence[str], before: Bounds | None, limits: Mapping[str, tuple[float, float]]) -> Bounds:
+    """Bounds of the named parameters, with those `before`.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, or a lowest value that is not below the highest.
+    """
+    lower = np.full(len(names), -np.inf) if before is None else before.lower.copy()
+    upper = np.full(len(names), np.inf) if before is None else before.upper.copy()
+    for name, (low, high) in limits.items():
+        number = number_of(name, names)
+        if not low < high:
+            raise ValueError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
+        lower[number], upper[number] = low, high
+    return Bounds(lower, upper)
