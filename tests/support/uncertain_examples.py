@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 from lftkit import Port, RealParameter, UncertainSystem
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 
 def de_gaston_safonov() -> UncertainSystem:
@@ -73,3 +78,38 @@ def tangent_crossing(excess: float) -> UncertainSystem:
     B, C = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.0, 2.0], [0.0, 1.0]])
     D = np.array([[0.0, -1.0], [0.0, 0.0]])
     return UncertainSystem(A, B, C, D, (), (), ("delta", "delta"), (RealParameter("delta", 0.0, -1.0, 1.0),))
+
+
+def transport_aircraft() -> UncertainSystem:
+    """Lateral motion of a transport aircraft under its controller, 14 coefficients uncertain by 10 %.
+
+    Ferreres (1999), with the numbers of the Robust Control Toolbox's manual, "Real Mu Analysis".
+    """
+    table = json.loads((FIXTURES / "transport_aircraft_14_parameters.json").read_text("utf-8"))
+    parameters = []
+    for entry in table["parameters"]:
+        nominal, part = entry["nominal"], 0.01 * entry["percent"] * abs(entry["nominal"])
+        parameters.append(RealParameter(entry["name"], nominal, nominal - part, nominal + part))
+    A, B, C = (np.array(table[key]) for key in ("A", "B_delta", "C_delta"))
+    names = tuple(p.name for p in parameters)
+    return UncertainSystem(A, B, C, np.zeros((14, 14)), (), (), names, tuple(parameters))
+
+
+def chain_of_masses(
+    count: int, part: float, stiffness: float = 1.0, damping: float = 0.1, *, measured: int = -1
+) -> UncertainSystem:
+    """Unit masses in a row, each held to the one before by a spring, uncertain by a part of it, and a damper.
+
+    From a force on the last mass to the position of mass `measured`.
+    """
+    n = count
+    stretch = np.eye(n) - np.eye(n, k=-1)
+    pull = -stretch.T  # force on the masses by the forces in the springs
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [stiffness * pull @ stretch, damping * pull @ stretch]])
+    B = np.vstack([np.zeros((n, n + 1)), np.hstack([pull, np.eye(n)[:, -1:]])])
+    C = np.hstack([np.vstack([stretch, np.eye(n)[measured]]), np.zeros((n + 1, n))])
+    names = tuple(f"k{i}" for i in range(n))
+    low, high = stiffness * (1.0 - part), stiffness * (1.0 + part)
+    parameters = tuple(RealParameter(name, stiffness, low, high) for name in names)
+    ports = (Port("force", 1),), (Port("position", 1),)
+    return UncertainSystem(A, B, C, np.zeros((n + 1, n + 1)), *ports, names, parameters)

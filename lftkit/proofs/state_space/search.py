@@ -13,10 +13,15 @@ from scipy import linalg, optimize
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
 from lftkit.systems.uncertain_system import UncertainSystem
 
 sl_optimize: Any = optimize
 MAX_CORNERS = 64
+ALL_CORNERS = 6
+"""Most parameters of which all corners are looked at; of more, corners are searched by derivatives of the poles."""
+RANDOM_CORNERS = 16
+"""Random corners to begin with there, beside those that the derivatives at the nominal member give."""
 RAY_STEPS = 48
 
 
@@ -167,8 +172,13 @@ def smallest_unstable_factor(
         length = float(np.abs(direction).max(initial=0.0))
         return ray_factor(system, offset(direction / length), largest) if length > 0.0 else np.inf
 
-    corners = list(itertools.product((-1.0, 1.0), repeat=size)) if size <= 6 else []
-    starts = [np.array(c) for c in corners] + list(np.eye(size)) + list(-np.eye(size))
+    corners = [np.array(c) for c in itertools.product((-1.0, 1.0), repeat=size)] if size <= ALL_CORNERS else []
+    if size > ALL_CORNERS and system.order:
+        corner = earliest_unstable_corner(
+            CornerSearch(system, ends), largest, lambda c: factor_of(c), samples=RANDOM_CORNERS, seed=seed
+        )[1]
+        corners += [corner] if corner is not None else []
+    starts = corners + list(np.eye(size)) + list(-np.eye(size))
     starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (samples, size))] if size else []
     if not starts:
         return np.inf, nominal, 0.0
