@@ -28,7 +28,7 @@ from oracles.accurate_response import extended_response
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.ports import port_slices
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from titop_plant.simulation.build import telescope
 
 INPUTS = ("wheel_imbalance", "sadm_torque", "fsm_command", "pma_force")
@@ -47,7 +47,7 @@ def main() -> None:
     system = telescope().system[OUTPUTS, INPUTS]
     seconds, errors, points = {"ours": 0.0, "control": 0.0}, {"ours": 0.0, "control": 0.0}, 0
     for values in system.sample_values(np.random.default_rng(0), args.samples):
-        data, member = system.data_at(values), system.at(values)
+        data, member = system.at(values), system.at(values)
         omega = frequency_grid(np.linalg.eigvals(data.A), 1e-2, 1e4)
         points += omega.size
         chosen = np.linspace(0, omega.size - 1, CHECKED).astype(int)
@@ -73,7 +73,7 @@ def main() -> None:
     print(json.dumps(result) if args.json else "\n".join(f"{k:>24}  {v:.4g}" for k, v in result.items()))
 
 
-def largest_error(data: StateSpace, found: np.ndarray, exact: np.ndarray) -> float:
+def largest_error(data: System, found: np.ndarray, exact: np.ndarray) -> float:
     """Largest error of a block of a pair of ports relative to its norm."""
     worst = 0.0
     for rows in port_slices(data.outputs).values():

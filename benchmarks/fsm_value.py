@@ -49,7 +49,7 @@ def problem_and_start() -> tuple[Problem, FloatArray]:
     corners = parameter_corners(parameters)
     order = np.random.default_rng(0).permutation(len(corners))
     points = [*points, *(corners[k] for k in order)][:MODELS]
-    models = [plant(p).renamed(f"m{i}") for i, p in enumerate(points)]
+    models = [plant(p).named(f"m{i}") for i, p in enumerate(points)]
     requirements = implemented_requirements(parameters, "fsm")
     start = kalman_start(structure, telescope, parameters, lead=options.loop_delay)
     return Problem(models, requirements, structure, loop_delay=options.delay), start

@@ -41,7 +41,7 @@ def structure(sample: int, modes: int) -> tuple[np.ndarray, ...]:
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
     from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant
-    from lftkit import StateSpace
+    from lftkit import System
     from lftkit.tuning.certificate import delayed_controller, weighted_loop
     from los_design.synthesis.options import DesignOptions
     from los_design.synthesis.state_space_requirements import implemented_requirements
@@ -53,9 +53,9 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     k_fsm, k_pma = load_designs("implemented")
     options = DesignOptions()
     plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
-    data = continuous(k_pma).data_at({})
+    data = continuous(k_pma).at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
-    law = delayed_controller(StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
+    law = delayed_controller(System(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
     requirement = next(r for r in implemented_requirements(parameters, "fsm+pma") if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, requirement).matrices for values in points]

@@ -37,7 +37,7 @@ import numpy as np
 import scipy.linalg as sl
 from threadpoolctl import threadpool_limits
 
-from lftkit import StateSpace, hinf_norm
+from lftkit import System, hinf_norm
 from lftkit.tuning import HinfGain, TuningOptions, state_space, tune
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 
@@ -65,7 +65,7 @@ METHODS = ("ours", "bfgs", "other")
 class Loop:
     """Closed loop of a plant with a controller of fixed order, all entries free, as a function of their vector."""
 
-    def __init__(self, plant: StateSpace, order: int) -> None:
+    def __init__(self, plant: System, order: int) -> None:
         k, n = order, plant.order
         nu, nz = plant.inputs[1].size, plant.outputs[0].size
         nw, ny = plant.inputs[0].size, plant.outputs[1].size
@@ -222,7 +222,7 @@ def by_pygranso(function: Function, x: np.ndarray, deadline: float) -> np.ndarra
     return where
 
 
-def restarted(plant: StateSpace, order: int, seconds: float, minimise: Minimiser) -> float:
+def restarted(plant: System, order: int, seconds: float, minimise: Minimiser) -> float:
     """Best certified value from random starts within the wall time."""
     loop, rng, deadline = Loop(plant, order), np.random.default_rng(0), time.monotonic() + seconds
     best = np.inf
@@ -247,7 +247,7 @@ def measured(row: Row, seconds: float, whole_limit: bool, methods: Collection[st
     return row
 
 
-def tuned(plant: StateSpace, order: int, seconds: float) -> Row:
+def tuned(plant: System, order: int, seconds: float) -> Row:
     """The tuner's certified value with default options."""
     structure = state_space([plant.outputs[1]], [plant.inputs[1]], order)
     start_time, start_cpu = time.monotonic(), time.process_time()

@@ -9,7 +9,7 @@ that the imbalance of the wheel causes at speeds below, at and above the first r
 
 import numpy as np
 
-from lftkit import Port, RealParameter, UncertainSystem, connect, invert
+from lftkit import Port, RealParameter, System, connect, invert
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
@@ -24,7 +24,7 @@ SPEED = RealParameter("wheel.speed", 300.0, 0.0, 800.0, "rad/s")
 ARCSEC = np.pi / 648_000
 
 
-def cubesat() -> UncertainSystem:
+def cubesat() -> System:
     """Ports: imbalance (5) [N, Nm] and wheel_torque [Nm] -> angle_G (3) [rad], wheel_accel [rad/s2]."""
     tape = tube({"E": 70e9, "G": 26e9, "density": 2700.0}, diameter=0.012, thickness=0.0004)
     tip = LumpedMass("tip", 0.15, np.diag([2e-5, 2e-5, 2e-5]), name="magnetometer")
@@ -69,19 +69,19 @@ def cubesat() -> UncertainSystem:
     )
 
 
-def main() -> UncertainSystem:
+def main() -> System:
     """Print the results; returns the spacecraft."""
     system = cubesat()
     print(system)
     poles = system.nominal().poles()
     flexible = np.unique(np.abs(poles[np.abs(poles) > 5.0]).round(2))
     print("modes of the free spacecraft:", flexible[:3], "rad/s")
-    still = system.data_at({"wheel.speed": 0.0})
+    still = system.at({"wheel.speed": 0.0})
     low = (still.C @ np.linalg.solve(0.05j * np.eye(system.order) - still.A, still.B) + still.D).real
     column = 5  # wheel_torque, behind the imbalance (5)
     print(f"1 mNm of the wheel turns the hub by {1e-3 * low[3 + 5, column]:.4f} rad/s2 about z")
     for speed in (0.5 * flexible[0], flexible[0], 2.0 * flexible[0], 800.0):
-        data = system.data_at({"wheel.speed": min(float(speed), 800.0)})
+        data = system.at({"wheel.speed": min(float(speed), 800.0)})
         force = STATIC_IMBALANCE * speed**2 * np.array([1.0, -1.0j, 0.0, 0.0, 0.0, 0.0])  # turns with the wheel
         vector = np.concatenate([force, np.zeros(6)])
         response = data.C @ np.linalg.solve(1j * speed * np.eye(system.order) - data.A, data.B @ vector)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lftkit import StateSpace, transfer
+from lftkit import System, transfer
 from lftkit.tuning import ClosedLoopPoles, H2Gain, HinfGain, TuningOptions, TuningResult, pid, tune
 
 DELAY = 0.5  # s
@@ -17,7 +17,7 @@ NOISE = 0.05  # standard deviation of the measurement's samples
 PERIOD = 0.1  # s, of these samples
 
 
-def process() -> StateSpace:
+def process() -> System:
     """Ports: load, reference, noise, valve -> level, error, command, seen (input of the PID).
 
     The noise is filtered at 5 rad/s before the PID.
@@ -29,7 +29,7 @@ def process() -> StateSpace:
     D[1, 1] = D[2, 3] = 1.0
     inputs = [("load", 1), ("reference", 1), ("noise", 1), ("valve", 1)]
     outputs = [("level", 1), ("error", 1), ("command", 1), ("seen", 1)]
-    return StateSpace(A, B, C, D, inputs, outputs, "process")
+    return System(A, B, C, D, inputs, outputs, "process")
 
 
 REQUIREMENTS = [

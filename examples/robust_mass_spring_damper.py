@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lftkit import StateSpace, transfer
+from lftkit import System, transfer
 from lftkit.tuning import ClosedLoopPoles, HinfGain, RobustResult, TuningOptions, WorstCaseOptions, pid, tune_robust
 
 BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
 
-def build(p: Mapping[str, float]) -> StateSpace:
+def build(p: Mapping[str, float]) -> System:
     """Ports: reference [m], noise [m], force [N] -> error [m], effort [N], seen [m] (measured error)."""
     m, c, k = p["m"], p["c"], p["k"]
-    return StateSpace(
+    return System(
         [[0, 1], [-k / m, -c / m]],
         [[0, 0, 0], [0, 0, 1 / m]],
         [[-1, 0], [0, 0], [-1, 0]],

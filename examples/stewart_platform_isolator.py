@@ -10,7 +10,7 @@ parameter: printed are the suspension modes, and where isolation begins and how 
 import numpy as np
 from scipy import linalg
 
-from lftkit import UncertainSystem
+from lftkit import System
 from lftkit.arrays import FloatArray
 from titop_plant.blocks.isolator import Isolator, isolator
 from titop_plant.structures import from_inertia
@@ -34,7 +34,7 @@ def leg_matrix() -> FloatArray:
     return np.column_stack(columns)
 
 
-def platform(damping: float) -> UncertainSystem:
+def platform(damping: float) -> System:
     """Isolator with the payload, from the motion of the spacecraft to that of the payload."""
     J = leg_matrix()
     return isolator(Isolator(PAYLOAD, LEG_STIFFNESS * J @ J.T, damping * J @ J.T))

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit import Connection, Port, SampledSystem, StateSpace, UncertainSystem, connect, static_gain
+from lftkit import Connection, Port, SampledSystem, System, connect, static_gain
 from lftkit.systems.delay import delayed_port
 from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
@@ -67,20 +67,20 @@ SENSITIVITY_PORTS = {
 
 @dataclass(frozen=True)
 class ActuatorPlant:
-    """Generalised plant of K_PMA as a function of the parameter values (see :class:`lftkit.tuning.StateSpace`)."""
+    """Generalised plant of K_PMA as a function of the parameter values (see :class:`lftkit.tuning.System`)."""
 
-    system: UncertainSystem
+    system: System
 
-    def __call__(self, values: Mapping[str, float]) -> StateSpace:
+    def __call__(self, values: Mapping[str, float]) -> System:
         """Plant at the given values (others nominal)."""
         name = ", ".join(f"{n}={v:.4g}" for n, v in values.items()) or "nominal"
-        return self.system.data_at(values).renamed(name)
+        return self.system.at(values).named(name)
 
 
 def actuator_plant(
     telescope: Telescope,
     parameters: Parameters,
-    observer: UncertainSystem,
+    observer: System,
     *,
     loop_delay: float = 0.0,
     camera_period: float = 0.0,
@@ -92,7 +92,7 @@ def actuator_plant(
     ----------
     telescope, parameters
         Assembled telescope and its parameter file.
-    observer : UncertainSystem
+    observer : System
         Continuous K_FSM, measurements to ``los_estimate``.
     loop_delay : float
         Delay of the mirror's command beyond its hold [s].
@@ -139,7 +139,7 @@ def actuator_plant(
     return ActuatorPlant(_with_added_force(closed))
 
 
-def _with_added_force(plant: UncertainSystem) -> UncertainSystem:
+def _with_added_force(plant: System) -> System:
     """Add a force to that of the controller; show the controller's and the sum as outputs."""
     unit, applied = static_gain(np.eye(FORCE.size), [FORCE], [FORCE]), f"total.{FORCE.name}"
     others = [p for p in plant.inputs if p.name != FORCE.name]
@@ -167,7 +167,7 @@ def actuator_structure(plant: ActuatorPlant, *, order: int = ORDER) -> AffineStr
 
 
 def sampled_controller(
-    controller: UncertainSystem,
+    controller: System,
     washout: float,
     *,
     name: str,

@@ -1,4 +1,4 @@
-"""Linear systems with named ports: state space, uncertain (linear fractional transformations), sampled.
+"""Robust control of linear systems: one type :class:`System` with named ports, uncertain elements, bounds, tuning.
 
 Names are loaded when they are first asked for: controllers at run time import :mod:`lftkit.systems.sampled_system`
 alone, and with it numpy only.
@@ -17,33 +17,54 @@ if TYPE_CHECKING:
     from lftkit.systems.delay import pade_delay
     from lftkit.systems.feedback import cascade, close_loop
     from lftkit.systems.filters import high_pass, transfer
-    from lftkit.systems.interconnection import Connection, close, connect, invert, parallel, series, star, transform
+    from lftkit.systems.interconnection import (
+        Connection,
+        append,
+        close,
+        connect,
+        feedback,
+        invert,
+        parallel,
+        series,
+        star,
+        transform,
+    )
+    from lftkit.systems.minimal import minimal_realisation
     from lftkit.systems.ports import Port
     from lftkit.systems.sampled_system import SampledSystem
-    from lftkit.systems.sampling import sampled
-    from lftkit.systems.state_space import StateSpace
-    from lftkit.systems.uncertain_system import UncertainSystem, from_control, state_space, static_gain
+    from lftkit.systems.sampling import discretise, sampled
+    from lftkit.systems.system import System, from_control, state_space, static_gain
+    from lftkit.systems.system import System as StateSpace
+    from lftkit.systems.system import System as UncertainSystem
+    from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
     from lftkit.uncertainty.parameters import RealParameter
 
 __all__ = [
+    "ComplexParameter",
     "Connection",
+    "DynamicElement",
     "HInfNorm",
     "Port",
     "RealParameter",
     "SampledSystem",
     "StateSpace",
+    "System",
     "UncertainSystem",
+    "append",
     "bode_band",
     "cascade",
     "close",
     "close_loop",
     "connect",
+    "discretise",
+    "feedback",
     "from_control",
     "h2_norm",
     "high_pass",
     "hinf_norm",
     "hinf_norms",
     "invert",
+    "minimal_realisation",
     "pade_delay",
     "parallel",
     "pole_map",
@@ -59,18 +80,33 @@ __all__ = [
 ]
 
 _MODULES = {
+    "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
+    "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "systems.delay": ("pade_delay",),
     "systems.feedback": ("cascade", "close_loop"),
     "systems.filters": ("high_pass", "transfer"),
-    "systems.interconnection": ("Connection", "close", "connect", "invert", "parallel", "series", "star", "transform"),
-    "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
-    "uncertainty.parameters": ("RealParameter",),
-    "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
+    "systems.interconnection": (
+        "Connection",
+        "append",
+        "close",
+        "connect",
+        "feedback",
+        "invert",
+        "parallel",
+        "series",
+        "star",
+        "transform",
+    ),
+    "systems.minimal": ("minimal_realisation",),
     "systems.ports": ("Port",),
     "systems.sampled_system": ("SampledSystem",),
-    "systems.sampling": ("sampled",),
+    "systems.sampling": ("discretise", "sampled"),
+    "systems.system": ("System", "from_control", "state_space", "static_gain"),
+    "uncertainty.elements": ("ComplexParameter", "DynamicElement"),
+    "uncertainty.parameters": ("RealParameter",),
+    # former names of System
     "systems.state_space": ("StateSpace",),
-    "systems.uncertain_system": ("UncertainSystem", "from_control", "state_space", "static_gain"),
+    "systems.uncertain_system": ("UncertainSystem",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit import SampledSystem, UncertainSystem, state_space
+from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray
 from lftkit.systems.filters import high_pass, with_input_filter
 from lftkit.systems.sampling import sampled
@@ -84,7 +84,7 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
     return np.hstack([base, *mirrors])
 
 
-def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float = 0.0) -> UncertainSystem:
+def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float = 0.0) -> System:
     """Continuous observer K_est of order 4: measurements to the line of sight.
 
     Parameters
@@ -98,7 +98,7 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
 
     Returns
     -------
-    UncertainSystem
+    System
         Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
     C_a = acceleration_sensitivity(parameters, payload)
@@ -119,7 +119,7 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
 
 
 def sampled_observer(
-    observer: UncertainSystem,
+    observer: System,
     washout: float,
     *,
     name: str,
@@ -130,7 +130,7 @@ def sampled_observer(
 
     Parameters
     ----------
-    observer : UncertainSystem
+    observer : System
         Continuous, ports of K_FSM.
     washout : float
         Corner of F_w [rad/s].

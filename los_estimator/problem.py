@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import Port, StateSpace, UncertainSystem, connect, static_gain, transform
+from lftkit import Port, System, connect, static_gain, transform
 from lftkit.arrays import FloatArray
 from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
@@ -51,15 +51,15 @@ SENSITIVITY_PORTS = {COMMAND_PORTS[0].name: (ADDED.name, APPLIED)}
 class ObserverPlant:
     """Generalised plant of K_FSM as a function of the parameter values.
 
-    Calling it with values gives a :class:`lftkit.tuning.StateSpace` with the disturbance, noise and estimate
+    Calling it with values gives a :class:`lftkit.tuning.System` with the disturbance, noise and estimate
     ports in, line of sight, mirror command and measurements out.
     """
 
-    system: UncertainSystem
+    system: System
 
-    def __call__(self, values: Mapping[str, float]) -> StateSpace:
+    def __call__(self, values: Mapping[str, float]) -> System:
         """Plant at the given values (others nominal)."""
-        return self.system.data_at(values).renamed(describe(values))
+        return self.system.at(values).named(describe(values))
 
 
 def describe(values: Mapping[str, float]) -> str:
@@ -128,5 +128,5 @@ def kalman_start(
     structure: AffineStructure, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
 ) -> FloatArray:
     """The Kalman observer as a start of the tuner."""
-    guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).data_at({}).renamed("K_est")
+    guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).at({}).named("K_est")
     return np.asarray(structure.parameters_of(guess))

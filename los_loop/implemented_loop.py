@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import SampledSystem, StateSpace
+from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import gain_figures
@@ -243,9 +243,9 @@ class ImplementedLoop:
             closed.M, closed.T12[APPLIED], closed.T21[:, ADDED], closed.T11[APPLIED, ADDED], self.delta(points)
         )
 
-    def sampled_at(self, values: Mapping[str, float]) -> tuple[StateSpace, SampledLoop]:
+    def sampled_at(self, values: Mapping[str, float]) -> tuple[System, SampledLoop]:
         """The continuous plant at parameter values, and the exact periodic loop around it."""
-        plant, sensitivity = self.system.data_at(values), float(self.parameters["fsm"]["los_sensitivity"])
+        plant, sensitivity = self.system.at(values), float(self.parameters["fsm"]["los_sensitivity"])
         return plant, sampled_loop(
             plant, *self.pair, loop=self.stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
         )

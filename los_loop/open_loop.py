@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from lftkit import UncertainSystem
+from lftkit import System
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_response import FrequencyResponse
@@ -25,13 +25,13 @@ class OpenLoop:
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         As :func:`titop_plant.simulation.build.control_loop_plant` makes it.
     parameters : mapping
         Telescope parameters.
     """
 
-    def __init__(self, system: UncertainSystem, parameters: Parameters) -> None:
+    def __init__(self, system: System, parameters: Parameters) -> None:
         self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
         self.names = tuple(p.name for p in system.parameters)
         self.channels = len(system.channels)
@@ -63,7 +63,7 @@ class OpenLoop:
 
     def modes(self, point: FloatArray, low: float, high: float) -> FloatArray:
         """Frequencies [rad/s] of the telescope's own modes between two frequencies, at a point of the unit cube."""
-        poles: ComplexArray = np.asarray(linalg.eigvals(self.system.data_at(self.values(point)).A), dtype=complex)
+        poles: ComplexArray = np.asarray(linalg.eigvals(self.system.at(self.values(point)).A), dtype=complex)
         found: FloatArray = np.abs(poles[poles.imag > 0.0])
         return np.asarray(np.unique(np.round(found[(found > low) & (found < high)], 9)))
 

@@ -15,7 +15,7 @@ from typing import TypeVar, cast
 import numpy as np
 from scipy import linalg
 
-from lftkit import SampledSystem, StateSpace
+from lftkit import SampledSystem, System
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.spec import laws, state_parts
 from titop_plant.interface import (
@@ -167,7 +167,7 @@ def slow_modes(multipliers: ComplexArray, frame_ticks: int, highest: float, damp
 
 
 def sampled_loop(
-    plant: StateSpace,
+    plant: System,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     *,
@@ -179,7 +179,7 @@ def sampled_loop(
 
     Parameters
     ----------
-    plant : StateSpace
+    plant : System
         Continuous; inputs start with the 8 commands, outputs are the 22 measurements and the
         controlled line of sight (2), as in :func:`titop_plant.simulation.build.build_plant`.
     k_fsm, k_pma : SampledSystem

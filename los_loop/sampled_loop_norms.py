@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import SampledSystem, StateSpace
+from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_grid import frequency_grid
@@ -81,7 +81,7 @@ class SampledLoopMetrics:
 
 
 def sampled_loop_metrics(
-    plant: StateSpace,
+    plant: System,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     parameters: Parameters,
@@ -95,7 +95,7 @@ def sampled_loop_metrics(
 
     Parameters
     ----------
-    plant : StateSpace
+    plant : System
         As for :func:`los_loop.sampled_loop.sampled_loop`.
     k_fsm, k_pma : SampledSystem
     parameters : mapping
@@ -134,7 +134,7 @@ def sampled_loop_metrics(
 
 
 def weighted_response(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, low: float = 1e-2
+    loop: SampledLoop, plant: System, parameters: Parameters, low: float = 1e-2
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad].
 
@@ -146,7 +146,7 @@ def weighted_response(
 
 
 def weighted_gains(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, omega: FloatArray
+    loop: SampledLoop, plant: System, parameters: Parameters, omega: FloatArray
 ) -> tuple[ComplexArray, FloatArray]:
     """What :func:`weighted_response` gives, at the frequencies `omega` (k,) [rad/s]."""
     tone = tone_response(loop, plant, omega)
@@ -166,7 +166,7 @@ def weighted_gains(
     return np.asarray(tone.fundamental * size), np.asarray(relative)
 
 
-def loop_grid(plant: StateSpace, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
+def loop_grid(plant: System, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
     """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
     closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
     return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, offsets=(0.0, 3.0))
@@ -192,7 +192,7 @@ class ToneResponse:
     sidebands: list[tuple[float, ComplexArray]]
 
 
-def disturbance_response(loop: SampledLoop, plant: StateSpace, omega: FloatArray) -> ComplexArray:
+def disturbance_response(loop: SampledLoop, plant: System, omega: FloatArray) -> ComplexArray:
     """Line of sight (2) and commands (8) at the frequency of tones on the 22 inputs, shape (k, 10, 22), complex."""
     return tone_response(loop, plant, omega).fundamental
 
@@ -211,15 +211,13 @@ class ToneModes:
     plant: tuple[ComplexArray, ComplexArray]
 
     @classmethod
-    def of(cls, loop: SampledLoop, plant: StateSpace) -> ToneModes:
+    def of(cls, loop: SampledLoop, plant: System) -> ToneModes:
         """Of a loop and its continuous plant."""
         size = loop.hold.shape[0] - HELD.size
         return cls(eigenpairs(loop.at(1)[0][:size, :size]), eigenpairs(plant.A))
 
 
-def tone_response(
-    loop: SampledLoop, plant: StateSpace, omega: FloatArray, modes: ToneModes | None = None
-) -> ToneResponse:
+def tone_response(loop: SampledLoop, plant: System, omega: FloatArray, modes: ToneModes | None = None) -> ToneResponse:
     """Response at the ticks, the zero-order-hold values closed around the rest of the loop; `modes` if they are known.
 
     A tone at w makes signals at ``w + l w_N`` with the frequency ``w_N`` of the period of N ticks. A sensor with a
@@ -291,7 +289,7 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
 
 
 def _forced(
-    plant: StateSpace,
+    plant: System,
     modes: tuple[ComplexArray, ComplexArray],
     omega: FloatArray,
     rows: ComplexArray,
@@ -307,7 +305,7 @@ def _forced(
 
 
 def noise_metrics(
-    plant: StateSpace,
+    plant: System,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     parameters: Parameters,

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import StateSpace
+from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
@@ -82,7 +82,7 @@ class ToneModel:
     Parameters
     ----------
     loop : SampledLoop
-    plant : StateSpace
+    plant : System
         Continuous, inputs: commands, disturbances.
     omega : ndarray, shape (K,)
         Frequencies [rad/s], rising.
@@ -95,7 +95,7 @@ class ToneModel:
     """
 
     loop: SampledLoop
-    plant: StateSpace
+    plant: System
     omega: FloatArray
     amplitude: ComplexArray
     limits: FloatArray

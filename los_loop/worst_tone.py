@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit import StateSpace
+from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop
@@ -137,14 +137,14 @@ class WorstTone:
 
 
 def worst_tone(
-    loop: SampledLoop, plant: StateSpace, parameters: Parameters, *, index: str, stage: str, closed: bool = True
+    loop: SampledLoop, plant: System, parameters: Parameters, *, index: str, stage: str, closed: bool = True
 ) -> WorstTone:
     """Worst tone of unit norm of a stable loop.
 
     Parameters
     ----------
     loop : SampledLoop
-    plant : StateSpace
+    plant : System
         The continuous plant of the loop.
     parameters : mapping
         Tables ``weights`` and ``sadm``.

@@ -263,6 +263,8 @@ def frequency_response(system: StateSpace, omega: ArrayLike, *, tolerance: float
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     if w.ndim != 1 or not np.all(np.isfinite(w)):
         raise ValueError(f"omega must be a vector of finite numbers, got shape {w.shape}")
+    system.require_certain()
+    system.require_continuous()
     if system.A.shape[0] == 0 or w.size == 0:
         return np.broadcast_to(system.D.astype(complex), (w.size, *system.D.shape)).copy()
     form = FrequencyResponse.of(*system.matrices, check=False)

@@ -71,7 +71,8 @@ def bode_band(
     >>> from lftkit import RealParameter
     >>> k = RealParameter("k", 2.0, 1.0, 3.0)
     >>> A, B, C, D = [[0, 1], [-2, -0.1]], [[0, 0], [1, 1]], [[-1, 0], [1, 0]], [[0, 0], [0, 0]]
-    >>> mass = UncertainSystem(A, B, C, D, (Port("force", 1, "N"),), (Port("x", 1, "m"),), ("k",), (k,))
+    >>> ports = (Port("force", 1, "N"),), (Port("x", 1, "m"),)
+    >>> mass = UncertainSystem(A, B, C, D, *ports, channels=("k",), elements=(k,))
     >>> ends = [{"k": 1.0}, {"k": 3.0}]
     >>> top = bode_band(mass, ends, output="x", input="force", omega=[0.001, 0.002]).axes[0]
     >>> top.collections[0].get_datalim(top.transData).ymin.round(4).item(), top.get_ylabel()
@@ -169,14 +170,15 @@ def pole_map(system: UncertainSystem | StateSpace, samples: Samples = 0, *, seed
 
 def _members(system: UncertainSystem | StateSpace, samples: Samples, seed: int) -> list[StateSpace]:
     """The nominal system first, then its members."""
-    if isinstance(system, StateSpace):
+    system.require_continuous()
+    if system.certain:
         if samples != 0:
-            raise ValueError(f"samples must be 0 for a StateSpace, which has no parameters, got {samples!r}")
+            raise ValueError(f"samples must be 0 for a system without uncertain elements, got {samples!r}")
         return [system]
     if isinstance(samples, int) and samples < 0:
         raise ValueError(f"samples must be 0 or more, got {samples}")
     values = system.sample_values(np.random.default_rng(seed), samples) if isinstance(samples, int) else samples
-    return [system.data_at({}), *(system.data_at(v) for v in values)]
+    return [system.at({}), *(system.at(v) for v in values)]
 
 
 def _frequencies(models: Sequence[StateSpace], omega: ArrayLike | None) -> FloatArray:

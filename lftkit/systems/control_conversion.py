@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lftkit.arrays import Matrices
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, order_for_ports, ports_of_labels
 
@@ -21,11 +22,11 @@ def ports_and_matrices(
     inputs: Sequence[Port] | None = None,
     outputs: Sequence[Port] | None = None,
 ) -> tuple[Matrices, tuple[Port, ...], tuple[Port, ...]]:
-    """Matrices of a `control.StateSpace` with the signals of each port side by side, and the ports.
+    """Matrices of a system of python-control with the signals of each port side by side, and the ports.
 
     Parameters
     ----------
-    system : control.StateSpace
+    system : control.StateSpace or control.TransferFunction
         In continuous or discrete time; its period is left to the caller.
     units : mapping, optional
         Unit of each port by name.
@@ -40,20 +41,53 @@ def ports_and_matrices(
     """
     import control
 
-    if not isinstance(system, control.StateSpace):
-        raise ValueError(f"system must be a control.StateSpace, got {type(system).__name__}")
+    if isinstance(system, control.TransferFunction):
+        matrices = _entries(system)
+    elif isinstance(system, control.StateSpace):
+        matrices = system.A, system.B, system.C, system.D
+    else:
+        raise ValueError(
+            f"system must be a control.StateSpace or control.TransferFunction, got {type(system).__name__}"
+        )
+    A, B, C, D = matrices
     ports_in, columns = _side(system.input_labels, system.ninputs, units, inputs, "input")
     ports_out, rows = _side(system.output_labels, system.noutputs, units, outputs, "output")
-    B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
-    return (system.A, B, C, D), ports_in, ports_out
+    return (A, B[:, columns], C[rows], D[np.ix_(rows, columns)]), ports_in, ports_out
 
 
-def continuous_only(system: Any) -> None:
-    """Raise a ValueError for a `control` system in discrete time; an unspecified time base passes."""
-    if getattr(system, "dt", None):
-        raise ValueError(
-            f"system must be in continuous time, got sampling period {system.dt}: SampledSystem.from_control takes it"
-        )
+def _entries(system: Any) -> Matrices:
+    """State space of a transfer matrix, each entry with states of its own."""
+    rows, columns = system.noutputs, system.ninputs
+    A, B, C, D = (np.zeros(shape) for shape in ((0, 0), (0, columns), (rows, 0), (rows, columns)))
+    for i in range(rows):
+        for j in range(columns):
+            a, b, c, d = rational(system.num[i][j], system.den[i][j])
+            n, new = len(A), len(a)
+            A = np.block([[A, np.zeros((n, new))], [np.zeros((new, n)), a]])
+            B, C = np.vstack([B, np.zeros((new, columns))]), np.hstack([C, np.zeros((rows, new))])
+            B[n:, j], C[i, n:], D[i, j] = b, c, d
+    return A, B, C, D
+
+
+def rational(num: ArrayLike, den: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Companion form A (n, n), b (n,), c (n,), d of num / den, coefficients from the highest power down.
+
+    Raises
+    ------
+    ValueError
+        A numerator of higher degree than the denominator, or a denominator that is zero.
+    """
+    top = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=float)), "f")
+    bottom = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=float)), "f")
+    if not len(bottom) or len(top) > len(bottom):
+        raise ValueError(f"transfer function must be proper, got {np.asarray(num)} / {np.asarray(den)}")
+    n = len(bottom) - 1
+    a = bottom / bottom[0]
+    b = np.concatenate([np.zeros(n + 1 - len(top)), top]) / bottom[0]
+    A, e = np.diag(np.ones(max(n - 1, 0)), 1) if n else np.zeros((0, 0)), np.zeros(n)
+    if n:
+        A[-1], e[-1] = -a[:0:-1], 1.0
+    return A, e, (b[1:] - a[1:] * b[0])[::-1], float(b[0])
 
 
 def control_system(

@@ -9,8 +9,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
-from lftkit.systems.uncertain_system import UncertainSystem, state_space, static_gain
+from lftkit.systems.system import System, state_space, static_gain
 
 
 def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
@@ -65,12 +64,12 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     )
 
 
-def pade_delay(delay: float, order: int, size: int = 1) -> StateSpace:
+def pade_delay(delay: float, order: int, size: int = 1) -> System:
     """Padé form of ``exp(-s delay)`` on `size` signals, from port ``in`` to port ``out``: :func:`pade_matrices`."""
-    return StateSpace(*pade_matrices(delay, order, size), (Port("in", size),), (Port("out", size),), f"delay {delay} s")
+    return System(*pade_matrices(delay, order, size), (Port("in", size),), (Port("out", size),), f"delay {delay} s")
 
 
-def delayed_port(port: Port, delay: float, order: int) -> UncertainSystem:
+def delayed_port(port: Port, delay: float, order: int) -> System:
     """Padé form of a delay [s] on every signal of a port; input and output have its name."""
     A, B, C, D = pade_matrices(delay, order, port.size)
     if not len(A):

@@ -7,22 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.operand import common_period
+from lftkit.systems.system import System
 
 
-def cascade(first: StateSpace, second: StateSpace, name: str = "") -> StateSpace:
+def cascade(first: System, second: System, name: str = "") -> System:
     """`second` after `first`: y = second(first(u)); sizes must match, the ports of both ends are kept."""
     if first.D.shape[0] != second.D.shape[1]:
         raise ValueError(
             f"cascade: {first.name} has {first.D.shape[0]} outputs, {second.name} takes {second.D.shape[1]} inputs"
         )
-    A = np.block([[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]])
-    B = np.vstack([first.B, second.B @ first.D])
-    C = np.hstack([second.D @ first.C, second.C])
-    return StateSpace(A, B, C, second.D @ first.D, first.inputs, second.outputs, name or first.name)
+    (A1, B1, C1, D1), (A2, B2, C2, D2) = first.matrices, second.matrices
+    A = np.block([[A1, np.zeros((first.order, second.order))], [B2 @ C1, A2]])
+    B = np.vstack([B1, B2 @ D1])
+    C = np.hstack([D2 @ C1, C2])
+    dt = common_period([first, second])
+    return System(A, B, C, D2 @ D1, first.inputs, second.outputs, name or first.name, dt)
 
 
-def close_loop(plant: StateSpace, controller: StateSpace, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
+def close_loop(plant: System, controller: System, inputs: Sequence[str], outputs: Sequence[str]) -> System:
     """Closed loop from `inputs` to `outputs` with the controller between the plant's ports of the same names.
 
     **Sign: u = + K y.** The controller's inputs are plant outputs, its outputs plant inputs, by name.
@@ -53,7 +56,7 @@ def close_loop(plant: StateSpace, controller: StateSpace, inputs: Sequence[str],
     Ccl = np.hstack([C[rz] + D12 @ X, D12 @ U])
     ports_in = {p.name: p for p in plant.inputs}
     ports_out = {p.name: p for p in plant.outputs}
-    return StateSpace(
+    return System(
         Acl,
         Bcl,
         Ccl,
@@ -61,4 +64,5 @@ def close_loop(plant: StateSpace, controller: StateSpace, inputs: Sequence[str],
         tuple(ports_in[n] for n in inputs),
         tuple(ports_out[n] for n in outputs),
         f"{plant.name} with {controller.name}",
+        common_period([plant, controller]),
     )

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.systems.interconnection import connect
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
-from lftkit.systems.uncertain_system import UncertainSystem, state_space
+from lftkit.systems.system import System, state_space
 
 
-def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter") -> StateSpace:
+def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter") -> System:
     """Diagonal weight: `size` copies of num(s) / den(s), coefficients from the highest power down.
 
     Examples
@@ -42,7 +41,7 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
     B[n - 1 :] = 1.0
     C = (b[1:] - a[1:] * b[0])[::-1][None]
     eye: FloatArray = np.eye(size)
-    return StateSpace(
+    return System(
         np.asarray(np.kron(eye, A), dtype=float),
         np.asarray(np.kron(eye, B), dtype=float),
         np.kron(eye, C),
@@ -53,7 +52,7 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
     )
 
 
-def high_pass(port: Port, corner: float) -> UncertainSystem:
+def high_pass(port: Port, corner: float) -> System:
     """First-order washout ``s / (s + corner)`` on every signal of a port; input and output have its name.
 
     Parameters
@@ -76,12 +75,12 @@ def high_pass(port: Port, corner: float) -> UncertainSystem:
     return state_space(-corner * eye, corner * eye, -eye, eye, [port], [port])
 
 
-def with_input_filter(system: UncertainSystem, filters: Mapping[str, UncertainSystem]) -> UncertainSystem:
+def with_input_filter(system: System, filters: Mapping[str, System]) -> System:
     """Put filters in front of named input ports; port names stay.
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     filters : mapping
         Input port to a system with one input and one output port of that name.
     """

@@ -1,4 +1,4 @@
-"""Connecting uncertain systems by port names."""
+"""Connecting systems by port names."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.ports import Port, port_indices, port_slices
-from lftkit.systems.uncertain_system import UncertainSystem, _solve
+from lftkit.systems import lft
+from lftkit.systems.operand import common_period, same_size
+from lftkit.systems.ports import Port, port_indices, port_slices, total_size
+from lftkit.systems.system import System
 
 Source = str | tuple[str, ...]
 Connection = tuple[Source, str]
 
 
 def connect(
-    systems: Mapping[str, UncertainSystem],
+    systems: Mapping[str, System],
     connections: Iterable[Connection],
     *,
     inputs: Sequence[Port] = (),
     outputs: Mapping[str, Source],
-) -> UncertainSystem:
+) -> System:
     """Connect systems into one.
 
     Parameters
@@ -39,7 +41,7 @@ def connect(
 
     Returns
     -------
-    UncertainSystem
+    System
         Ports as declared; states and Delta channels of all systems in the order of `systems`.
 
     Raises
@@ -80,13 +82,14 @@ def connect(
     S, E = wiring.matrices([(drivers[t], t) for t in wiring.targets], wiring.targets)
     out_ports = tuple(Port(name, *wiring.shape_of(source)) for name, source in outputs.items())
     So, Eo = wiring.selection(list(outputs.values()), out_ports)
-    return _close_loop(whole, S, E, So, Eo, tuple(inputs), out_ports)
+    closed = lft.close_loop(whole.lft, len(whole.channels), S, E, So, Eo)
+    return whole.with_lft(closed, inputs=tuple(inputs), outputs=out_ports)
 
 
 class _Wiring:
     """Names and indices of all sources and targets of one `connect` call."""
 
-    def __init__(self, systems: Mapping[str, UncertainSystem], external: Sequence[Port]) -> None:
+    def __init__(self, systems: Mapping[str, System], external: Sequence[Port]) -> None:
         for name in systems:
             if "." in name or name.startswith("-"):
                 raise ValueError(f"name of a system must not contain a dot or start with a minus sign, got {name!r}")
@@ -149,68 +152,77 @@ def _check_same(source: Port, target: Port, where: str) -> None:
         raise ValueError(f"{where}: ports must have the same unit, got {source.unit!r} and {target.unit!r}")
 
 
-def _side_by_side(systems: Mapping[str, UncertainSystem]) -> UncertainSystem:
+def _side_by_side(systems: Mapping[str, System]) -> System:
     """All systems in one, unconnected; Delta channels first, ports named ``instance.port``."""
     parts = list(systems.values())
-    q = [len(s.channels) for s in parts]
-
-    def split(matrices: list[FloatArray], by_rows: bool, by_columns: bool) -> FloatArray:
-        block = linalg.block_diag(*matrices) if matrices else np.zeros((0, 0))
-        rows = _delta_first([m.shape[0] for m in matrices], q) if by_rows else slice(None)
-        columns = _delta_first([m.shape[1] for m in matrices], q) if by_columns else slice(None)
-        return np.asarray(block)[rows][:, columns]
-
-    return UncertainSystem(
-        split([s.A for s in parts], False, False),
-        split([s.B for s in parts], False, True),
-        split([s.C for s in parts], True, False),
-        split([s.D for s in parts], True, True),
+    return System(
+        *lft.side_by_side([s.lft for s in parts], [len(s.channels) for s in parts]),
         tuple(replace(p, name=f"{n}.{p.name}") for n, s in systems.items() for p in s.inputs),
         tuple(replace(p, name=f"{n}.{p.name}") for n, s in systems.items() for p in s.outputs),
+        dt=common_period(parts),
+        channels=tuple(c for s in parts for c in s.channels),
+        elements=tuple(e for s in parts for e in s.elements),
+    )
+
+
+def append(*systems: System) -> System:
+    """Systems side by side, unconnected; port names must be unique on each side.
+
+    Examples
+    --------
+    >>> from lftkit import Port, static_gain
+    >>> two = append(*(static_gain([[g]], [Port(f"u{g}", 1)], [Port(f"y{g}", 1)]) for g in (2, 3)))
+    >>> two.D.tolist()
+    [[2.0, 0.0], [0.0, 3.0]]
+    """
+    whole = _side_by_side({str(i): s for i, s in enumerate(systems)})
+    inputs = tuple(p for s in systems for p in s.inputs)
+    return replace(whole, inputs=inputs, outputs=tuple(p for s in systems for p in s.outputs))
+
+
+def feedback(forward: System, backward: System | None = None, *, sign: float = -1.0) -> System:
+    """``(I - sign G K)^-1 G`` with G forward and K backward, by position; K is 1 where none is given.
+
+    **Negative feedback unless sign is 1.** The ports are those of G; the inputs of K are the outputs of G, and its
+    outputs are added to the inputs of G.
+
+    Raises
+    ------
+    ValueError
+        Sizes that differ, a sign other than 1 and -1, or a loop that is not well posed.
+
+    Examples
+    --------
+    >>> from lftkit import transfer
+    >>> lag = feedback(transfer([4.0], [1.0, 0.0]))
+    >>> lag.poles().real.tolist()
+    [-4.0]
+    """
+    if sign not in (1.0, -1.0):
+        raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
+    if backward is None:
+        same_size(forward.inputs, forward.outputs, "feedback without a second system: inputs and outputs")
+        backward = System.static(np.eye(total_size(forward.outputs)), forward.outputs, forward.inputs)
+    same_size(forward.outputs, backward.inputs, "feedback: outputs forward and inputs backward")
+    same_size(backward.outputs, forward.inputs, "feedback: outputs backward and inputs forward")
+    m, p = total_size(forward.inputs), total_size(forward.outputs)
+    parts = forward, backward
+    q = [len(s.channels) for s in parts]
+    S = np.block([[np.zeros((m, p)), sign * np.eye(m)], [np.eye(p), np.zeros((p, m))]])
+    E, So = np.eye(m + p)[:, :m], np.eye(p + m)[:p]
+    matrices = lft.close_loop(lft.side_by_side([s.lft for s in parts], q), sum(q), S, E, So, np.zeros((p, m)))
+    return System(
+        *matrices,
+        forward.inputs,
+        forward.outputs,
+        forward.name,
+        common_period(parts),
         tuple(c for s in parts for c in s.channels),
-        tuple(p for s in parts for p in s.parameters),
+        tuple(e for s in parts for e in s.elements),
     )
 
 
-def _delta_first(sizes: Sequence[int], delta: Sequence[int]) -> list[int]:
-    starts = [sum(sizes[:i]) for i in range(len(sizes))]
-    first = [s + i for s, q in zip(starts, delta) for i in range(q)]
-    rest = [s + i for s, q, size in zip(starts, delta, sizes) for i in range(q, size)]
-    return first + rest
-
-
-def _close_loop(
-    whole: UncertainSystem,
-    S: FloatArray,
-    E: FloatArray,
-    So: FloatArray,
-    Eo: FloatArray,
-    inputs: tuple[Port, ...],
-    outputs: tuple[Port, ...],
-) -> UncertainSystem:
-    """Close ``u = S y + E u_ext``, read ``So y + Eo u_ext``."""
-    q, n = len(whole.channels), whole.order
-    Bu, Cy = whole.B[:, q:], whole.C[q:]
-    D = whole.D
-    Dyy, Dyd, Ddy = D[q:, q:], D[q:, :q], D[:q, q:]
-    # u as a function of [x, w_delta, u_ext]
-    right = np.hstack([S @ Cy, S @ Dyd, E])
-    U = _solve(np.eye(S.shape[0]) - S @ Dyy, right, "these connections must be well posed")
-    Ux, Uw, Ue = U[:, :n], U[:, n : n + q], U[:, n + q :]
-    Yx, Yw, Ye = Cy + Dyy @ Ux, Dyd + Dyy @ Uw, Dyy @ Ue
-    return UncertainSystem(
-        whole.A + Bu @ Ux,
-        np.hstack([whole.B[:, :q] + Bu @ Uw, Bu @ Ue]),
-        np.vstack([whole.C[:q] + Ddy @ Ux, So @ Yx]),
-        np.block([[D[:q, :q] + Ddy @ Uw, Ddy @ Ue], [So @ Yw, So @ Ye + Eo]]),
-        inputs,
-        outputs,
-        whole.channels,
-        whole.parameters,
-    )
-
-
-def series(first: UncertainSystem, second: UncertainSystem, via: Mapping[str, str]) -> UncertainSystem:
+def series(first: System, second: System, via: Mapping[str, str]) -> System:
     """`first` drives `second`: `via` maps outputs of the first to inputs of the second.
 
     All inputs of the second must be driven; the result has the inputs of the first and the outputs
@@ -224,7 +236,7 @@ def series(first: UncertainSystem, second: UncertainSystem, via: Mapping[str, st
     )
 
 
-def parallel(first: UncertainSystem, second: UncertainSystem, sign: float = 1.0) -> UncertainSystem:
+def parallel(first: System, second: System, sign: float = 1.0) -> System:
     """Sum (or with ``sign=-1.0`` difference) of two systems with the same ports."""
     if sign not in (1.0, -1.0):
         raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
@@ -240,7 +252,7 @@ def parallel(first: UncertainSystem, second: UncertainSystem, sign: float = 1.0)
     )
 
 
-def star(upper: UncertainSystem, lower: UncertainSystem, via: Mapping[str, str]) -> UncertainSystem:
+def star(upper: System, lower: System, via: Mapping[str, str]) -> System:
     """Redheffer star product: connected ports are removed, all other ports of both systems stay.
 
     `via` maps outputs to inputs, each written ``upper.port`` or ``lower.port``.
@@ -265,7 +277,7 @@ def star(upper: UncertainSystem, lower: UncertainSystem, via: Mapping[str, str])
     )
 
 
-def close(plant: UncertainSystem, controller: UncertainSystem, via: Mapping[str, str]) -> UncertainSystem:
+def close(plant: System, controller: System, via: Mapping[str, str]) -> System:
     """Lower LFT: close a controller around a plant.
 
     `via` maps the plant's measurement ports to the controller's input ports and the controller's
@@ -281,11 +293,11 @@ def close(plant: UncertainSystem, controller: UncertainSystem, via: Mapping[str,
 
 
 def transform(
-    system: UncertainSystem,
+    system: System,
     *,
     inputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
     outputs: Mapping[str, tuple[FloatArray, Port]] | None = None,
-) -> UncertainSystem:
+) -> System:
     """Replace ports by linear images of them; the order of the ports stays.
 
     Parameters
@@ -326,7 +338,7 @@ def transform(
     )
 
 
-def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSystem:
+def invert(system: System, channels: Mapping[str, str]) -> System:
     """Exchange inputs and outputs of chosen channels.
 
     Each input port `u` in `channels` becomes an output, and the output port `y` that it maps to becomes an
@@ -357,29 +369,12 @@ def invert(system: UncertainSystem, channels: Mapping[str, str]) -> UncertainSys
         q + port_indices(system.inputs, channels, "input"),
         q + port_indices(system.outputs, channels.values(), "output"),
     )
-    D11 = system.D[np.ix_(o, i)]
     where = ", ".join(f"{a} -> {b}" for a, b in channels.items())
-    Dinv = _solve(D11, np.eye(i.size), f"channel {where} must be invertible")
-    keep_i = np.setdiff1d(np.arange(system.D.shape[1]), i)
-    keep_o = np.setdiff1d(np.arange(system.D.shape[0]), o)
-    Bi, Co = system.B[:, i], system.C[o]
-    K, X = Dinv @ Co, Dinv @ system.D[np.ix_(o, keep_i)]
-    B, C, D = system.B.copy(), system.C.copy(), system.D.copy()
-    D_ki = system.D[np.ix_(keep_o, i)]
-    B[:, i], B[:, keep_i] = Bi @ Dinv, system.B[:, keep_i] - Bi @ X
-    C[o], C[keep_o] = -K, system.C[keep_o] - D_ki @ K
-    D[np.ix_(o, i)], D[np.ix_(o, keep_i)] = Dinv, -X
-    D[np.ix_(keep_o, i)] = D_ki @ Dinv
-    D[np.ix_(keep_o, keep_i)] = system.D[np.ix_(keep_o, keep_i)] - D_ki @ X
+    matrices = lft.exchanged(system.lft, i, o, f"channel {where} must be invertible")
     swap_in = {a.name: b for a, b in zip(ins, outs)}
     swap_out = {b.name: a for a, b in zip(ins, outs)}
-    return UncertainSystem(
-        system.A - Bi @ K,
-        B,
-        C,
-        D,
-        tuple(swap_in.get(p.name, p) for p in system.inputs),
-        tuple(swap_out.get(p.name, p) for p in system.outputs),
-        system.channels,
-        system.parameters,
+    return system.with_lft(
+        matrices,
+        inputs=tuple(swap_in.get(p.name, p) for p in system.inputs),
+        outputs=tuple(swap_out.get(p.name, p) for p in system.outputs),
     )

@@ -14,14 +14,14 @@ Khatri, ACC 1997.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.uncertain_system import UncertainSystem
-from lftkit.uncertainty.parameters import parameter_table
+from lftkit.systems.system import System
+from lftkit.uncertainty.elements import width
 
 #: Fraction of the block's norm below which a coupling is treated as zero.
 TOLERANCE = 1e-11
@@ -33,13 +33,13 @@ class Reduction:
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     removed_states : int
     removed_occurrences : dict
         Parameter name to number of occurrences removed (0 where none).
     """
 
-    system: UncertainSystem
+    system: System
     removed_states: int
     removed_occurrences: dict[str, int]
 
@@ -49,12 +49,12 @@ class Reduction:
         return "removed " + ", ".join(parts)
 
 
-def minimal_realisation(system: UncertainSystem, *, tolerance: float = TOLERANCE) -> Reduction:
+def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Reduction:
     """Remove uncontrollable and unobservable states and Delta channels.
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     tolerance : float
         Couplings below this fraction of the norm of the (balanced) block are treated as zero.
 
@@ -76,29 +76,21 @@ def minimal_realisation(system: UncertainSystem, *, tolerance: float = TOLERANCE
     """
     given = system.sorted_channels()
     count = Counter(given.channels)
-    names = [p.name for p in given.parameters]
+    names = [e.name for e in given.elements]
     sizes = [given.order, *(count[name] for name in names)]
+    fixed = [False, *(width(e) > 1 for e in given.elements)]  # a matrix of dynamics keeps its channels
     M = np.block([[given.A, given.B], [given.C, given.D]])
     while True:
         before = list(sizes)
         for i in range(len(sizes)):
-            M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance)
+            if not fixed[i]:
+                M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance)
         if sizes == before:
             break
     n = sizes[0]
     channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
-    table = parameter_table(given.parameters)
-    reduced = UncertainSystem(
-        M[:n, :n],
-        M[:n, n:],
-        M[n:, :n],
-        M[n:, n:],
-        given.inputs,
-        given.outputs,
-        channels,
-        tuple(table[name] for name in names),
-    )
-    removed = {name: count[name] - size for name, size in zip(names, sizes[1:])}
+    reduced = replace(given, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
+    removed = {e.name: (count[e.name] - size) // width(e) for e, size in zip(given.elements, sizes[1:])}
     return Reduction(reduced, given.order - n, removed)
 
 

@@ -30,8 +30,8 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
-from lftkit.systems.ports import Port, spread_columns, total_size
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.matrices import checked_matrices
+from lftkit.systems.ports import Port, as_ports, spread_columns, total_size
 from lftkit.systems.system_summary import named_line
 
 if TYPE_CHECKING:
@@ -94,12 +94,18 @@ class SampledSystem:
     _through: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        model = StateSpace(self.A, self.B, self.C, self.D, self.inputs, self.outputs, self.name)
-        for key in ("A", "B", "C", "D", "inputs", "outputs"):
-            object.__setattr__(self, key, getattr(model, key))
+        for side in ("inputs", "outputs"):
+            object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
+        sizes = total_size(self.inputs), total_size(self.outputs)
+        try:
+            matrices = checked_matrices(self.A, self.B, self.C, self.D, *sizes)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+        for key, matrix in zip("ABCD", matrices):
+            object.__setattr__(self, key, matrix)
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"{self.name}: sampling period must be positive, got {self.dt}")
-        n, p = model.order, total_size(self.outputs)
+        n, p = len(self.A), sizes[1]
         object.__setattr__(self, "_x", np.zeros(n))
         object.__setattr__(self, "_next", np.zeros(n))
         object.__setattr__(self, "_feed", np.zeros(n))

@@ -1,4 +1,4 @@
-"""From continuous controllers to sampled ones."""
+"""From continuous systems to discrete ones."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from scipy import linalg
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.bilinear import to_discrete
 from lftkit.systems.sampled_system import SampledSystem
-from lftkit.systems.state_space import StateSpace
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 METHODS = ("tustin", "hold")
 
 
 def sampled(
-    system: StateSpace | UncertainSystem,
+    system: System,
     dt: float,
     *,
     method: str = "tustin",
@@ -29,7 +28,7 @@ def sampled(
 
     Parameters
     ----------
-    system : StateSpace or UncertainSystem
+    system : System
         Continuous time; of an uncertain system the nominal member.
     dt : float
         Period [s].
@@ -47,9 +46,42 @@ def sampled(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt must be positive, got {dt}")
-    s = system.data_at({}) if isinstance(system, UncertainSystem) else system
+    system.require_continuous()
+    s = system.nominal()
     matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
     return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
+
+
+def discretise(system: System, dt: float, *, method: str = "tustin") -> System:
+    """The system in discrete time, as a :class:`System`; :func:`sampled` gives a controller ready to run.
+
+    Parameters
+    ----------
+    system : System
+        Continuous time. Uncertain elements stay with the method "tustin"; dynamics become discrete ones.
+    dt : float
+        Period [s].
+    method : {"tustin", "hold"}
+        Bilinear transformation, or zero-order hold of the inputs (certain systems only).
+
+    Raises
+    ------
+    ValueError
+        Unknown method, a period that is not positive, a discrete system, or a hold of an uncertain one.
+
+    Examples
+    --------
+    >>> from lftkit import transfer
+    >>> float(discretise(transfer([1.0], [1.0, 1.0]), 0.5, method="hold").A[0, 0]) == float(np.exp(-0.5))
+    True
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt must be positive, got {dt}")
+    system.require_continuous()
+    matrices = to_discrete(*system.lft, dt) if method == "tustin" else _zero_order_hold(*system.matrices, dt)
+    return system.with_lft(matrices, dt=dt)
 
 
 def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:

@@ -1,4 +1,4 @@
-"""What a system consists of, as one line; of an uncertain one also as text and as HTML for notebooks."""
+"""What a system consists of: as five lines, in full as text, and as HTML for notebooks."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Protocol
 
+from lftkit.uncertainty.elements import Element, description
+
 if TYPE_CHECKING:
     from lftkit.systems.ports import Port
-    from lftkit.uncertainty.parameters import RealParameter
 
 Row = tuple[str, ...]
-SHOWN = 6
-"""Ports of a side that a line names."""
+SHOWN = 4
+"""Ports of a side, or elements, that a line names."""
 
 
 class WithPorts(Protocol):
@@ -35,67 +36,91 @@ class WithPorts(Protocol):
 
 
 class Summarised(WithPorts, Protocol):
-    """What a summary needs of an uncertain system: its parameters and their occurrences as well."""
+    """What a summary needs as well: name, period, elements and their occurrences."""
 
     @property
-    def parameters(self) -> tuple[RealParameter, ...]:
-        """Uncertain parameters."""
+    def name(self) -> str:
+        """Name of the system."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Sampling period [s]; 0: continuous time."""
+        ...
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """Uncertain elements."""
         ...
 
     def occurrences(self) -> dict[str, int]:
-        """Number of repetitions of each parameter in Delta."""
+        """Number of repetitions of each element in Delta."""
         ...
 
 
-def one_line(system: WithPorts, *facts: str) -> str:
-    """Type, order, counts and further `facts`: what stands in a session or a debugger.
+def lines(system: Summarised) -> list[str]:
+    """Five lines or fewer: what stands in a session or a debugger.
 
     Examples
     --------
-    >>> from lftkit import Port, RealParameter, StateSpace, UncertainSystem
+    >>> from lftkit import Port, RealParameter, System
     >>> k = RealParameter("k", 2.0, 1.0, 3.0, "N/m")
     >>> u, y = (Port("u", 1, "m"),), (Port("y", 1, "N"),)
-    >>> UncertainSystem([], [], [], [[0.0, 1.0], [1.0, 2.0]], u, y, ("k",), (k,))
-    UncertainSystem(order 0, 1 input, 1 output, parameters k (1))
-    >>> StateSpace.static(2.0, u, y, "spring")
-    StateSpace('spring', order 0, input u (1), output y (1))
+    >>> System([], [], [], [[0.0, 1.0], [1.0, 2.0]], u, y, "spring", channels=("k",), elements=(k,))
+    System 'spring': gain without states
+      1 input: u (1)
+      1 output: y (1)
+      Delta 1 x 1: k (1)
     """
-    counts = [_count(sum(p.size for p in ports), kind) for ports, kind in _sides(system)]
-    return f"{type(system).__name__}({', '.join([f'order {system.order}', *counts, *facts])})"
+    size = sum(system.occurrences().values())
+    head = f"System {system.name!r}: {_kind(system)}"
+    sides = [f"  {_count(sum(p.size for p in ports), kind)}: {_named(ports)}" for ports, kind in _sides(system)]
+    if not system.elements:
+        return [head, *sides]
+    found = [f"{name} ({n})" for name, n in system.occurrences().items()]
+    return [head, *sides, f"  Delta {size} x {size}: {_first(found)}"]
+
+
+def _kind(system: Summarised) -> str:
+    time = f"dt {system.dt:g} s" if system.dt else "continuous time"
+    return f"order {system.order}, {time}" if system.order or system.dt else "gain without states"
 
 
 def named_line(system: WithPorts, name: str, *facts: str) -> str:
     """Type, name, order, the first ports by name and size, and further `facts`."""
-    sides = [_named_ports(ports, kind) for ports, kind in _sides(system)]
+    sides = [f"{kind}{'' if len(ports) == 1 else 's'} {_named(ports)}" for ports, kind in _sides(system)]
     return f"{type(system).__name__}({', '.join([repr(name), f'order {system.order}', *sides, *facts])})"
 
 
-def _named_ports(ports: Sequence[Port], kind: str) -> str:
-    shown = ", ".join(f"{port.name} ({port.size})" for port in ports[:SHOWN])
-    more = f" and {len(ports) - SHOWN} more" if len(ports) > SHOWN else ""
-    return f"{kind}{'' if len(ports) == 1 else 's'} {shown or 'none'}{more}"
+def _named(ports: Sequence[Port]) -> str:
+    return _first([f"{port.name} ({port.size})" for port in ports])
+
+
+def _first(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"{', '.join(names[:SHOWN]) or 'none'}{more}"
 
 
 def text(system: Summarised) -> str:
-    """Ports with sizes and units, parameters with nominal value, range, unit and occurrences in Delta."""
-    lines = [f"order {system.order}"]
+    """Ports with sizes and units, elements with range and occurrences in Delta."""
+    found = [f"{system.name}: {_kind(system)}"]
     for ports, kind in _sides(system):
-        lines += [f"{_count(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
-    rows = _parameter_rows(system)
+        found += [f"{_count(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
+    rows = _element_rows(system)
     total = sum(system.occurrences().values())
-    lines += [f"{_count(len(rows), 'parameter')}, {_count(total, 'occurrence')} in Delta:"] if rows else ["certain"]
-    return "\n".join([*lines, *_columns(rows)])
+    found += [f"{_count(len(rows), 'element')}, {_count(total, 'occurrence')} in Delta:"] if rows else ["certain"]
+    return "\n".join([*found, *_columns(rows)])
 
 
 def html(system: Summarised) -> str:
-    """The same as HTML: one line, ports and parameters in tables that fold out."""
-    parts = [f"<strong>order {system.order}</strong>"]
+    """The same as HTML: one line, ports and elements in tables that fold out."""
+    parts = [f"<strong>{escape(system.name)}: {_kind(system)}</strong>"]
     for ports, kind in _sides(system):
         head = _count(sum(p.size for p in ports), kind)
         parts.append(_table(head, ("port", "size", "unit"), _port_rows(ports)))
-    if rows := _parameter_rows(system):
-        head = f"{_count(len(rows), 'parameter')}, {_count(sum(system.occurrences().values()), 'occurrence')} in Delta"
-        parts.append(_table(head, ("parameter", "nominal", "range", "unit", "occurrences"), rows))
+    if rows := _element_rows(system):
+        head = f"{_count(len(rows), 'element')}, {_count(sum(system.occurrences().values()), 'occurrence')} in Delta"
+        parts.append(_table(head, ("element", "range", "occurrences"), rows))
     return f"<div>{''.join(parts)}</div>"
 
 
@@ -111,12 +136,9 @@ def _port_rows(ports: Sequence[Port]) -> list[Row]:
     return [(p.name, str(p.size), p.unit) for p in ports]
 
 
-def _parameter_rows(system: Summarised) -> list[Row]:
+def _element_rows(system: Summarised) -> list[Row]:
     count = system.occurrences()
-    return [
-        (p.name, f"{p.nominal:.6g}", f"{p.lower:.6g} .. {p.upper:.6g}", p.unit, str(count[p.name]))
-        for p in system.parameters
-    ]
+    return [(e.name, description(e), str(count[e.name])) for e in system.elements]
 
 
 def _columns(rows: Sequence[Row]) -> list[str]:

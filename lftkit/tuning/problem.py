@@ -162,6 +162,8 @@ class Problem:
 
     def add_model(self, model: StateSpace, known: LoopGains | None = None) -> None:
         """Make one more model active; `known`: its gains for another structure with the same ports."""
+        model.require_certain()
+        model.require_continuous()
         _check_sizes(model, self.structure)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
         order = self.structure.order

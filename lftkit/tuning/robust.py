@@ -134,7 +134,7 @@ class _Rounds:
     def run(
         self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, max_rounds: int
     ) -> RobustResult:
-        models = [self.build(p).renamed(_label(p)) for p in chosen]
+        models = [self.build(p).named(_label(p)) for p in chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
         problem.limit = limits_from(self.options, start_sizes(problem, given, self.options.seed))
         rounds: list[Round] = []
@@ -162,7 +162,7 @@ class _Rounds:
                     break  # what is found now is a worst case, but was never tuned on
                 for parameters in new:
                     chosen.append(parameters)
-                    problem.add_model(self.build(parameters).renamed(_label(parameters)))
+                    problem.add_model(self.build(parameters).named(_label(parameters)))
         assert tuning is not None
         return RobustResult(status, _advice(status, tuning), tuning, worst, tuple(chosen), tuple(rounds))
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import linalg
 
-from lftkit import SampledSystem, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
@@ -89,7 +89,7 @@ def draw(output: Path, samples: int, seed: int = 0, names: Sequence[str] = FIGUR
             elif name == "sensitivity":
                 figure = _sensitivities(parameters, samples, seed)
             else:
-                system: UncertainSystem = control_loop_plant(telescope(), parameters)
+                system: System = control_loop_plant(telescope(), parameters)
                 random = system.sample_values(np.random.default_rng(seed), samples)
                 members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
                 figure = _stages(parameters, load_designs(name.removeprefix("stages_")), TITLES[name], members)
@@ -103,11 +103,11 @@ def stage_curves(
     """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
     if stage in ("none", "isolator"):
         system = telescope(None, stage != "none").system
-        data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].data_at(values)
+        data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), LOWEST, HIGHEST, points=300, offsets=(0.0, 1.5, 3.0))
         response = frequency_response(data, omega)
     else:
-        plant = control_loop_plant(telescope(), parameters).data_at(values)
+        plant = control_loop_plant(telescope(), parameters).at(values)
         sensitivity = float(parameters["fsm"]["los_sensitivity"])
         loop = sampled_loop(plant, *pair, loop=stage, los_sensitivity=sensitivity)
         omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
@@ -179,11 +179,11 @@ def _controllers(parameters: Parameters) -> Figure:
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
     ):
         for port, style in (("accel_Ip", "-"), ("camera_los", "--")):
-            gains = largest_gains(frequency_response(system["los_estimate", port].data_at({}), omega))
+            gains = largest_gains(frequency_response(system["los_estimate", port].at({}), omega))
             left.loglog(omega, gains, color=colour, ls=style, label=f"{label}: {port}")
     left.set(title="Observer, largest singular value", xlabel="frequency [rad/s]", ylabel="estimate per input [rad/SI]")
     left.legend()
-    gains = singular_values(frequency_response(continuous(k_pma).data_at({}), omega))
+    gains = singular_values(frequency_response(continuous(k_pma).at({}), omega))
     right.loglog(omega, np.maximum(gains, 1e-12 * gains.max()), color="#1f5fa8", lw=0.9)
     right.set(
         title="K_PMA, singular values",

@@ -113,7 +113,7 @@ class Task:
     def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
         loop = self.samples.open_loop
-        plant, pair = loop.system.data_at(dict(values or {})), self.sampled(x)
+        plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
         sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
         return all(
             sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity).spectral_radius() < 1.0

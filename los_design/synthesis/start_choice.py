@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from lftkit import SampledSystem, StateSpace
+from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
 from lftkit.tuning.frequency_domain import ResponseDescentOptions, ResponseProblem, descend, parameters_of
 from los_design.synthesis.options import DesignOptions
@@ -62,7 +62,7 @@ def choose_start(
     ValueError
         No start stabilises the telescope.
     """
-    given = None if observer is None else gain_matrix(continuous(observer).data_at({}))
+    given = None if observer is None else gain_matrix(continuous(observer).at({}))
     own, at = blocks(parameters, task.tuned), _corners(task, options.seed)
 
     def stable(pair: Pair) -> bool:
@@ -73,7 +73,7 @@ def choose_start(
     if is_reference(parameters) and stable(stored):
         return parameters_of(own, stored)
     report("another telescope than that of the stored start: starts are compared")
-    k_fsm, k_pma = (gain_matrix(continuous(system).data_at({})) for system in load_designs("implemented"))
+    k_fsm, k_pma = (gain_matrix(continuous(system).at({})) for system in load_designs("implemented"))
     starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
     if given is None:
         starts[KALMAN] = [_kalman(telescope, parameters, options), k_pma]
@@ -137,6 +137,6 @@ def largest(problem: ResponseProblem, x: FloatArray) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def gain_matrix(system: StateSpace) -> FloatArray:
+def gain_matrix(system: System) -> FloatArray:
     """``[A, B; C, D]``."""
     return np.block([[system.A, system.B], [system.C, system.D]])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
-from lftkit import SampledSystem, StateSpace, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.systems.ports import spread_columns
 from los_design.synthesis.store import design_ports
 from los_loop.sampled_loop import sampled_loop
@@ -53,7 +53,7 @@ def screened(
     loop, sensitivity = "isolator" if observer is None else "fsm", float(parameters["fsm"]["los_sensitivity"])
     worst: dict[int, tuple[float, dict[str, float]]] = {}
     for values in candidates:
-        plant = system.data_at(values)
+        plant = system.at(values)
         closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, los_sensitivity=sensitivity)
         omega, _, relative = weighted_response(closed, plant, parameters, SCREEN_BANDS[0])
         band = np.searchsorted(SCREEN_BANDS, omega)
@@ -68,7 +68,7 @@ def screened(
     return unique
 
 
-def stored_start(kind: str) -> StateSpace:
+def stored_start(kind: str) -> System:
     """The stored continuous controller ("k-fsm", "k-pma") that a design of the implemented loop starts from."""
     path = Path(__file__).with_name(f"start_{kind.replace('-', '_')}.json")
     content = json.loads(path.read_text(encoding="utf-8"))
@@ -76,7 +76,7 @@ def stored_start(kind: str) -> StateSpace:
     inputs, outputs = design_ports(kind)
     known = [port for port in inputs if port.name in content["inputs"]]
     B, D = (spread_columns(matrix, known, inputs) for matrix in (B, D))
-    return StateSpace(A, B, C, D, inputs, outputs, f"start of {kind}")
+    return System(A, B, C, D, inputs, outputs, f"start of {kind}")
 
 
 def zero_controller(kind: str) -> SampledSystem:
@@ -87,17 +87,17 @@ def zero_controller(kind: str) -> SampledSystem:
     return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
 
 
-def random_law(seed: int, gain: float = START_GAIN) -> StateSpace:
+def random_law(seed: int, gain: float = START_GAIN) -> System:
     """A stable random K_PMA of order 4 with small gain: poles spread over the isolator's band."""
     rng = np.random.default_rng(seed)
     poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
     B = rng.standard_normal((ACTUATOR_ORDER, 6))
     C = gain * rng.standard_normal((6, ACTUATOR_ORDER))
-    return StateSpace(np.diag(poles), B, C, np.zeros((6, 6)), *design_ports("k-pma"), f"start {seed}")
+    return System(np.diag(poles), B, C, np.zeros((6, 6)), *design_ports("k-pma"), f"start {seed}")
 
 
-def random_start(plant: UncertainSystem, seed: int) -> StateSpace:
+def random_start(plant: System, seed: int) -> System:
     """:func:`random_law` with the ports of a design plant."""
     law = random_law(seed)
     ports = tuple(plant.output_port(port.name) for port in K_PMA_INPUTS), (plant.input_port("pma_force"),)
-    return StateSpace(*law.matrices, *ports, law.name)
+    return System(*law.matrices, *ports, law.name)

@@ -12,7 +12,7 @@ import numpy as np
 
 import fsm_pma_controller.problem
 import los_estimator.problem
-from lftkit import StateSpace
+from lftkit import System
 from lftkit.tuning import H2Gain, HinfGain, Requirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES
@@ -51,7 +51,7 @@ def requirement(row: FigureOfMerit, parameters: Parameters, stage: str, bound: f
     ports = fsm_pma_controller.problem if stage in FORCE_STAGES else los_estimator.problem
     inputs, output, weight_in = _ports(row, ports)
     kind = H2Gain if row.is_noise else HinfGain
-    expected = disturbance_weight(parameters).data_at({}).renamed("W_rws, W_sa") if weight_in else None
+    expected = disturbance_weight(parameters).at({}).named("W_rws, W_sa") if weight_in else None
     weight_out = _weight_out(row, parameters)
     return kind(inputs, (output,), bound, weight_in=expected, weight_out=weight_out, hard=row.hard, name=row.name)
 
@@ -72,11 +72,11 @@ def _ports(row: FigureOfMerit, ports: ModuleType) -> tuple[tuple[str, ...], str,
     return DISTURBANCES, row.output, True
 
 
-def _weight_out(row: FigureOfMerit, parameters: Parameters) -> StateSpace | None:
+def _weight_out(row: FigureOfMerit, parameters: Parameters) -> System | None:
     if row.band in BANDS and row.relative:
         return band_error_weight(parameters, BANDS[row.band])
     if row.band != (0.0, np.inf):
         raise ValueError(f"{row.name}: band must be the whole axis, or that of slow or fast tones, got {row.band}")
     if row.relative:
-        return relative_error_weight(parameters["weights"]["rpe_window"]).data_at({}).renamed("W_RPE")
+        return relative_error_weight(parameters["weights"]["rpe_window"]).at({}).named("W_RPE")
     return None

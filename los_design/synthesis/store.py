@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lftkit import Port, SampledSystem, UncertainSystem, state_space
+from lftkit import Port, SampledSystem, System, state_space
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import spread_columns
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -34,7 +34,7 @@ def design_file(kind: str, variant: str = "implemented") -> Path:
     return Path(str(import_module(DESIGN_PACKAGES[kind]).__file__)).parent / "designs" / f"{stem}.json"
 
 
-def continuous(system: SampledSystem) -> UncertainSystem:
+def continuous(system: SampledSystem) -> System:
     """The continuous controller that a stored design was sampled from, without washout.
 
     Measured ports that the file of an observer leaves out have no effect.

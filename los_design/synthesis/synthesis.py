@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure, sampled_controller
-from lftkit import SampledSystem, StateSpace, state_space
+from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
 from lftkit.tuning import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
@@ -283,7 +283,7 @@ def _run(
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     tuning = _tuning(options, MAX_NOMINAL_ITERATIONS if options.nominal else MAX_ITERATIONS)
     if options.nominal:
-        models: list[StateSpace] = [plant(nominal)]
+        models: list[System] = [plant(nominal)]
         return tune(models, requirements, structure, initial=starts, loop_delay=options.delay, options=tuning)
     search = WorstCaseOptions(**WORST_CASE_SEARCH, seed=options.seed)
     return tune_robust(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fsm_pma_controller.problem import actuator_plant
-from lftkit import SampledSystem, StateSpace, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning import certify
@@ -37,9 +37,7 @@ PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835,
 PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
 
 
-def verification_points(
-    parameters: Parameters, system: UncertainSystem, samples: int, seed: int = 0
-) -> list[dict[str, float]]:
+def verification_points(parameters: Parameters, system: System, samples: int, seed: int = 0) -> list[dict[str, float]]:
     """Nominal, all corners, and random points."""
     return [{}, *parameter_corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
 
@@ -207,7 +205,7 @@ class ImplementedCheck:
 
 
 def check_implemented(
-    system: UncertainSystem,
+    system: System,
     parameters: Parameters,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
@@ -220,7 +218,7 @@ def check_implemented(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
         :func:`titop_plant.simulation.build.control_loop_plant` makes it.
     parameters : mapping
@@ -240,7 +238,7 @@ def check_implemented(
         check_stage(ImplementedLoop(open_loop, *pair, stage), points, changes=changes, tick=tick, workers=workers)
         for stage in MIRROR_STAGES
     )
-    nominal, noise = system.data_at({}), {}
+    nominal, noise = system.at({}), {}
     for stage in MIRROR_STAGES:
         found = noise_metrics(nominal, *pair, parameters, loop=stage)
         noise[stage] = found
@@ -319,10 +317,10 @@ def check_paper(
 
 
 def _certified(
-    plant: Any, controller: UncertainSystem, measured: tuple[str, ...], requirements: Any, at: list[Values]
+    plant: Any, controller: System, measured: tuple[str, ...], requirements: Any, at: list[Values]
 ) -> list[float]:
-    data = controller.data_at({})
+    data = controller.at({})
     ports = tuple(plant.system.output_port(name) for name in measured)
-    K = StateSpace(data.A, data.B, data.C, data.D, ports, data.outputs, "K")
+    K = System(data.A, data.B, data.C, data.D, ports, data.outputs, "K")
     certificate = certify([plant(values) for values in at], K, requirements, 0.0)
     return [float(f"{v:.5g}") for v in np.max(certificate.values, axis=1)]

@@ -46,7 +46,7 @@ def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not()
     random = np.array([row["rpe_fine_gain"] for row in rows])
     assert 1.0 < random.max() < found[0] and np.median(random) < 1.0
     worst = int(random.argmax())
-    plant = evaluator.family.control_loop.data_at(dict(zip(DELTA, points[worst])))
+    plant = evaluator.family.control_loop.at(dict(zip(DELTA, points[worst])))
     pair, parameters = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.parameters
     closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)
     near = rows[worst]["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))

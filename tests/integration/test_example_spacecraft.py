@@ -41,7 +41,7 @@ def rigid_inertia(example: dict[str, Any]) -> np.ndarray:
 
 def test_a_torque_of_the_wheel_turns_hub_and_wheel_in_opposite_senses(example: dict[str, Any]) -> None:
     """Below the modes the hub has the acceleration J^-1 [0; 0; u], the wheel -u / J_w less that of the hub."""
-    still = example["cubesat"]().data_at({"wheel.speed": 0.0})
+    still = example["cubesat"]().at({"wheel.speed": 0.0})
     s = 0.05j
     gain = (still.C @ np.linalg.solve(s * np.eye(still.A.shape[0]) - still.A, still.B) + still.D).real
     rows, columns = still.output_indices, still.input_indices
@@ -65,7 +65,7 @@ def test_the_first_mode_follows_the_boom(example: dict[str, Any]) -> None:
 def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     example["main"]()
     printed = capsys.readouterr().out
-    assert "UncertainSystem(order 14" in printed
+    assert "System(order 14" in printed
     values = [float(line.split()[-2]) for line in printed.splitlines() if line.startswith("imbalance")]
     assert len(values) == 4 and max(values) == values[1]  # the largest error is at the resonance
 
@@ -114,7 +114,7 @@ def test_the_stewart_platform_has_the_modes_of_its_legs() -> None:
     J, k = example["leg_matrix"](), example["LEG_STIFFNESS"]
     motion = np.random.default_rng(0).standard_normal(6)
     stretch = J.T @ motion  # of each leg
-    system = example["platform"](0.0).data_at({})
+    system = example["platform"](0.0).at({})
     stored = motion @ system.C[:6, :6] @ motion
     assert stored == pytest.approx(k * float(stretch @ stretch), rel=1e-12)
     poles = np.linalg.eigvals(system.A)

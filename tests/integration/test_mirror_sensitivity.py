@@ -92,7 +92,7 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
         (config.parameters, (wrong, chosen["k_pma"])),
     ):
         parameters = load_parameters(path) if path else load_parameters()
-        plant = control_loop_plant(telescope(path), parameters).data_at({})
+        plant = control_loop_plant(telescope(path), parameters).at({})
         metrics.append(
             sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS, noise=False)
         )
@@ -106,7 +106,7 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
 def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -> None:
     chosen = RunParts(config).models
     parameters = load_parameters(config.parameters)
-    plant = control_loop_plant(telescope(config.parameters), parameters).data_at({})
+    plant = control_loop_plant(telescope(config.parameters), parameters).at({})
     silent = replace(chosen["k_fsm"], design_basis={})
     said, given = (
         sampled_loop(plant, k_fsm, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=SENSITIVITY)

@@ -25,9 +25,9 @@ POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3
 def case():
     parameters = load_parameters()
     whole = with_sensors(telescope().system, parameters)
-    data = whole.select(
-        inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
-    ).data_at(POINT)
+    data = whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")).at(
+        POINT
+    )
     files = RunParts(RunConfig()).model_files
     return parameters, data, SampledSystem.from_file(files["k_fsm"]), SampledSystem.from_file(files["k_pma"])
 

@@ -81,7 +81,7 @@ def test_free_poles_are_those_of_the_coupled_equations(spacecraft: dict[str, Any
     n = len(M)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-linalg.solve(M, K), -linalg.solve(M, D)]])
     theirs = np.array([p for p in linalg.eigvals(A) if abs(p) > 1.0])
-    ours = linalg.eigvals(spacecraft["free"].data_at({"boom.omega_1": value}).A)
+    ours = linalg.eigvals(spacecraft["free"].at({"boom.omega_1": value}).A)
     assert ours.size == theirs.size == 14
     for pole in theirs:
         assert np.abs(ours - pole).min() < 1e-9 * abs(pole)
@@ -104,7 +104,7 @@ def test_a_constant_torque_gives_a_steady_angle_and_no_hinge_deflection(spacecra
 def test_stable_for_every_boom_frequency(spacecraft: dict[str, Any]) -> None:
     system = spacecraft["spacecraft"]
     for w in np.linspace(0.8, 1.2, 9) * spacecraft["w1"]:
-        assert linalg.eigvals(system.data_at({"boom.omega_1": w}).A).real.max() < -0.05
+        assert linalg.eigvals(system.at({"boom.omega_1": w}).A).real.max() < -0.05
 
 
 def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

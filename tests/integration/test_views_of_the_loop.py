@@ -23,7 +23,7 @@ import pytest
 from scipy import linalg
 
 from fsm_pma_controller.runtime import FsmPmaController
-from lftkit import SampledSystem, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.tuning.frequency_domain import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
@@ -60,7 +60,7 @@ def parameters():
 
 
 @pytest.fixture(scope="module")
-def system(parameters) -> UncertainSystem:
+def system(parameters) -> System:
     return control_loop_plant(telescope(), parameters)
 
 
@@ -69,7 +69,7 @@ def pair() -> Pair:
     return load_designs("implemented")
 
 
-def centred(system: UncertainSystem, values: Mapping[str, float]) -> UncertainSystem:
+def centred(system: System, values: Mapping[str, float]) -> System:
     """The same family with a member as its nominal telescope: Delta = d + Delta', d closed."""
     q, n = len(system.channels), system.order
     nominal = {p.name: p.nominal for p in system.parameters}
@@ -79,7 +79,7 @@ def centred(system: UncertainSystem, values: Mapping[str, float]) -> UncertainSy
     whole = np.block([[system.A, system.B], [system.C, system.D]]) + driven @ seen
     parameters = tuple(replace(p, nominal=float(values[p.name])) for p in system.parameters)
     matrices = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
-    return UncertainSystem(*matrices, system.inputs, system.outputs, system.channels, parameters)
+    return System(*matrices, system.inputs, system.outputs, channels=system.channels, elements=parameters)
 
 
 def tones(rng: np.random.Generator, parameters) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +93,7 @@ def test_a_member_as_nominal_telescope_is_the_member(system) -> None:
     values, other = system.sample_values(np.random.default_rng(0), 2)
     own = centred(system, values)
     for at in (values, other):
-        for found, expected in zip(own.data_at(at).matrices, system.data_at(at).matrices):
+        for found, expected in zip(own.at(at).matrices, system.at(at).matrices):
             assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
@@ -102,7 +102,7 @@ def test_a_member_as_nominal_telescope_is_the_member(system) -> None:
 def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, system, parameters, pair: Pair) -> None:
     """Runtime classes and plant, powers of the matrices, and the prediction's record: from its start, with bias."""
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
-    plant = system.data_at(system.sample_values(rng, 1)[0])
+    plant = system.at(system.sample_values(rng, 1)[0])
     (omega, amplitude), bias = tones(rng, parameters), 1e-5 * rng.standard_normal(22)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
@@ -187,7 +187,7 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
 def by_tuner(loop: ImplementedLoop, omega: float, point: np.ndarray, pair: Pair) -> dict[str, float]:
     """Gains over their limits (not over what is tuned for), zero outside of their bands."""
     both = pair_problem.blocks(loop.parameters, (pair_problem.OBSERVER, pair_problem.ACTUATORS))
-    matrices = [np.block([[K.A, K.B], [K.C, K.D]]) for K in (continuous(system).data_at({}) for system in pair)]
+    matrices = [np.block([[K.A, K.B], [K.C, K.D]]) for K in (continuous(system).at({}) for system in pair)]
     stage = next(stage for stage, name in pair_problem.STAGE_NAMES.items() if name == loop.stage)
     samples = pair_problem.sample(loop.open, np.array([omega]), point[None])
     problem = ResponseProblem(both, samples, pair_problem.gains(loop.parameters, (stage,)))

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 
 
-def full_order_bound(plant: StateSpace, rtol: float = 1e-6) -> float:
+def full_order_bound(plant: System, rtol: float = 1e-6) -> float:
     """Infimum over all controllers of the norm w -> z; needs D12 of full column and D21 of full row rank."""
     A = plant.A
     w, u = plant.input_indices(["w"]), plant.input_indices(["u"])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, tangent_crossing
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, System
 from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
 
 LONG = 3600.0
 
 
-def random_system(seed: int) -> UncertainSystem:
+def random_system(seed: int) -> System:
     """Two to four states, one to three parameters of which some are repeated, one or two inputs and outputs."""
     rng = np.random.default_rng(seed)
     n, count = int(rng.integers(2, 5)), int(rng.integers(1, 4))
@@ -27,17 +27,17 @@ def random_system(seed: int) -> UncertainSystem:
         RealParameter(f"p{i}", 1.0, 1.0 - rng.uniform(0.02, 0.5), 1.0 + rng.uniform(0.02, 0.5)) for i in range(count)
     )
     B, C = 0.6 * rng.normal(size=(n, q + m)), 0.6 * rng.normal(size=(q + p, n))
-    return UncertainSystem(A, B, C, D, (Port("u", m),), (Port("y", p),), tuple(channels), parameters)
+    return System(A, B, C, D, (Port("u", m),), (Port("y", p),), channels=tuple(channels), elements=parameters)
 
 
-def dense_search(system: UncertainSystem, seed: int, members: int) -> float:
+def dense_search(system: System, seed: int, members: int) -> float:
     """Largest gain over random members, corners and 120 frequencies with those of the poles; infinite if unstable."""
     rng, largest = np.random.default_rng(seed), 0.0
     ends = np.array([(p.lower, p.upper) for p in system.parameters])
     shares = [*rng.random((members, len(ends))), *rng.integers(0, 2, (16, len(ends))).astype(float)]
     for share in shares:
         values = dict(zip((p.name for p in system.parameters), ends[:, 0] + share * (ends[:, 1] - ends[:, 0])))
-        model = system.data_at(values)
+        model = system.at(values)
         poles = np.linalg.eigvals(model.A)
         if poles.real.max() >= 0.0:
             return np.inf
@@ -52,13 +52,13 @@ def check_system(seed: int, members: int) -> None:
     bounds = worst_case_gain(system, wall_limit=LONG)
     found = dense_search(system, seed + 10**6, members)
     if bounds.status == "unstable":
-        member = system.data_at(bounds.point)
+        member = system.at(bounds.point)
         assert np.linalg.eigvals(member.A).real.max() >= 0.0
         return
     assert bounds.status == "closed" and bounds.uncovered == ()
     assert found <= bounds.upper * (1.0 + 1e-9), "upper below a gain that was found"
     assert bounds.lower <= bounds.upper <= 1.05 * bounds.lower
-    reached = system.data_at(bounds.point)
+    reached = system.at(bounds.point)
     response = reached.C @ np.linalg.inv(1j * min(bounds.frequency, 1e12) * np.eye(reached.order) - reached.A)
     assert np.linalg.norm(response @ reached.B + reached.D, 2) == pytest.approx(bounds.lower, rel=1e-6)
     assert bounds.proof is not None and check_proof(bounds.proof.content).stable
@@ -84,15 +84,15 @@ def test_a_narrow_interval_with_the_largest_loss_is_not_bisected_for_ever() -> N
 
 
 def test_an_unstable_member_is_named_at_once() -> None:
-    system = UncertainSystem(
+    system = System(
         [[-1.0]],
         [[1.0, 1.0]],
         [[1.0], [1.0]],
         np.zeros((2, 2)),
         (Port("u", 1),),
         (Port("y", 1),),
-        ("p",),
-        (RealParameter("p", 0.0, -0.5, 1.5),),
+        channels=("p",),
+        elements=(RealParameter("p", 0.0, -0.5, 1.5),),
     )
     bounds = worst_case_gain(system)
     assert bounds.status == "unstable" and bounds.upper == np.inf and bounds.proof is None
@@ -104,10 +104,10 @@ def test_an_unstable_member_is_named_at_once() -> None:
 def test_a_singular_interconnection_is_no_stable_member() -> None:
     """``z = w + x``: at p = 1 the loop of the LFT is singular."""
     p = RealParameter("p", 0.0, -1.0, 1.0)
-    system = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[1.0]], (), (), ("p",), (p,))
+    system = System([[-1.0]], [[1.0]], [[1.0]], [[1.0]], (), (), channels=("p",), elements=(p,))
     bounds = robust_stability(system, wall_limit=LONG)  # x' = -x + p / (1 - p) x: unstable beyond p = 1/2
     assert bounds.upper == pytest.approx(0.5, rel=1e-6) and 0.0 < bounds.lower < 0.5
-    still = UncertainSystem([[-1.0]], [[0.0]], [[0.0]], [[1.0]], (), (), ("p",), (p,))
+    still = System([[-1.0]], [[0.0]], [[0.0]], [[1.0]], (), (), channels=("p",), elements=(p,))
     assert robust_stability(still, wall_limit=LONG).upper == pytest.approx(1.0, rel=1e-6)
 
 

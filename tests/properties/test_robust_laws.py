@@ -10,7 +10,7 @@ from lftkit.analysis.frequency_response import FrequencyResponse, direct_respons
 from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade, close_loop
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.structures import controller, state_space
@@ -56,8 +56,8 @@ def test_norms_do_not_depend_on_coordinates_or_time_unit(seed: int, n: int) -> N
 @settings(max_examples=25, deadline=None)
 @given(SEEDS, st.integers(1, 6))
 def test_norm_of_a_series_is_at_most_the_product(seed: int, n: int) -> None:
-    first = StateSpace(*random_system(seed, n, 2, 3), [("a", 2)], [("b", 3)])
-    second = StateSpace(*random_system(seed + 1, n, 3, 2), [("b", 3)], [("c", 2)])
+    first = System(*random_system(seed, n, 2, 3), [("a", 2)], [("b", 3)])
+    second = System(*random_system(seed + 1, n, 3, 2), [("b", 3)], [("c", 2)])
     both = hinf_norm(*cascade(first, second).matrices)
     assert both.value <= hinf_norm(*first.matrices).upper * hinf_norm(*second.matrices).upper * (1 + 1e-9)
 
@@ -67,7 +67,7 @@ def test_norm_of_a_series_is_at_most_the_product(seed: int, n: int) -> None:
 def test_closed_loop_is_the_fractional_transformation(seed: int, n: int, order: int) -> None:
     """close_loop against P11 + P12 K (I - P22 K)^-1 P21 at a few frequencies, and LoopGains against both."""
     A, B, C, D = random_system(seed, n, 4, 5)
-    plant = StateSpace(A, B, C, 0.3 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
+    plant = System(A, B, C, 0.3 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
     structure = state_space([("y", 2)], [("u", 2)], order)
     K = controller(structure, 0.2 * structure.start(np.random.default_rng(seed)))
     loop = close_loop(plant, K, ["w"], ["z"])
@@ -83,13 +83,13 @@ def test_closed_loop_is_the_fractional_transformation(seed: int, n: int, order: 
 def test_tuning_values_are_the_norms_of_the_assembled_loop(seed: int, n: int, order: int) -> None:
     A, B, C, D = random_system(seed, n, 4, 5)
     D[:, :2] = 0.0
-    plant = StateSpace(A, B, C, 0.2 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
+    plant = System(A, B, C, 0.2 * D, [("w", 2), ("u", 2)], [("z", 3), ("y", 2)])
     structure = state_space([("y", 2)], [("u", 2)], order)
     x = 0.05 * structure.start(np.random.default_rng(seed))
     K = structure.gain_matrix(x)
     K[:order, :order] -= np.eye(order)
     x = structure.parameters_of(
-        StateSpace(K[:order, :order], K[:order, order:], K[order:, :order], K[order:, order:], [("y", 2)], [("u", 2)])
+        System(K[:order, :order], K[:order, order:], K[order:, :order], K[order:, order:], [("y", 2)], [("u", 2)])
     )
     problem = Problem([plant], [HinfGain("w", "z"), H2Gain("w", "z")], structure)
     found = problem.evaluate(x)

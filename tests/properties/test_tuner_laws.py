@@ -8,7 +8,7 @@ import scipy.linalg as sl
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.structures import state_space
 from lftkit.tuning.tuner import TuningOptions, tune
@@ -24,7 +24,7 @@ BLOCKS = {
 }
 
 
-def plant(seed: int, kinds: list[str], feedthrough: bool) -> StateSpace:
+def plant(seed: int, kinds: list[str], feedthrough: bool) -> System:
     rng = np.random.default_rng(seed)
     A = sl.block_diag(*(BLOCKS[kind](10.0 ** rng.uniform(-1, 1)) for kind in kinds))
     n = len(A)
@@ -32,9 +32,7 @@ def plant(seed: int, kinds: list[str], feedthrough: bool) -> StateSpace:
     D[2:, :1] = 0.1 * rng.normal(size=(2, 1))
     D[1, 1:] = rng.normal(size=2)
     D[0, 0] = rng.normal() * feedthrough
-    return StateSpace(
-        A, rng.normal(size=(n, 3)), rng.normal(size=(4, n)), D, [("w", 1), ("u", 2)], [("z", 2), ("y", 2)]
-    )
+    return System(A, rng.normal(size=(n, 3)), rng.normal(size=(4, n)), D, [("w", 1), ("u", 2)], [("z", 2), ("y", 2)])
 
 
 PLANTS = (

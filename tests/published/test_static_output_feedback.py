@@ -15,7 +15,7 @@ from oracles.full_order_bound import full_order_bound
 
 from lftkit.analysis.batched_linalg import eigenvalues, largest_gains, solve
 from lftkit.analysis.norms import hinf_norm
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.structures import gain, state_space
@@ -27,7 +27,7 @@ NO_LIMIT = 1e6
 """Seconds: work is limited by starts and iterations, so that the speed of the machine does not matter."""
 
 
-def tuned(plant: StateSpace, order: int, starts: int, iterations: int = 300, target: float = -np.inf) -> TuningResult:
+def tuned(plant: System, order: int, starts: int, iterations: int = 300, target: float = -np.inf) -> TuningResult:
     ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
     structure = state_space([ports["y"]], [ports["u"]], order) if order else gain([ports["y"]], [ports["u"]])
     options = TuningOptions(starts=starts, iterations=iterations, wall_limit=NO_LIMIT, target=target)
@@ -100,7 +100,7 @@ def test_no_static_gain_reaches_the_value_published_for_nn1() -> None:
     assert BEST_KNOWN["NN1"] == 13.786
 
 
-def closed_norm(plant: StateSpace, K: np.ndarray) -> float:
+def closed_norm(plant: System, K: np.ndarray) -> float:
     """H-infinity norm with the static gain `K`."""
     A, B, C, D = plant.matrices
     nw = plant.inputs[0].size
@@ -125,9 +125,9 @@ def test_a_low_hill_over_the_gain_at_infinity_is_seen(certificate: str) -> None:
     assert found.value == pytest.approx(np.linalg.norm(at_hill, 2), rel=1e-7)
 
 
-def scherer() -> StateSpace:
+def scherer() -> System:
     """Scherer, Gahinet and Chilali 1997, example 7, H-infinity channel."""
-    return StateSpace(
+    return System(
         [[0, 10, 2], [-1, 1, 0], [0, 2, -5]],
         [[1, 0], [0, 1], [1, 0]],
         [[1, 0, 0], [0, 0, 0], [0, 1, 0]],
@@ -147,7 +147,7 @@ def test_riccati_bound_reproduces_hinfsyn() -> None:
 @pytest.mark.parametrize(
     ("plant", "order"), [(PLANTS["AC4"], n) for n in (0, 1, 2, 4)] + [(scherer, n) for n in (1, 2, 3)]
 )
-def test_fixed_order_is_never_better_than_full_order(plant: Callable[[], StateSpace], order: int) -> None:
+def test_fixed_order_is_never_better_than_full_order(plant: Callable[[], System], order: int) -> None:
     model = plant()
     bound = full_order_bound(model)
     result = tuned(model, order, 6, target=1.005 * bound)

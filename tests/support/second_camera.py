@@ -51,7 +51,7 @@ STORED, K_PMA = load_designs("implemented")
 
 def observer() -> tuple[SampledSystem, FloatArray]:
     """The stored K_FSM with 40 % of the camera's gain from the second camera, and its continuous matrices."""
-    K = continuous(STORED).data_at({})
+    K = continuous(STORED).at({})
     B = K.B.copy()
     B[:, GUIDE], B[:, CAMERA] = SHARE * K.B[:, CAMERA], (1.0 - SHARE) * K.B[:, CAMERA]
     system = state_space(K.A, B, K.C, K.D, K_FSM_INPUTS, K_FSM_OUTPUTS)
@@ -82,7 +82,7 @@ def tones(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
 def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     """Largest differences: simulated run and prediction; response and settled prediction, for few ticks."""
     rng, found = np.random.default_rng(8), {}
-    plant = SYSTEM.data_at(SYSTEM.sample_values(rng, 1)[0])
+    plant = SYSTEM.at(SYSTEM.sample_values(rng, 1)[0])
     omega, amplitude = tones(rng)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     model = ToneModel(sampled_loop(plant, k_fsm, K_PMA, loop=STAGE), plant, omega, 1e-2 * amplitude, limits)
@@ -122,7 +122,7 @@ def gains(k_fsm: SampledSystem, matrix: FloatArray) -> dict[str, float]:
     rng = np.random.default_rng(9)
     loop, blocks = ImplementedLoop(OpenLoop(SYSTEM, PARAMETERS), k_fsm, K_PMA, STAGE), pair_problem.blocks
     both = blocks(PARAMETERS, (pair_problem.OBSERVER, pair_problem.ACTUATORS))
-    law = continuous(K_PMA).data_at({})
+    law = continuous(K_PMA).at({})
     x = parameters_of(both, [matrix, np.block([[law.A, law.B], [law.C, law.D]])])
     tuner, proof = 0.0, 0.0
     for omega in (0.7, 31.0, 333.0):
@@ -159,7 +159,7 @@ def gains(k_fsm: SampledSystem, matrix: FloatArray) -> dict[str, float]:
 
 def noise(k_fsm: SampledSystem) -> dict[str, object]:
     """Relative error by noise, of the stored observer and of this one, and the second camera's part in a budget."""
-    plant, found = SYSTEM.data_at({}), dict[str, object]()
+    plant, found = SYSTEM.at({}), dict[str, object]()
     louder = {**PARAMETERS, "sensors": {**PARAMETERS["sensors"], "guide_noise": 3e-6}}
     for name, k, parameters in (
         ("stored", STORED, PARAMETERS),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg
 
-from lftkit import Port, RealParameter, SampledSystem, StateSpace, UncertainSystem
+from lftkit import Port, RealParameter, SampledSystem, System
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 FREQUENCIES = (12.0, 60.0, 180.0, 420.0)
@@ -15,7 +15,7 @@ INPUTS = (Port("command", 8), Port("disturbance", 22))
 OUTPUTS = (Port("measured", 22), Port("los_controlled", 2))
 
 
-def small_plant(stiffness: float = 1.0) -> StateSpace:
+def small_plant(stiffness: float = 1.0) -> System:
     """Four damped modes and the camera's low-pass; the sensors feel commands and disturbances directly.
 
     Parameters
@@ -43,7 +43,7 @@ def small_plant(stiffness: float = 1.0) -> StateSpace:
     C[18:20, 8:] = np.eye(2)
     D[20:22, :2] = np.eye(2)
     C[22:], D[22:, :8] = los, mirror
-    return StateSpace(A, B, C, D, INPUTS, OUTPUTS, "small plant")
+    return System(A, B, C, D, INPUTS, OUTPUTS, "small plant")
 
 
 def small_controllers() -> tuple[SampledSystem, SampledSystem]:
@@ -78,7 +78,7 @@ def small_controllers() -> tuple[SampledSystem, SampledSystem]:
     return k_fsm, k_pma
 
 
-def small_family() -> UncertainSystem:
+def small_family() -> System:
     """The small plant as an uncertain system, with the ports' names that the loop needs: one channel."""
     plant = small_plant()
     square = FREQUENCIES[1] ** 2
@@ -87,12 +87,12 @@ def small_family() -> UncertainSystem:
     C = np.vstack([np.eye(10)[2:3], plant.C])
     D = np.pad(plant.D, ((1, 0), (1, 0)))
     stiffness = RealParameter("stiffness", 1.0, -5.0, 200.0)
-    return UncertainSystem(plant.A, B, C, D, INPUTS, OUTPUTS, ("stiffness",), (stiffness,))
+    return System(plant.A, B, C, D, INPUTS, OUTPUTS, channels=("stiffness",), elements=(stiffness,))
 
 
 class SmallFamily:
     """The small plant over its stiffness: stands in for an uncertain system."""
 
-    def data_at(self, values: Mapping[str, float]) -> StateSpace:
+    def at(self, values: Mapping[str, float]) -> System:
         """The plant at a parameter point."""
         return small_plant(values.get("stiffness", 1.0))

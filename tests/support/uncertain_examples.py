@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, System
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 
-def de_gaston_safonov() -> UncertainSystem:
+def de_gaston_safonov() -> System:
     """``800 (1 + 0.1 d1) (s + 2) / (s (s + 4 + 0.2 d2) (s + 6 + 0.3 d3) (s + 10))`` under unit feedback.
 
     de Gaston and Safonov, IEEE Trans. AC 33 (1988), 156-171: km = 3.41740.
@@ -22,10 +22,10 @@ def de_gaston_safonov() -> UncertainSystem:
     C = np.array([[-8.0, 0, 0, -1], [0, 1, 0, 0], [0, 0, 1, 0]])
     names = ("d1", "d2", "d3")
     parameters = tuple(RealParameter(name, 0.0, -1.0, 1.0) for name in names)
-    return UncertainSystem(A, B, C, np.zeros((3, 3)), (), (), names, parameters)
+    return System(A, B, C, np.zeros((3, 3)), (), (), channels=names, elements=parameters)
 
 
-def two_mass_benchmark(masses: bool = True) -> UncertainSystem:
+def two_mass_benchmark(masses: bool = True) -> System:
     """Two masses and a spring, all 1 +- 20 %, under ``100 (s + 1)^3 / (0.001 s + 1)^3`` from the second position.
 
     The benchmark of Wie and Bernstein (ACC 1990) with the controller of the Robust Control Toolbox's manual, "Robust
@@ -48,10 +48,10 @@ def two_mass_benchmark(masses: bool = True) -> UncertainSystem:
     names = ("k", "m1", "m2")
     keep = 3 if masses else 1
     parameters = tuple(RealParameter(name, 1.0, 0.8, 1.2) for name in names[:keep])
-    return UncertainSystem(A, B[:, :keep], C[:keep], z_w[:keep, :keep], (), (), names[:keep], parameters)
+    return System(A, B[:, :keep], C[:keep], z_w[:keep, :keep], (), (), channels=names[:keep], elements=parameters)
 
 
-def aligned_modes(count: int, damping: float) -> UncertainSystem:
+def aligned_modes(count: int, damping: float) -> System:
     """Sum of the velocities of oscillators of unit mass under one force, each with an uncertain stiffness.
 
     At resonance each has the gain 1 / (2 damping) in phase with the force, and 2.2 is in all the intervals.
@@ -68,19 +68,19 @@ def aligned_modes(count: int, damping: float) -> UncertainSystem:
         parameters.append(RealParameter(f"k{i}", stiffness, 0.8, 2.6))
     names = tuple(p.name for p in parameters)
     ports = (Port("force", 1),), (Port("velocity", 1),)
-    return UncertainSystem(A, B, C, np.zeros((count + 1, count + 1)), *ports, names, tuple(parameters))
+    return System(A, B, C, np.zeros((count + 1, count + 1)), *ports, channels=names, elements=tuple(parameters))
 
 
-def tangent_crossing(excess: float) -> UncertainSystem:
+def tangent_crossing(excess: float) -> System:
     """``x'' + ((delta - 1)^2 + excess) x' + x = 0`` with delta in [-1, 1]: poles touch the axis at 1 without excess."""
     A = np.array([[0.0, 1.0], [-1.0, -1.0 - excess]])
     # -(d^2 - 2 d) v = w1 with w1 = d (2 v - w2), w2 = d v
     B, C = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.0, 2.0], [0.0, 1.0]])
     D = np.array([[0.0, -1.0], [0.0, 0.0]])
-    return UncertainSystem(A, B, C, D, (), (), ("delta", "delta"), (RealParameter("delta", 0.0, -1.0, 1.0),))
+    return System(A, B, C, D, (), (), channels=("delta", "delta"), elements=(RealParameter("delta", 0.0, -1.0, 1.0),))
 
 
-def transport_aircraft() -> UncertainSystem:
+def transport_aircraft() -> System:
     """Lateral motion of a transport aircraft under its controller, 14 coefficients uncertain by 10 %.
 
     Ferreres (1999), with the numbers of the Robust Control Toolbox's manual, "Real Mu Analysis".
@@ -92,12 +92,12 @@ def transport_aircraft() -> UncertainSystem:
         parameters.append(RealParameter(entry["name"], nominal, nominal - part, nominal + part))
     A, B, C = (np.array(table[key]) for key in ("A", "B_delta", "C_delta"))
     names = tuple(p.name for p in parameters)
-    return UncertainSystem(A, B, C, np.zeros((14, 14)), (), (), names, tuple(parameters))
+    return System(A, B, C, np.zeros((14, 14)), (), (), channels=names, elements=tuple(parameters))
 
 
 def chain_of_masses(
     count: int, part: float, stiffness: float = 1.0, damping: float = 0.1, *, measured: int = -1
-) -> UncertainSystem:
+) -> System:
     """Unit masses in a row, each held to the one before by a spring, uncertain by a part of it, and a damper.
 
     From a force on the last mass to the position of mass `measured`.
@@ -112,4 +112,4 @@ def chain_of_masses(
     low, high = stiffness * (1.0 - part), stiffness * (1.0 + part)
     parameters = tuple(RealParameter(name, stiffness, low, high) for name in names)
     ports = (Port("force", 1),), (Port("position", 1),)
-    return UncertainSystem(A, B, C, np.zeros((n + 1, n + 1)), *ports, names, parameters)
+    return System(A, B, C, np.zeros((n + 1, n + 1)), *ports, channels=names, elements=parameters)

@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
 
 worst_case_module = importlib.import_module("lftkit.tuning.worst_case")
 
-OPEN = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
+OPEN = System.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
 
 
-def oscillator(p: Mapping[str, float]) -> StateSpace:
+def oscillator(p: Mapping[str, float]) -> System:
     """Two modes whose distance depends on the parameters: their peaks add up where they meet."""
     A = np.zeros((4, 4))
     for i, w in enumerate((1.0 + 0.3 * p["a"], 1.5 + 0.3 * p["b"])):
@@ -25,20 +25,20 @@ def oscillator(p: Mapping[str, float]) -> StateSpace:
     B = np.zeros((4, 2))
     B[1], B[3] = 1.0, 1.0
     C = np.array([[1.0, 0, 1, 0], [1, 0, 1, 0]])
-    return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
 
-def first_order(gain: float, decay: float = 1.0) -> StateSpace:
+def first_order(gain: float, decay: float = 1.0) -> System:
     """``gain / (s + decay)`` from w to z: H-infinity norm gain / decay at frequency 0, H2 norm gain / sqrt(2 decay)."""
     ports = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    return StateSpace([[-decay]], [[gain, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports)
+    return System([[-decay]], [[gain, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports)
 
 
-def mode(omega: float, damping: float, gain: float = 1.0) -> StateSpace:
+def mode(omega: float, damping: float, gain: float = 1.0) -> System:
     """``gain / (s^2 + 2 damping omega s + omega^2)`` from w to z."""
     A = [[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]]
     ports = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    return StateSpace(A, [[0.0, 0.0], [gain, 1.0]], [[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2)), *ports)
+    return System(A, [[0.0, 0.0], [gain, 1.0]], [[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2)), *ports)
 
 
 def mode_peak(omega: float, damping: float) -> tuple[float, float]:
@@ -46,7 +46,7 @@ def mode_peak(omega: float, damping: float) -> tuple[float, float]:
     return 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2) * omega**2), omega * np.sqrt(1.0 - 2.0 * damping**2)
 
 
-def modes(gains: list[float], dampings: float = 0.01) -> StateSpace:
+def modes(gains: list[float], dampings: float = 0.01) -> System:
     """Parallel modes at 1, 10, 100 ... rad/s whose peaks are `gains` but for what the neighbours add."""
     n = len(gains)
     A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2)), np.zeros((2, 2 * n))
@@ -55,16 +55,16 @@ def modes(gains: list[float], dampings: float = 0.01) -> StateSpace:
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, 1.0], [-(w**2), -2.0 * dampings * w]]
         B[2 * k + 1, 0] = 2.0 * dampings * w**2 * g
         C[0, 2 * k] = 1.0
-    return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
 
 class Recorder:
     """A build function that keeps the parameters it was asked for."""
 
-    def __init__(self, build: Callable[[Mapping[str, float]], StateSpace]) -> None:
+    def __init__(self, build: Callable[[Mapping[str, float]], System]) -> None:
         self.build, self.asked = build, []
 
-    def __call__(self, p: Mapping[str, float]) -> StateSpace:
+    def __call__(self, p: Mapping[str, float]) -> System:
         self.asked.append(dict(p))
         return self.build(p)
 

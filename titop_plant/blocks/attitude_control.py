@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lftkit import Port, UncertainSystem, state_space, static_gain
+from lftkit import Port, System, state_space, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 
 
-def attitude(point: str = "G") -> UncertainSystem:
+def attitude(point: str = "G") -> System:
     """Integrate ``accel_<point>`` to ``rate_<point>`` [rad/s] and ``angle_<point>`` [rad]; 6 states."""
     Z, I3 = np.zeros((3, 3)), np.eye(3)
     A = np.block([[Z, I3], [Z, Z]])
@@ -35,7 +35,7 @@ def attitude(point: str = "G") -> UncertainSystem:
 
 def attitude_control(
     inertia: ArrayLike, spin_axes: ArrayLike, *, bandwidth: float, damping: float, point: str = "G"
-) -> UncertainSystem:
+) -> System:
     """Proportional-derivative attitude law (equation and signs: see the module).
 
     Parameters
@@ -51,7 +51,7 @@ def attitude_control(
 
     Returns
     -------
-    UncertainSystem
+    System
         ``angle_<point>``, ``rate_<point>`` -> ``wheel_torque`` (n).
 
     Examples
@@ -76,15 +76,15 @@ def attitude_control(
     return static_gain(gain, [ports.angle(point), ports.rate(point)], [wheels])
 
 
-def total_inertia(torque_to_acceleration: UncertainSystem) -> FloatArray:
+def total_inertia(torque_to_acceleration: System) -> FloatArray:
     """Total inertia matrix (3, 3) from the low-frequency gain external torque -> angular acceleration.
 
     Parameters
     ----------
-    torque_to_acceleration : UncertainSystem
+    torque_to_acceleration : System
         Three inputs [Nm], three outputs [rad/s2]; all states stable, attitude not integrated.
     """
-    s = torque_to_acceleration.data_at({})
+    s = torque_to_acceleration.at({})
     gain = s.D - s.C @ linalg.solve(s.A, s.B) if s.A.size else s.D
     inertia = linalg.inv(gain)
     return np.asarray(0.5 * (inertia + inertia.T))

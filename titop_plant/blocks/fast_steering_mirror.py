@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import Port, UncertainSystem, connect, static_gain
+from lftkit import Port, System, connect, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.flexible_body import rigid_body
@@ -52,7 +52,7 @@ class FastSteeringMirror:
     center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> UncertainSystem:
+def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> System:
     """TITOP block of a fast steering mirror (ports: see the module).
 
     Examples

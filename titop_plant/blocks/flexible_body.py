@@ -32,7 +32,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from lftkit import RealParameter, UncertainSystem
+from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.structures.modal_data import ModalData
@@ -45,7 +45,7 @@ def flexible_body(
     deflections: Collection[str] = (),
     frequencies: Mapping[int, RealParameter] | None = None,
     dampings: Mapping[int, RealParameter] | None = None,
-) -> UncertainSystem:
+) -> System:
     """TITOP block of a flexible body (ports and assumptions: see the module).
 
     Parameters
@@ -62,7 +62,7 @@ def flexible_body(
 
     Returns
     -------
-    UncertainSystem
+    System
         2n states ``[eta; eta']``. **wrench_P is by the body on its parent, wrench_C on the body.**
 
     Raises
@@ -119,7 +119,7 @@ def flexible_body(
         outputs.append(ports.deflection(name))
     parameters = (*omega.values(), *zeta.values())
     C, D = np.vstack([Cd[0], C]), np.vstack([np.hstack([Cd[1], np.zeros((q, D.shape[1] - q))]), D])
-    return UncertainSystem(A, B, C, D, tuple(inputs), tuple(outputs), channels, parameters)
+    return System(A, B, C, D, tuple(inputs), tuple(outputs), channels=channels, elements=parameters)
 
 
 def _modal_parameters(
@@ -193,7 +193,7 @@ def rigid_body(
     children: Mapping[str, FloatArray] | None = None,
     *,
     motion: bool = False,
-) -> UncertainSystem:
+) -> System:
     """Rigid body: a flexible body without modes.
 
     Parameters

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lftkit import Connection, Port, System, connect, state_space, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
@@ -71,7 +71,7 @@ class MountedActuator:
     dcm: FloatArray
 
 
-def isolator(data: Isolator, parent: str = "P", child: str = "C") -> UncertainSystem:
+def isolator(data: Isolator, parent: str = "P", child: str = "C") -> System:
     """TITOP block of a 6-dof isolator with its platform (ports: see the module).
 
     Examples
@@ -112,21 +112,19 @@ def isolator(data: Isolator, parent: str = "P", child: str = "C") -> UncertainSy
     )
 
 
-def actuated_platform(
-    platform: UncertainSystem, actuators: Sequence[MountedActuator], child: str = "C"
-) -> UncertainSystem:
+def actuated_platform(platform: System, actuators: Sequence[MountedActuator], child: str = "C") -> System:
     """Mount proof-mass actuators at the platform point `child` of a block.
 
     Parameters
     ----------
-    platform : UncertainSystem
+    platform : System
         Has ``wrench_<child>`` as input and ``accel_<child>`` as output (an isolator, or the bare
         platform).
     actuators : sequence of MountedActuator
 
     Returns
     -------
-    UncertainSystem
+    System
         New ports ``pma_force`` [N] and ``pma_stroke`` [m], one signal per actuator;
         ``wrench_<child>`` remains an input for everything else mounted on the platform.
     """

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from lftkit import UncertainSystem, transform
+from lftkit import System, transform
 from titop_plant import ports
 from titop_plant.structures.kinematics import check_rotation, rotate_twist, tau
 
 
 def mounted(
-    block: UncertainSystem,
+    block: System,
     point: str,
     at: str,
     *,
     position: ArrayLike = (0.0, 0.0, 0.0),
     dcm: ArrayLike = ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-) -> UncertainSystem:
+) -> System:
     """The same block, driven at point `at` of its parent and in the parent's frame.
 
     Parameters
     ----------
-    block : UncertainSystem
+    block : System
         Has ``accel_<point>`` as input and ``wrench_<point>`` as output, optionally ``rate_<point>`` and
         ``angle_<point>`` as inputs.
     point, at : str
@@ -33,7 +33,7 @@ def mounted(
 
     Returns
     -------
-    UncertainSystem
+    System
         Ports ``accel_<at>``, ``wrench_<at>``, ... instead of the old ones.
 
     Raises

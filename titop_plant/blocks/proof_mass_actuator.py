@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import Port, UncertainSystem, state_space
+from lftkit import Port, System, state_space
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.structures.kinematics import tau
@@ -64,7 +64,7 @@ class ProofMassActuator:
             raise ValueError(f"proof-mass actuator: damping must not be negative, got {self.damping}")
 
 
-def proof_mass_actuator(data: ProofMassActuator, point: str = "P") -> UncertainSystem:
+def proof_mass_actuator(data: ProofMassActuator, point: str = "P") -> System:
     """TITOP block of a proof-mass actuator (ports and equations: see the module).
 
     Examples

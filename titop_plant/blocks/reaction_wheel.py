@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lftkit import Connection, Port, RealParameter, UncertainSystem, connect, static_gain
+from lftkit import Connection, Port, RealParameter, System, connect, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
@@ -83,7 +83,7 @@ class MountedWheel:
     speed: RealParameter
 
 
-def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") -> UncertainSystem:
+def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") -> System:
     """TITOP block of one wheel in its own frame (ports and equations: see the module).
 
     Examples
@@ -115,7 +115,9 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
     feed[3:5] = np.eye(2)
     full = np.block([[np.zeros((2, 2)), gyro], [feed, D]])
     empty = np.zeros((0, 0))
-    return UncertainSystem(empty, empty, empty, full, tuple(inputs), tuple(outputs), (speed.name,) * 2, (speed,))
+    return System(
+        empty, empty, empty, full, tuple(inputs), tuple(outputs), channels=(speed.name,) * 2, elements=(speed,)
+    )
 
 
 def spin_frame(axis: ArrayLike) -> FloatArray:
@@ -129,12 +131,12 @@ def spin_frame(axis: ArrayLike) -> FloatArray:
     return np.vstack([x, np.cross(z, x), z])
 
 
-def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> UncertainSystem:
+def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> System:
     """Several wheels on one interface.
 
     Returns
     -------
-    UncertainSystem
+    System
         Ports ``accel_<point>``, ``rate_<point>``, ``wheel_torque`` (one signal a wheel),
         ``imbalance`` (5 a wheel, each in its wheel's frame) -> ``wrench_<point>``, ``wheel_accel``.
     """

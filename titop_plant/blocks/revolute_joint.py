@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lftkit import Port, UncertainSystem, connect, invert, state_space, transform
+from lftkit import Port, System, connect, invert, state_space, transform
 from titop_plant import ports
 from titop_plant.blocks.rotation import _unit
 
 
 def on_revolute_joint(
-    child: UncertainSystem,
+    child: System,
     point: str,
     axis: ArrayLike,
     *,
@@ -25,12 +25,12 @@ def on_revolute_joint(
     damping: float,
     angle: str = "joint_angle",
     torque: str = "joint_torque",
-) -> UncertainSystem:
+) -> System:
     """A block mounted on a revolute joint at its attachment point.
 
     Parameters
     ----------
-    child : UncertainSystem
+    child : System
         Has ``accel_<point>`` as input and ``wrench_<point>`` as output; other ports stay.
     point : str
         Attachment point; its name is kept on the parent's side.
@@ -44,7 +44,7 @@ def on_revolute_joint(
 
     Returns
     -------
-    UncertainSystem
+    System
         Two more states (angle and rate) than the child.
 
     Raises
@@ -120,6 +120,6 @@ def on_revolute_joint(
     )
 
 
-def position_commanded(block: UncertainSystem, torque: str, command: str, stiffness: float) -> UncertainSystem:
+def position_commanded(block: System, torque: str, command: str, stiffness: float) -> System:
     """Drive a joint by a commanded angle [rad], ``torque = stiffness * command``, as with a piezo stack."""
     return transform(block, inputs={torque: (np.array([[stiffness]]), Port(command, 1, "rad"))})

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lftkit import Port, RealParameter, UncertainSystem, connect
+from lftkit import Port, RealParameter, System, connect
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.structures.kinematics import skew
@@ -29,7 +29,7 @@ def rotation_matrix(axis: ArrayLike, theta: float) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(theta) * K + (1.0 - np.cos(theta)) * K @ K)
 
 
-def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign: float = 1.0) -> UncertainSystem:
+def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign: float = 1.0) -> System:
     """``v_out = R(sign theta) v_in`` for each 3-vector of a port, 4 occurrences of tau per vector.
 
     Parameters
@@ -72,15 +72,15 @@ def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign:
     )
     empty = np.zeros((0, 0))
     channels = (tau.name,) * (4 * len(each))
-    return UncertainSystem(empty, empty, empty, D, (port,), (port,), channels, (tau,))
+    return System(empty, empty, empty, D, (port,), (port,), channels=channels, elements=(tau,))
 
 
-def turned(block: UncertainSystem, point: str, axis: ArrayLike, tau: RealParameter) -> UncertainSystem:
+def turned(block: System, point: str, axis: ArrayLike, tau: RealParameter) -> System:
     """A block rotated by theta about an axis through its attachment point (16 occurrences of tau).
 
     Parameters
     ----------
-    block : UncertainSystem
+    block : System
         Has ``accel_<point>`` as input and ``wrench_<point>`` as output; other ports stay as they are.
     point : str
         Attachment point.

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import RealParameter, UncertainSystem
+from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.mounting import mounted
@@ -61,7 +61,7 @@ def solar_array(
     point: str,
     tau: RealParameter,
     frequencies: Mapping[int, RealParameter] | None = None,
-) -> UncertainSystem:
+) -> System:
     """TITOP block of a solar array on its drive (ports: see the module).
 
     Parameters

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit import StateSpace, UncertainSystem
+from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
@@ -46,7 +46,7 @@ class PlantFamily:
     ----------
     parameters : mapping
         Of the file.
-    control_loop : UncertainSystem
+    control_loop : System
         Commands (8), disturbances (22) to measurements (22), line of sight (2).
     path : str or None
         The file; None for the reference telescope.
@@ -54,7 +54,7 @@ class PlantFamily:
     """
 
     parameters: Parameters
-    control_loop: UncertainSystem
+    control_loop: System
     path: str | None
     isolated: bool
 
@@ -83,12 +83,12 @@ class PlantFamily:
         segments = [sample(number, tones, 1)]
         return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
 
-    def plant_and_tones(self, config: PlantConfig) -> tuple[StateSpace, Tones]:
+    def plant_and_tones(self, config: PlantConfig) -> tuple[System, Tones]:
         """The continuous plant at the start of a run, and the disturbance that acts on it.
 
         Returns
         -------
-        plant : StateSpace
+        plant : System
             Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
         tones : Tones
             On the 22 disturbance inputs.
@@ -104,7 +104,7 @@ class PlantFamily:
                 f"and {config.isolated}"
             )
         first = parameter_values(config, self.parameters)
-        return self.control_loop.data_at(first), _tones(config, self.parameters, first)
+        return self.control_loop.at(first), _tones(config, self.parameters, first)
 
     @property
     def limits(self) -> FloatArray:
@@ -155,7 +155,7 @@ class PlantFamily:
         interval = node_interval(profile, dt, finer)
 
         def matrices(time: float) -> FloatArray:
-            data = self.control_loop.data_at(values_along(config, profile, time))
+            data = self.control_loop.at(values_along(config, profile, time))
             return sample(data, tones.at(profile.speeds(time)), 1, dt).step
 
         return node_matrices(profile, interval, dt, matrices), interval, tones
@@ -196,12 +196,12 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     assembled = telescope(path, True).system["los_controlled", DISTURBANCES]
     speeds = np.asarray(parameters["reaction_wheel"]["default_speed"], dtype=float)
     for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
-        data = assembled.data_at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
+        data = assembled.at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
         speeds = senses * loudest_speeds(parameters, data, senses)
     return tuple(float(round(s, 3)) for s in speeds)
 
 
-def control_loop_plant(assembled: Telescope, parameters: Parameters) -> UncertainSystem:
+def control_loop_plant(assembled: Telescope, parameters: Parameters) -> System:
     """The plant of the fine control loop: commands (8), disturbances (22) to measurements (22), line of sight (2).
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
@@ -211,7 +211,7 @@ def control_loop_plant(assembled: Telescope, parameters: Parameters) -> Uncertai
     )
 
 
-def plant_and_tones(config: PlantConfig) -> tuple[StateSpace, Tones]:
+def plant_and_tones(config: PlantConfig) -> tuple[System, Tones]:
     """Plant and disturbance of a run, see :meth:`PlantFamily.plant_and_tones`."""
     return PlantFamily.of(config).plant_and_tones(config)
 
@@ -237,7 +237,7 @@ def _circumstances(
 def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
     """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
     isolated = telescope(path, True).system["los_controlled", DISTURBANCES]
-    tones = design_tones(json.loads(tables), isolated.data_at(dict(values)), _phases(seed))
+    tones = design_tones(json.loads(tables), isolated.at(dict(values)), _phases(seed))
     for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
         array.flags.writeable = False
     return tones
@@ -254,12 +254,12 @@ def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(4)))
 
 
-def sample(data: StateSpace, tones: Tones, ticks: int, dt: float = DT) -> Segment:
+def sample(data: System, tones: Tones, ticks: int, dt: float = DT) -> Segment:
     """Exact sampling: commands held, tones integrated, all in one matrix exponential (Van Loan 1978).
 
     Parameters
     ----------
-    data : StateSpace
+    data : System
         Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
     tones : Tones
     ticks : int
@@ -289,7 +289,7 @@ def _imaginary_part(factors: ComplexArray) -> FloatArray:
     return result
 
 
-def _steady_state(data: StateSpace, tones: Tones) -> FloatArray:
+def _steady_state(data: System, tones: Tones) -> FloatArray:
     drive = data.B[:, COMMANDS:] @ tones.amplitude
     eye = np.eye(data.A.shape[0])
     state = np.zeros(data.A.shape[0])

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from lftkit import StateSpace
+from lftkit import System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
@@ -161,14 +161,14 @@ def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
     return np.hstack([wheels, np.full((w.size, 2), parameters["sadm"]["torque_bound"])])
 
 
-def design_tones(parameters: Parameters, plant: StateSpace, rng: np.random.Generator) -> Tones:
+def design_tones(parameters: Parameters, plant: System, rng: np.random.Generator) -> Tones:
     """Tones of unit norm where the telescope on its isolator alone is worst.
 
     Parameters
     ----------
     parameters : mapping
         Tables ``design_scenario`` and ``weights``.
-    plant : StateSpace
+    plant : System
         From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
     rng : numpy.random.Generator
         Phase of each tone as a whole.
@@ -217,7 +217,7 @@ def given_tones(table: Sequence[Sequence[float]]) -> Tones:
     return _tones(rows)
 
 
-def loudest_speeds(parameters: Parameters, plant: StateSpace, senses: FloatArray) -> FloatArray:
+def loudest_speeds(parameters: Parameters, plant: System, senses: FloatArray) -> FloatArray:
     """Speed of each wheel [rad/s] at which the relative error by its fundamental is largest; the senses are given.
 
     No two wheels have the same mode: each takes what the wheels before it leave.
@@ -226,7 +226,7 @@ def loudest_speeds(parameters: Parameters, plant: StateSpace, senses: FloatArray
     ----------
     parameters : mapping
         Tables ``imbalance``, ``reaction_wheel`` and ``weights``.
-    plant : StateSpace
+    plant : System
         From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
     senses : ndarray, shape (4,)
         +1 or -1.

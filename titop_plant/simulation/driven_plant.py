@@ -109,5 +109,5 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
     whole = with_sensors(telescope(family.path, family.isolated).system, family.parameters)
     ports = tuple(port.name for port in DISTURBANCE_PORTS)
     driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
-    held = sampled(driven.data_at(parameter_values(config, family.parameters)), dt, method="hold")
+    held = sampled(driven.at(parameter_values(config, family.parameters)), dt, method="hold")
     return np.vstack([held.B, held.D])[:, -DISTURBANCE_SIZE:]

@@ -43,7 +43,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lftkit import Connection, Port, UncertainSystem, connect, invert, static_gain, transform
+from lftkit import Connection, Port, System, connect, invert, static_gain, transform
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
@@ -73,7 +73,7 @@ class Telescope:
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         Ports as in the module's tables.
     inertia : ndarray, shape (3, 3)
         Total inertia by the inverse low-frequency gain, nominal [kg m2].
@@ -81,7 +81,7 @@ class Telescope:
         Central body, payload, solar array.
     """
 
-    system: UncertainSystem
+    system: System
     inertia: FloatArray = field(repr=False)
     bodies: tuple[ModalData, ModalData, ModalData]
 
@@ -114,7 +114,7 @@ def build_telescope(
     return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
 
 
-def line_of_sight(parameters: Parameters) -> UncertainSystem:
+def line_of_sight(parameters: Parameters) -> System:
     """``los`` from the rotation of the payload's base and the elastic deflections of the optics."""
     optics = component.optics_component(parameters)
     rotation = np.hstack([np.eye(2), np.zeros((2, 1))])
@@ -123,7 +123,7 @@ def line_of_sight(parameters: Parameters) -> UncertainSystem:
     return static_gain(gain, [ports.angle("I_p"), *(ports.deflection(p) for p in OPTICAL_POINTS)], [LOS])
 
 
-def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> UncertainSystem:
+def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     uncertain = uncertain_parameters(parameters)
     tau = uncertain["solar_array.tau"]
@@ -207,13 +207,13 @@ def _wires() -> list[Connection]:
     return wires
 
 
-def _without_loads(body: UncertainSystem, points: tuple[str, ...]) -> UncertainSystem:
+def _without_loads(body: System, points: tuple[str, ...]) -> System:
     """Remove the wrench inputs of points without an attached body."""
     loads = {f"wrench_{point}" for point in points}
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
 
 
-def _torque_to_acceleration(free: UncertainSystem) -> UncertainSystem:
+def _torque_to_acceleration(free: System) -> System:
     """External torque at G -> angular acceleration of G, attitude not integrated."""
     pick = np.vstack([np.zeros((3, 3)), np.eye(3)])
     torque, response = Port("torque", 3, "Nm"), Port("response", 3, "rad/s2")
@@ -221,9 +221,7 @@ def _torque_to_acceleration(free: UncertainSystem) -> UncertainSystem:
     return transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
 
 
-def _free_flying(
-    free: UncertainSystem, parameters: Parameters, inertia: FloatArray, controlled: bool
-) -> UncertainSystem:
+def _free_flying(free: System, parameters: Parameters, inertia: FloatArray, controlled: bool) -> System:
     """Free motion of G: the wrench of all bodies there balances the external one; close the attitude loop."""
     table = parameters["attitude_control"]
     law = attitude_control(

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import Port, StateSpace, UncertainSystem, cascade, state_space
+from lftkit import Port, System, cascade, state_space
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import relative_error_weight
 
@@ -158,13 +158,13 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     return ErrorBudget(limit, *(share * limit for share in shares))
 
 
-def band_error_weight(parameters: Parameters, band: str) -> StateSpace:
+def band_error_weight(parameters: Parameters, band: str) -> System:
     """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
-    relative = relative_error_weight(parameters["weights"]["rpe_window"]).data_at({})
-    return cascade(relative, band_weight(band).data_at({}), f"W_RPE, {band}")
+    relative = relative_error_weight(parameters["weights"]["rpe_window"]).at({})
+    return cascade(relative, band_weight(band).at({}), f"W_RPE, {band}")
 
 
-def band_weight(band: str, size: int = 2) -> UncertainSystem:
+def band_weight(band: str, size: int = 2) -> System:
     """Butterworth filter of order 4 that keeps the ``slow`` or the ``fast`` tones, on each of `size` axes.
 
     Examples

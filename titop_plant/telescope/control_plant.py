@@ -27,7 +27,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lftkit import Connection, Port, UncertainSystem, connect, state_space, static_gain
+from lftkit import Connection, Port, System, connect, state_space, static_gain
 from lftkit.systems.delay import delayed_port
 from lftkit.systems.filters import high_pass
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
@@ -47,7 +47,7 @@ PADE_ORDER = 2
 """Of the delays in the plant: right to 2e-4 rad where they turn the phase by less than 0.7 rad."""
 
 
-def with_sensors(system: UncertainSystem, parameters: Parameters) -> UncertainSystem:
+def with_sensors(system: System, parameters: Parameters) -> System:
     """Add the measured ports that the structure does not have, behind their low-pass (two states for each value)."""
     systems, wires = {"telescope": system}, list[Connection]((p.name, f"telescope.{p.name}") for p in system.inputs)
     outputs: dict[str, str | tuple[str, ...]] = {p.name: f"telescope.{p.name}" for p in system.outputs}
@@ -61,7 +61,7 @@ def with_sensors(system: UncertainSystem, parameters: Parameters) -> UncertainSy
     return connect(systems, wires, inputs=system.inputs, outputs=outputs)
 
 
-def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> UncertainSystem:
+def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> System:
     """``c0 / (s^2 + c1 s + c2)`` from each value of `source` to that of `port`."""
     c0, c1, c2 = coefficients
     each = np.eye(port.size)
@@ -71,7 +71,7 @@ def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> Uncert
     return state_space(A, B, C, np.zeros((port.size, port.size)), [source], [port])
 
 
-def sample_hold(port: Port, period: float) -> UncertainSystem:
+def sample_hold(port: Port, period: float) -> System:
     """Mean age of a value that is held for a period [s].
 
     The value is used at the ticks, from the one with the sample to the last before the next: half of the period less
@@ -82,7 +82,7 @@ def sample_hold(port: Port, period: float) -> UncertainSystem:
     return delayed_port(port, max(0.0, 0.5 * (period - DT)), PADE_ORDER)
 
 
-def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
+def held_commands(plant: System, hold: float) -> System:
     """Delay the motion by the mean delay `hold` [s] of commands that are held for a tick.
 
     The motion lags by half a tick. An accelerometer responds to a command at the instant it is switched: its direct
@@ -96,7 +96,7 @@ def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
     wires: list[Connection] = [(p.name, f"plant.{p.name}") for p in plant.inputs if p.name not in COMMANDED]
     felt: dict[str, list[str]] = {port.name: [f"plant.{port.name}"] for port in felt_by}
     for command in (plant.input_port(name) for name in COMMANDED):
-        direct = plant[ACCELEROMETERS, (command.name,)].data_at({}).D
+        direct = plant[ACCELEROMETERS, (command.name,)].at({}).D
         late, now, past = (f"{what}_{command.name}" for what in ("late", "now", "past"))
         systems[late] = delayed_port(command, hold, PADE_ORDER)
         systems[now] = systems[past] = static_gain(direct, [command], felt_by)
@@ -115,13 +115,13 @@ def held_commands(plant: UncertainSystem, hold: float) -> UncertainSystem:
 
 
 def control_plant(
-    telescope: UncertainSystem, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
-) -> UncertainSystem:
+    telescope: System, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
+) -> System:
     """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
 
     Parameters
     ----------
-    telescope : UncertainSystem
+    telescope : System
         From :func:`titop_plant.telescope.assembly.build_telescope`.
     parameters : mapping
         Table ``sensors``.

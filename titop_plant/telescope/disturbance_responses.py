@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import Port, StateSpace, UncertainSystem
+from lftkit import Port, System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
@@ -60,18 +60,18 @@ class DisturbanceResponses:
     """The telescope with isolator and with a hard-mounted payload, from the disturbances to the line of sight."""
 
     parameters: Parameters
-    isolated: UncertainSystem
-    hard: UncertainSystem
+    isolated: System
+    hard: System
 
     def weighted(
-        self, system: UncertainSystem, values: Mapping[str, float], inputs: Sequence[str], low: float, high: float
+        self, system: System, values: Mapping[str, float], inputs: Sequence[str], low: float, high: float
     ) -> Curve:
         """Largest singular value from normalised disturbances to the line of sight [arcsec].
 
         Normalised: 1 corresponds to the amplitudes of the weights, 0.4 N, 0.35 N and 0.3 Nm of each wheel above
         5 rad/s and 0.1 Nm of each array drive.
         """
-        data = system["los_controlled", tuple(inputs)].data_at(values)
+        data = system["los_controlled", tuple(inputs)].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500)
         amplitude = weight_amplitudes(self.parameters, omega)
         scale = np.hstack([amplitude[:, _COLUMNS[name]] for name in inputs])
@@ -80,15 +80,15 @@ class DisturbanceResponses:
 
     def first_channel(self, values: Mapping[str, float], low: float, high: float) -> Curve:
         """Line of sight about x due to the first imbalance channel of wheel 1, its radial force x [arcsec/N]."""
-        whole = self.isolated["los_controlled", "wheel_imbalance"].data_at(values)
-        data = StateSpace(
+        whole = self.isolated["los_controlled", "wheel_imbalance"].at(values)
+        data = System(
             whole.A, whole.B[:, :1], whole.C[:1], whole.D[:1, :1], (Port("force", 1, "N"),), (Port("los", 1, "rad"),)
         )
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, offsets=(0.0, 0.6, 1.2, 1.8, 2.4, 3.0))
         return Curve(omega, np.abs(frequency_response(data, omega)[:, 0, 0]) / ARCSEC)
 
     def band(
-        self, system: UncertainSystem, inputs: Sequence[str], edges: FloatArray, members: int
+        self, system: System, inputs: Sequence[str], edges: FloatArray, members: int
     ) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest value of :meth:`weighted` over random parameter values, column by column."""
         draws = system.sample_values(np.random.default_rng(0), members)
@@ -99,7 +99,7 @@ class DisturbanceResponses:
 def disturbance_responses(parameters: str | None = None) -> DisturbanceResponses:
     """Responses of the telescope of a parameter file (default: the reference) with and without isolator."""
 
-    def part(isolated: bool) -> UncertainSystem:
+    def part(isolated: bool) -> System:
         return telescope(parameters, isolated).system["los_controlled", ALL]
 
     return DisturbanceResponses(load_parameters(parameters or REFERENCE), part(True), part(False))

@@ -102,7 +102,7 @@ def summarise(telescope: Telescope) -> PlantSummary:
     (204, 32, True)
     """
     system = telescope.system
-    poles = linalg.eigvals(system.data_at({}).A)
+    poles = linalg.eigvals(system.at({}).A)
     return PlantSummary(
         order=system.order,
         occurrences=system.occurrences(),

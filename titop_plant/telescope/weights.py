@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lftkit import Port, UncertainSystem, state_space
+from lftkit import Port, System, state_space
 from lftkit.arrays import FloatArray
 from titop_plant.telescope.parameters import Parameters
 
 
-def disturbance_weight(parameters: Parameters) -> UncertainSystem:
+def disturbance_weight(parameters: Parameters) -> System:
     """From normalised disturbances (22) to wheel imbalance (20) [N, Nm] and SADM torque (2) [Nm]; 20 states.
 
     Examples
@@ -52,7 +52,7 @@ def rpe_weight(omega: ArrayLike, window: float) -> FloatArray:
     return np.asarray(np.abs(y * (y + RPE_NUMERATOR) / (y**2 + a1 * y + a0)))
 
 
-def relative_error_weight(window: float, size: int = 2) -> UncertainSystem:
+def relative_error_weight(window: float, size: int = 2) -> System:
     """:func:`rpe_weight` as a system, ``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis; 2 states per axis.
 
     Examples

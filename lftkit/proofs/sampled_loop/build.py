@@ -54,6 +54,8 @@ def loop_model(
     ValueError
         Unknown ports, a controller of another size, a plant whose poles can't be separated.
     """
+    system.require_real()
+    system.require_continuous()
     q = len(system.channels)
     errors = [p.name for p in system.outputs if p.name not in measurements]
     disturbances = [p.name for p in system.inputs if p.name not in commands]

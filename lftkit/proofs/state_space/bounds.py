@@ -129,7 +129,8 @@ def worst_case_gain(
     >>> from lftkit import Port, RealParameter
     >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
-    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("stiffness",), (k,))
+    >>> ports = (Port("force", 1),), (Port("x", 1),)
+    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), *ports, channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
     >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
     ('closed', True, 0.8)
@@ -176,7 +177,7 @@ def robust_stability(
 
     >>> from lftkit import RealParameter
     >>> p = RealParameter("p", 0.0, -0.5, 0.5)
-    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
     >>> bounds = robust_stability(lag)
     >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
     (True, 2.0, True)
@@ -197,6 +198,8 @@ def intervals_of(system: UncertainSystem, box: Mapping[str, tuple[float, float]]
     ValueError
         Unknown names, ends in the wrong order or outside the range of the parameter.
     """
+    system.require_real()
+    system.require_continuous()
     given = dict(box or {})
     for name, (low, high) in given.items():
         parameter = system.parameter(name)

@@ -87,7 +87,7 @@ def stable_member(system: UncertainSystem, claim: dict[str, Any], point: FloatAr
     """Factor of a Lyapunov matrix and weights that prove the member at `point` stable; None if none were found."""
     values = {p.name: float(v) for p, v in zip(system.parameters, point)}
     inequality, q = Inequality(claim), len(system.channels)
-    A = np.array(system.data_at(values, beyond_range=True).A)
+    A = np.array(system.at(values, beyond_range=True).A)
     deviation = np.array([values[c] - system.parameter(c).nominal for c in system.channels])
     loop = np.eye(q) - system.D[:q, :q] * deviation
     through = np.eye(q) + deviation[:, None] * linalg.solve(loop, system.D[:q, :q]) if q else np.eye(0)

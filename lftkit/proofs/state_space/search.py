@@ -41,7 +41,7 @@ def member_gain(system: UncertainSystem, point: FloatArray, band: tuple[float, f
     """
     values = {p.name: float(v) for p, v in zip(system.parameters, point)}
     try:
-        data = system.data_at(values, beyond_range=True)
+        data = system.at(values, beyond_range=True)
     except ValueError:
         return Member(np.inf, point, np.inf)
     whole = band == (0.0, np.inf)

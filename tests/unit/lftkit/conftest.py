@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, System
 
-MakeSystem = Callable[..., UncertainSystem]
+MakeSystem = Callable[..., System]
 
 
 def random_system(
@@ -18,7 +18,7 @@ def random_system(
     inputs: dict[str, int] | None = None,
     outputs: dict[str, int] | None = None,
     channels: tuple[str, ...] = ("k", "k", "m"),
-) -> UncertainSystem:
+) -> System:
     """Stable random LFT whose parameters have nominal values and lopsided ranges."""
     ins = tuple(Port(n, s) for n, s in (inputs or {"u": 2, "w": 1}).items())
     outs = tuple(Port(n, s) for n, s in (outputs or {"y": 2, "z": 1}).items())
@@ -27,7 +27,7 @@ def random_system(
     B, C = rng.standard_normal((states, q + m)), rng.standard_normal((q + p, states))
     D = 0.2 * rng.standard_normal((q + p, q + m))
     parameters = tuple(RealParameter(n, 0.5, 0.2, 1.4) for n in dict.fromkeys(channels))
-    return UncertainSystem(A, B, C, D, ins, outs, channels, parameters)
+    return System(A, B, C, D, ins, outs, channels=channels, elements=parameters)
 
 
 @pytest.fixture

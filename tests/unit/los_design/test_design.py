@@ -91,7 +91,7 @@ def test_stored_designs_have_the_provenance_of_this_telescope(variant: str, para
 
 def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(parameters) -> None:
     k_fsm, k_pma = load_designs("implemented")
-    plant = control_loop_plant(telescope(), parameters).data_at({})
+    plant = control_loop_plant(telescope(), parameters).at({})
     one, two = (
         sampled_loop_metrics(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
     )

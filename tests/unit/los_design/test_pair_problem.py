@@ -49,7 +49,7 @@ def pair():
 def x(parameters, pair):
     matrices = []
     for system in pair:
-        A, B, C, D = continuous(system).data_at({}).matrices
+        A, B, C, D = continuous(system).at({}).matrices
         matrices.append(np.block([[A, B], [C, D]]))
     return parameters_of(blocks(parameters, (OBSERVER, ACTUATORS)), matrices)
 
@@ -83,7 +83,7 @@ def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> No
         gains(parameters, (BOTH,)),
         noises(Samples(open_loop), (ALONE, BOTH)),
     )
-    plant, budget = open_loop.system.data_at({}), error_budget(parameters)
+    plant, budget = open_loop.system.at({}), error_budget(parameters)
     shares = {"fsm": budget.noise, "fsm+pma": budget.total_noise}
     for value, (stage, share) in zip(problem.noise(x), shares.items()):
         _, relative = noise_metrics(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)

@@ -50,7 +50,7 @@ def test_values_and_gradients_in_two_threads() -> None:
         one, two = (pair_problem(samples, (ALONE, BOTH), (0, 1), threads) for threads in (1, 2))
         matrices = []
         for system in load_designs("implemented"):
-            A, B, C, D = continuous(system).data_at({}).matrices
+            A, B, C, D = continuous(system).at({}).matrices
             matrices.append(np.block([[A, B], [C, D]]))
         x = parameters_of(one.blocks, matrices)
         values = one.values(x)

@@ -84,7 +84,7 @@ def test_another_telescope_has_the_best_of_several_after_a_short_descent(paramet
     assert lines[1].startswith("start from the stored pair: ") and len(lines) == 2
     before, after = (float(text.split()[-1]) for text in lines[1].split(", after"))
     assert after < before
-    stored = [gain_matrix(continuous(system).data_at({})) for system in load_designs("implemented")]
+    stored = [gain_matrix(continuous(system).at({})) for system in load_designs("implemented")]
     assert all(np.abs(M - S).max() > 0.0 for M, S in zip(found, stored))
 
 
@@ -93,7 +93,7 @@ def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(parame
 
     def stable(task, x, values=None):
         F, P = gain_matrices(blocks(parameters, BOTH), x)
-        stored = np.array_equal(P, gain_matrix(continuous(load_designs("implemented")[1]).data_at({})))
+        stored = np.array_equal(P, gain_matrix(continuous(load_designs("implemented")[1]).at({})))
         return np.array_equal(F, kalman) and np.abs(P).max() < KEPT and not stored
 
     monkeypatch.setattr(synthesis.Task, "stable", stable)
@@ -114,5 +114,5 @@ def test_a_given_observer_stays_as_it_is(parameters, chosen, monkeypatch) -> Non
     monkeypatch.setattr(start_choice, "POINTS", 0)
     table, observer = another(parameters), load_designs("implemented")[0]
     (F, _), lines = chosen(table, build_telescope(table), DesignOptions(nominal=True), observer)
-    np.testing.assert_array_equal(F, gain_matrix(continuous(observer).data_at({})))
+    np.testing.assert_array_equal(F, gain_matrix(continuous(observer).at({})))
     assert not any("Kalman" in line for line in lines)

@@ -73,7 +73,7 @@ def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
     for kind, system in zip(PORTS, pair):
         check_file(system, kind, options, parameters, tmp_path, "los-testbed design all --seed 3")
         assert system.provenance["active_models"] == [pytest.approx(nominal_values(parameters))]
-    assert not continuous(pair[0]).data_at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
+    assert not continuous(pair[0]).at({}).D[:, CAMERA].any()  # no direct path from a zero-order-hold camera
     found = measured(parameters, pair, {})
     for stage, system in zip((ALONE, BOTH), pair):
         tuned = system.provenance["tuned_values"]
@@ -117,7 +117,7 @@ def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None
         matrices.append(np.block([[start.A, start.B], [start.C, start.D]]))
     assembled, options = telescope(), DesignOptions(nominal=True)
     loop = sampled_loop(
-        control_loop_plant(assembled, parameters).data_at({}),
+        control_loop_plant(assembled, parameters).at({}),
         *(synthesis._sampled(k, synthesis._state_space(M), parameters, options, None) for k, M in zip(PORTS, matrices)),
         loop="fsm+pma",
         frame_ticks=20,
@@ -147,7 +147,7 @@ def test_screened_points_are_the_worst_in_their_bands(with_observer: bool, param
         drawn.append((rng.integers(1 << 30), count))
         return CANDIDATES[4:]
 
-    stand_in = SimpleNamespace(data_at=family.data_at, sample_values=sample_values)
+    stand_in = SimpleNamespace(at=family.at, sample_values=sample_values)
     monkeypatch.setattr(starts, "control_loop_plant", lambda *_: stand_in)
     monkeypatch.setattr(starts, "parameter_corners", lambda _: CANDIDATES[:4])
     k_fsm = small_controllers()[0] if with_observer else None

@@ -12,7 +12,7 @@ from los_testbed.cli.app import main
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 
-from lftkit import SampledSystem, StateSpace
+from lftkit import SampledSystem, System
 from los_design.synthesis.store import load_designs
 from los_design.verification import stage_check, verification
 from los_design.verification.verification import (
@@ -264,7 +264,7 @@ def transfer(matrices, omega: np.ndarray) -> np.ndarray:
     return np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + D for w in omega])
 
 
-def hand_closed_gains(plant: StateSpace, parameters, pair: tuple[SampledSystem, SampledSystem], omega: np.ndarray):
+def hand_closed_gains(plant: System, parameters, pair: tuple[SampledSystem, SampledSystem], omega: np.ndarray):
     """Gammas at each frequency in the paper's order, shape (k, 7), noise as its density.
 
     Written from the physical plant: accelerations through the washout, mirror at minus ten times the estimate.
@@ -301,7 +301,7 @@ def test_paper_gammas_are_those_of_the_loop_closed_by_hand(variant: str, paramet
     points = [{"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}, {}]
     expected = np.zeros((2, 7))
     for row, values in zip(expected, points):
-        plant = system.data_at(values)
+        plant = system.at(values)
         poles = linalg.eigvals(plant.A)
         omega = np.unique(np.r_[np.geomspace(1e-3, 1e4, 200), np.abs(poles[poles.imag > 1e-3])])
         gains = hand_closed_gains(plant, parameters, pair, omega)

@@ -61,7 +61,7 @@ def known_values(stage: str) -> dict[str, float]:
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
 def test_the_response_is_that_of_the_periodic_solution(stage: str, system, parameters, pair) -> None:
     loop, values = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), known_values("fsm+pma")
-    plant = system.data_at(values)
+    plant = system.at(values)
     exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
     expected = tone_response(exact, plant, omega).fundamental * weight_amplitudes(parameters, omega)[:, None, :]
@@ -76,7 +76,7 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
     """With the plant's response from the mirror alone: S = (I - L)^-1, L by tones on the command, no LFT."""
     loop, values, w = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"), known_values("fsm"), 7.0
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
-    plant = system.data_at(values)
+    plant = system.at(values)
     n = plant.A.shape[0]
     one = sample(plant, no_tones(), 1).step
     z = np.exp(1j * w * 1e-3)
@@ -123,7 +123,7 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, parameters
     assert found.gamma > gamma - 5e-4
     assert abs(found.omega / omega - 1.0) < 5e-3
     assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in parameter_box(parameters).items())
-    plant = system.data_at(found.parameters)
+    plant = system.at(found.parameters)
     exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     _, relative = weighted_gains(exact, plant, parameters, np.array([found.omega]))
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
@@ -136,7 +136,7 @@ def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> 
     assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
         1.0
     )
-    plant = system.data_at(found.parameters)
+    plant = system.at(found.parameters)
     exact = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
     caused = response @ (weight_amplitudes(parameters, np.array([0.8]))[0] * found.disturbance)

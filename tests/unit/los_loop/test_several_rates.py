@@ -57,7 +57,7 @@ def test_a_change_is_made_to_all_matrices(loop: SampledLoop) -> None:
 @pytest.mark.parametrize("frame_ticks", [20, 100, 250])
 def test_slow_modes_of_a_long_period_are_those_of_its_parts(frame_ticks: int) -> None:
     """Loops open: modes of telescope and controllers, also where others are alike over a period."""
-    plant = control_loop_plant(telescope(), load_parameters()).data_at({})
+    plant = control_loop_plant(telescope(), load_parameters()).at({})
     pair = load_designs("implemented")
     loop = sampled_loop(plant, *pair, loop="isolator", frame_ticks=frame_ticks, los_sensitivity=0.1)
     poles = np.concatenate([linalg.eigvals(plant.A), *(np.log(linalg.eigvals(K.A)) / DT for K in pair)])

@@ -50,7 +50,7 @@ def depth(evaluator: MemberEvaluator) -> ModelDepth:
 def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvaluator, index: int) -> None:
     found = row(evaluator, index)
     assert found["status"] == "ok"
-    plant, parameters = evaluator.family.control_loop.data_at(point(index)), evaluator.family.parameters
+    plant, parameters = evaluator.family.control_loop.at(point(index)), evaluator.family.parameters
     pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
     exact = sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS)
     pairs = (
@@ -101,7 +101,7 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
         changed = MemberEvaluator.of(replace(BASE, loop="fsm", k_fsm=str(tmp_path / f"{factor}.json")))
         found = row(changed, 0)
         pair = changed.controllers["k_fsm"], changed.controllers["k_pma"]
-        plant = changed.family.control_loop.data_at(point(0))
+        plant = changed.family.control_loop.at(point(0))
         radius = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS).spectral_radius()
         model = changed._model.model
         T = model.at(model.W(point(0)), np.arange(model.omega.size))

@@ -138,11 +138,11 @@ OBJECTS: dict[str, tuple[Callable[[], Any], list[str]]] = {
         ["input port must be", "got 'wheel_imbalanse'", "wheel_imbalance"],
     ),
     "value beyond its range": (
-        lambda: telescope().system.data_at({"wheel_2.speed": 2000.0}),
+        lambda: telescope().system.at({"wheel_2.speed": 2000.0}),
         ["'wheel_2.speed'", "[-1047.2, 1047.2] rad/s", "2000"],
     ),
     "unknown parameter": (
-        lambda: telescope().system.data_at({"wheel_5.speed": 1.0}),
+        lambda: telescope().system.at({"wheel_5.speed": 1.0}),
         ["'wheel_5.speed'", "wheel_1.speed"],
     ),
 }

@@ -86,7 +86,7 @@ def test_all_twelve_channels_invert_one_by_one() -> None:
 
 
 def _frequencies(system, count: int) -> np.ndarray:
-    poles = linalg.eigvals(system.data_at({}).A)
+    poles = linalg.eigvals(system.at({}).A)
     return np.sort(np.abs(poles.imag[poles.imag > 1e-3]))[:count]
 
 

@@ -42,7 +42,7 @@ def test_closed_forms_at_the_ends() -> None:
 
 def test_the_bands_divide_the_power_at_their_edge() -> None:
     """Butterworth: the squares of both add up to one at every frequency, and are equal at the edge."""
-    slow, fast = (band_weight(band).data_at({}).to_control() for band in ("slow", "fast"))
+    slow, fast = (band_weight(band).at({}).to_control() for band in ("slow", "fast"))
     for omega in (3.0, 60.0, BAND_EDGE, 145.0, 700.0):
         pair = np.array([slow(1j * omega)[0, 0], fast(1j * omega)[0, 0]])
         assert np.sum(np.abs(pair) ** 2) == pytest.approx(1.0, rel=1e-12)

@@ -44,9 +44,9 @@ def error(trial, exact, rows, columns):
 
 @pytest.mark.parametrize("omega", [0.3, 5.0, 20.0, 100.0])
 def test_held_commands_are_close_to_the_sampled_plant_and_one_delay_is_not(plant, omega) -> None:
-    exact = sampled_response(plant.data_at({}), omega)
-    held = frequency_response(held_commands(plant, HOLD_DELAY).data_at({}), [omega])[0]
-    one_delay = frequency_response(plant.data_at({}), [omega])[0] * np.exp(-1j * omega * HOLD_DELAY)
+    exact = sampled_response(plant.at({}), omega)
+    held = frequency_response(held_commands(plant, HOLD_DELAY).at({}), [omega])[0]
+    one_delay = frequency_response(plant.at({}), [omega])[0] * np.exp(-1j * omega * HOLD_DELAY)
     for columns in COLUMNS.values():
         assert error(held, exact, LOS, columns) < 1e-3
         assert error(held, exact, ACCELERATIONS, columns) < 0.11
@@ -59,7 +59,7 @@ def test_nothing_is_added_without_a_hold(plant) -> None:
 
 
 def test_a_held_frame_is_as_old_as_the_mean_of_its_ticks() -> None:
-    hold = sample_hold(Port("camera_los", 2, "rad"), 0.02).data_at({})
+    hold = sample_hold(Port("camera_los", 2, "rad"), 0.02).at({})
     for omega in (0.5, 5.0, 30.0):
         mean = np.mean(np.exp(-1j * omega * DT * np.arange(20)))
         phase = np.angle(frequency_response(hold, [omega])[0][0, 0])

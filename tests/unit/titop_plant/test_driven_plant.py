@@ -64,9 +64,7 @@ def test_it_is_the_simulation_of_the_continuous_plant_in_tenths_of_a_tick() -> N
     parameters = load_parameters()
     whole = with_sensors(simulation.telescope(None, True).system, parameters)
     names = (*COMMANDED, "wheel_imbalance", "sadm_torque", "external_wrench")
-    data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).data_at(
-        parameter_values(QUIET, parameters)
-    )
+    data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).at(parameter_values(QUIET, parameters))
     step = linalg.expm(data.A * DT / 10)
     n = data.A.shape[0]
     x = np.zeros(n)

@@ -101,14 +101,14 @@ def test_nominal(case: Case) -> None:
     model = case.second_order(case.nominal)
     resonances = np.sort(np.abs(eigvals(model.state_matrix())))[5::20]
     omega = np.sort(np.concatenate([spread(np.random.default_rng(0), 60), resonances]))
-    error, pair = worst(disagreement(case.telescope.system.data_at({}), model, omega))
+    error, pair = worst(disagreement(case.telescope.system.at({}), model, omega))
     assert error < TOLERANCE, pair
 
 
 def test_twenty_random_parameter_values(case: Case) -> None:
     rng = np.random.default_rng(1)
     for values in case.telescope.system.sample_values(rng, 20):
-        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 12))
+        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 12))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
@@ -124,7 +124,7 @@ def test_sixteen_corners(case: Case) -> None:
     chosen = [c for i, c in enumerate(corners(case)) if balanced(i)]
     assert len(chosen) == 16
     for values in chosen:
-        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 8))
+        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 8))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
@@ -140,7 +140,7 @@ def balanced(index: int) -> bool:
 def test_all_corners(case: Case) -> None:
     rng = np.random.default_rng(3)
     for values in corners(case):
-        errors = disagreement(case.telescope.system.data_at(values), case.second_order(values), spread(rng, 12))
+        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 12))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
@@ -152,7 +152,7 @@ def test_without_isolator(case: Case) -> None:
     assert system.order == case.telescope.system.order - 12
     values = system.sample_values(rng)[0]
     model = oracle.assemble(case.parameters, *case.telescope.bodies, values, isolated=False, control_inertia=inertia)
-    error, pair = worst(disagreement(system.data_at(values), model, spread(rng, 30)))
+    error, pair = worst(disagreement(system.at(values), model, spread(rng, 30)))
     assert error < TOLERANCE, pair
 
 
@@ -162,8 +162,8 @@ def test_without_attitude_control(case: Case) -> None:
     system = build_telescope(case.parameters, attitude_controlled=False).system
     values = system.sample_values(rng)[0]
     model = case.second_order(values, controlled=False)
-    slow = disagreement(system.data_at(values), model, spread(rng, 20, high=100.0), internal=False)
-    fast = disagreement(system.data_at(values), model, spread(rng, 20, low=100.0), internal=False)
+    slow = disagreement(system.at(values), model, spread(rng, 20, high=100.0), internal=False)
+    fast = disagreement(system.at(values), model, spread(rng, 20, low=100.0), internal=False)
     error, pair = worst({pair: e for pair, e in slow.items() if pair[1] not in INTERNAL})
     assert error < TOLERANCE, pair
     error, pair = worst(fast)
@@ -172,7 +172,7 @@ def test_without_attitude_control(case: Case) -> None:
 
 def test_natural_frequencies_and_order(case: Case) -> None:
     for values in (case.nominal, case.telescope.system.sample_values(np.random.default_rng(7))[0]):
-        ours = eigvals(case.telescope.system.data_at(values).A)
+        ours = eigvals(case.telescope.system.at(values).A)
         theirs = eigvals(case.second_order(values).state_matrix())
         assert ours.size == theirs.size == 204
         distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(theirs)

@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg
 from scipy.integrate import solve_ivp
 
-from lftkit import Port, StateSpace
+from lftkit import Port, System
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant, sample
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones
@@ -67,8 +67,8 @@ def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> No
     assert isinstance(plant, RampedPlant)
     profile, tones = motion(crossing, family.parameters), plant._moving
 
-    def system(time: float) -> tuple[StateSpace, np.ndarray]:
-        data = family.control_loop.data_at(values_along(crossing, profile, time))
+    def system(time: float) -> tuple[System, np.ndarray]:
+        data = family.control_loop.at(values_along(crossing, profile, time))
         return data, (tones.unit.amplitude @ tones.phasors(time)).imag
 
     def slope(time: float, state: np.ndarray) -> np.ndarray:
@@ -84,13 +84,13 @@ def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> No
     assert np.abs(line_of_sight(plant, 500) - expected).max() < 5e-3 * np.abs(expected).max()
 
 
-def gyroscope(speed: float, stiffness: float) -> StateSpace:
+def gyroscope(speed: float, stiffness: float) -> System:
     """Two coupled oscillators with a gyroscopic term; the state is (x, y, x', y'), the energy its weighted norm."""
     A = np.zeros((4, 4))
     A[:2, 2:] = np.eye(2)
     A[2:, :2] = -np.diag([300.0**2, stiffness])
     A[2:, 2:] = 0.05 * speed * np.array([[0.0, 1.0], [-1.0, 0.0]])
-    return StateSpace(
+    return System(
         A,
         np.zeros((4, 30)),
         np.vstack([np.eye(4), np.zeros((20, 4))]),
@@ -150,7 +150,7 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     family = PlantFamily.of(ramp)
     plant = family.build(ramp)
     tones = MovingTones(motion(ramp, family.parameters), plant._moving.unit).start()
-    data = family.control_loop.data_at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
+    data = family.control_loop.at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
     constant = SampledPlant(
         [sample(data, tones, 1)], plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
     )
@@ -207,7 +207,7 @@ def test_modes_of_the_report_are_those_of_the_telescope() -> None:
     plant = build_plant(ramp)
     assert isinstance(plant, RampedPlant)
     family = PlantFamily.of(ramp)
-    poles = linalg.eigvals(family.control_loop.data_at(parameter_values(ramp, family.parameters)).A)
+    poles = linalg.eigvals(family.control_loop.at(parameter_values(ramp, family.parameters)).A)
     near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
     assert near_400 and all(np.abs(poles.imag - w).min() < 0.1 for w in near_400)
     assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
@@ -222,7 +222,7 @@ def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
     assert isinstance(plant, RampedPlant)
     for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
         values = values_along(ramp, motion(ramp, family.parameters), row[0])
-        poles = linalg.eigvals(family.control_loop.data_at(values).A)
+        poles = linalg.eigvals(family.control_loop.at(values).A)
         light = np.sort(poles.imag[(poles.imag > 0.0) & (-poles.real < 0.1 * np.abs(poles)) & (poles.imag < 2500.0)])
         found = np.array([w for w in row[1:] if w < 2500.0])
         np.testing.assert_allclose(found[:40], light[:40], rtol=1e-4)

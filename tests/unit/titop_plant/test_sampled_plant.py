@@ -37,7 +37,7 @@ def plant_data(config: PlantConfig):
     parameters = load_parameters()
     whole = with_sensors(telescope().system, parameters)
     part = whole.select(inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
-    return part.data_at(parameter_values(config, parameters))
+    return part.at(parameter_values(config, parameters))
 
 
 def test_commands_are_held_step_equals_dlsim() -> None:
@@ -185,7 +185,7 @@ def test_energy_of_the_undamped_telescope_is_conserved() -> None:
     parameters["isolator"]["damping"] = [0.0] * 6
     parameters["solar_array"]["further_modes"] = list(parameters["solar_array"]["further_modes"])
     free = build_telescope(parameters, attitude_controlled=False).system
-    data = free.select(inputs=(*COMMANDED, *DISTURBANCES)).data_at({})
+    data = free.select(inputs=(*COMMANDED, *DISTURBANCES)).at({})
     poles = linalg.eigvals(data.A)
     moving = np.abs(poles) > 0.1
     assert np.max(np.abs(poles[moving].real) / np.abs(poles[moving])) < 1e-9

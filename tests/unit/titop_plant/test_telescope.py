@@ -79,7 +79,7 @@ def test_the_realisation_is_minimal(system) -> None:
 def test_stable_and_no_slow_pole_at_any_parameter_value(system, parameters) -> None:
     draws = system.sample_values(np.random.default_rng(0), 20)
     for values in [{}, *corners(parameters), *draws]:
-        poles = linalg.eigvals(system.data_at(values).A)
+        poles = linalg.eigvals(system.at(values).A)
         assert poles.real.max() < 0.0, values
         assert np.abs(poles).min() > 1e-3, values
 
@@ -94,8 +94,8 @@ def test_lft_sampled_equals_the_telescope_rebuilt(system, parameters) -> None:
     values = {"wheel_2.speed": 700.0, "solar_array.tau": 0.6}
     omega = np.geomspace(1e-2, 3e3, 25)
     both = {**values, "solar_array.omega_1": w1, "solar_array.omega_2": w2}
-    one = frequency_response(system["los", "wheel_imbalance"].data_at(both), omega, tolerance=1e-11)
-    two = frequency_response(rebuilt["los", "wheel_imbalance"].data_at(values), omega, tolerance=1e-11)
+    one = frequency_response(system["los", "wheel_imbalance"].at(both), omega, tolerance=1e-11)
+    two = frequency_response(rebuilt["los", "wheel_imbalance"].at(values), omega, tolerance=1e-11)
     size = np.sqrt(np.sum(np.abs(two) ** 2, axis=(1, 2)))
     assert np.max(np.sqrt(np.sum(np.abs(one - two) ** 2, axis=(1, 2))) / size) < 1e-9
 
@@ -128,7 +128,7 @@ def test_optics_with_impossible_data_are_an_error() -> None:
 
 
 def test_a_commanded_mirror_moves_the_line_of_sight_by_a_tenth(system) -> None:
-    slow = frequency_response(system["los_controlled", "fsm_command"].data_at({}), [0.01])[0]
+    slow = frequency_response(system["los_controlled", "fsm_command"].at({}), [0.01])[0]
     np.testing.assert_allclose(slow, 0.1 * np.eye(2), atol=1e-6)
 
 
@@ -148,12 +148,12 @@ def weighted(system, parameters, values, omega, inputs=("wheel_imbalance", "sadm
     amplitudes = weight_amplitudes(parameters, omega)
     columns = {"wheel_imbalance": slice(0, 20), "sadm_torque": slice(20, 22)}
     size = np.hstack([amplitudes[:, columns[name]] for name in inputs])
-    response = frequency_response(system[("los_controlled",), tuple(inputs)].data_at(values), omega)
+    response = frequency_response(system[("los_controlled",), tuple(inputs)].at(values), omega)
     return largest_gains(response * size[:, None, :]) / ARCSEC
 
 
 def grid(system, values, low: float, high: float) -> np.ndarray:
-    return frequency_grid(linalg.eigvals(system.data_at(values).A), low, high)
+    return frequency_grid(linalg.eigvals(system.at(values).A), low, high)
 
 
 def test_calibration_1_isolator_alone_nearly_uses_the_mirrors_authority(system, parameters) -> None:
@@ -200,14 +200,14 @@ def test_calibration_3_wheels_against_array_drives(system, parameters) -> None:
 def test_calibration_5_arrays_and_wheels_move_modes(system, parameters) -> None:
     def resonance(values, low, high):
         omega = np.linspace(low, high, 600)
-        response = frequency_response(system["los", "wheel_imbalance"].data_at(values), omega)
+        response = frequency_response(system["los", "wheel_imbalance"].at(values), omega)
         return omega[np.abs(response[:, 0]).max(axis=1).argmax()]
 
     turned = [resonance({"solar_array.tau": t}, 0.5, 3.5) for t in (0.0, np.tan(np.pi / 8))]
     assert abs(turned[1] / turned[0] - 1.0) > 0.02
     at_rest, spun = ({f"wheel_{i}.speed": s for i in range(1, 5)} for s in (0.0, 1000.0))
     omega = np.geomspace(1e-2, 0.3, 50)
-    slow = [frequency_response(system["los", "wheel_imbalance"].data_at(v), omega) for v in (at_rest, spun)]
+    slow = [frequency_response(system["los", "wheel_imbalance"].at(v), omega) for v in (at_rest, spun)]
     change = np.abs(slow[1] - slow[0]).max(axis=(1, 2)) / np.abs(slow[0]).max(axis=(1, 2))
     assert change.max() > 0.02
 

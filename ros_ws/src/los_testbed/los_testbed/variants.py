@@ -122,7 +122,7 @@ def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
     """Settings of a random member of the family: uniform in the ranges, the same for the same seed.
 
     It is the member that ``system.sample_values(numpy.random.default_rng(seed))`` of the telescope's
-    :class:`~lftkit.UncertainSystem` draws first.
+    :class:`~lftkit.System` draws first.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 from oracles.accurate_response import extended_response
 
-from lftkit import Port, StateSpace, state_space
+from lftkit import Port, System, state_space
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
@@ -28,7 +28,7 @@ def oscillators(n: int, zeta: float, rng: np.random.Generator):
 @pytest.mark.parametrize("zeta", [1e-4, 1e-2, 0.5])
 def test_agrees_with_control_at_and_between_resonances(zeta: float) -> None:
     system = oscillators(20, zeta, np.random.default_rng(0))
-    data = system.data_at({})
+    data = system.at({})
     omega = frequency_grid(np.linalg.eigvals(data.A), 1e-2, 1e4, points=60)
     ours = frequency_response(data, omega)
     theirs = control.frequency_response(system.nominal(), omega).complex.transpose(2, 0, 1)
@@ -42,7 +42,7 @@ def test_a_jordan_block_falls_back_to_direct_solution() -> None:
     chain = state_space(A, [[0.0], [0.0], [1.0]], [[1.0, 0.0, 0.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
     omega = np.geomspace(0.01, 100.0, 30)
     expected = 1.0 / (1j * omega + 1.0) ** 3
-    np.testing.assert_allclose(frequency_response(chain.data_at({}), omega)[:, 0, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(frequency_response(chain.at({}), omega)[:, 0, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("modal", [True, False])
@@ -71,7 +71,7 @@ def test_a_torque_held_back_by_a_spring_keeps_its_digits() -> None:
     system = state_space(A, B, [[1.0, 0, 0, 0]], [[0.0]], [Port("t", 1)], [Port("a", 1)])
     omega = np.geomspace(1e-3, 1e-1, 20)
     exact = [np.linalg.solve(-(w**2) * inertia + 1j * w * damping + stiffness + ground, [-1.0, 1.0])[0] for w in omega]
-    ours = frequency_response(system.data_at({}), omega)[:, 0, 0]
+    ours = frequency_response(system.at({}), omega)[:, 0, 0]
     assert np.max(np.abs(ours - exact)) < 1e-6 * np.max(np.abs(exact))
 
 
@@ -93,7 +93,7 @@ def test_cancelling_modes_keep_their_digits() -> None:
     inner = np.zeros((2 * n, 2))
     inner[2 * n - 3 : 2 * n - 1, 0], inner[2 * n - 2 :, 1] = (1.0, -1.0), (1.0, -1.0)
     C = np.eye(2 * n)[:1]
-    system = StateSpace(A, inner, C, np.zeros((1, 2)), (Port("f", 1), Port("g", 1)), (Port("y", 1),))
+    system = System(A, inner, C, np.zeros((1, 2)), (Port("f", 1), Port("g", 1)), (Port("y", 1),))
     omega = np.geomspace(1e-3, 1e3, 25)
     truth = extended_response(*system.matrices, omega)
     assert FrequencyResponse.of(*system.matrices).modal
@@ -115,7 +115,7 @@ def test_real_poles_pairs_and_feedthrough_add_up() -> None:
 
 
 def test_many_ports_are_summed_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = oscillators(6, 1e-2, np.random.default_rng(5)).data_at({})
+    data = oscillators(6, 1e-2, np.random.default_rng(5)).at({})
     omega = np.geomspace(0.1, 1e3, 37)
     whole = FrequencyResponse.of(*data.matrices).at(omega)
     monkeypatch.setattr("lftkit.analysis.frequency_response.MAX_ENTRIES", 40)
@@ -155,7 +155,7 @@ def test_a_pole_on_the_axis_is_named(pole: float) -> None:
     A = np.array([[0.0, 1.0], [-(pole**2), 0.0]]) if pole else np.zeros((1, 1))
     n = len(A)
     B, C, D = np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1))
-    system = StateSpace(A, B, C, D, (Port("u", 1),), (Port("y", 1),))
+    system = System(A, B, C, D, (Port("u", 1),), (Port("y", 1),))
     message = rf"omega must not be the frequency of a pole on the imaginary axis, got {pole} rad/s"
     for call in (
         lambda: direct_response(A, B, C, D, pole),
@@ -181,7 +181,7 @@ def test_poles_of_a_double_integrator_are_named_too() -> None:
 @pytest.mark.parametrize("omega", [[[1.0]], [np.inf], [np.nan]])
 def test_frequencies_must_be_a_finite_vector(omega: list) -> None:
     with pytest.raises(ValueError, match="omega must be a vector of finite numbers"):
-        frequency_response(oscillators(2, 0.1, np.random.default_rng(0)).data_at({}), omega)
+        frequency_response(oscillators(2, 0.1, np.random.default_rng(0)).at({}), omega)
 
 
 def test_grid_lies_on_the_resonances() -> None:

@@ -5,44 +5,46 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, StateSpace, UncertainSystem, bode_band, pole_map, sigma_plot, state_space
+from lftkit import Port, RealParameter, System, bode_band, pole_map, sigma_plot, state_space
 from lftkit.analysis.frequency_response import frequency_response
 
 K = RealParameter("k", 2.0, 1.0, 3.0, "N/m")
 
 
 @pytest.fixture(scope="module")
-def mass() -> UncertainSystem:
+def mass() -> System:
     """A mass of 1 kg on a spring k with light damping, two forces."""
     A, B = [[0, 1], [-2, -0.02]], [[0, 0, 0], [1, 1, 1]]
     C, D = [[-1, 0], [1, 0]], [[0, 0, 0], [0, 0, 0]]
-    return UncertainSystem(A, B, C, D, (Port("force", 2, "N"),), (Port("x", 1, "m"),), ("k",), (K,))
+    return System(A, B, C, D, (Port("force", 2, "N"),), (Port("x", 1, "m"),), channels=("k",), elements=(K,))
 
 
-def test_the_summary_names_everything(mass: UncertainSystem) -> None:
-    assert repr(mass) == "UncertainSystem(order 2, 2 inputs, 1 output, parameters k (1))"
+def test_the_summary_names_everything(mass: System) -> None:
+    assert repr(mass) == (
+        "System 'system': order 2, continuous time\n  2 inputs: force (2)\n  1 output: x (1)\n  Delta 1 x 1: k (1)"
+    )
     assert mass.summary().splitlines() == [
-        "order 2",
+        "system: order 2, continuous time",
         "2 inputs:",
         "  force  2  N",
         "1 output:",
         "  x  1  m",
-        "1 parameter, 1 occurrence in Delta:",
-        "  k  2  1 .. 3  N/m  1",
+        "1 element, 1 occurrence in Delta:",
+        "  k  real, 2 in [1, 3] N/m  1",
     ]
     page = mass._repr_html_()
-    for part in ("order 2", "<td>force</td>", "<td>1 .. 3</td>", "<summary>2 inputs</summary>"):
+    for part in ("order 2", "<td>force</td>", "<td>real, 2 in [1, 3] N/m</td>", "<summary>2 inputs</summary>"):
         assert part in page
 
 
 def test_a_certain_system_and_names_that_are_markup() -> None:
     system = state_space([[-1]], [[1]], [[1]], [[0]], [Port("a<b", 1)], [Port("y", 1)])
-    assert repr(system) == "UncertainSystem(order 1, 1 input, 1 output, certain)"
+    assert repr(system).splitlines()[1:] == ["  1 input: a<b (1)", "  1 output: y (1)"]
     assert system.summary().endswith("certain")
     assert "a&lt;b" in system._repr_html_()
 
 
-def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass: UncertainSystem) -> None:
+def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass: System) -> None:
     w = np.geomspace(0.3, 5.0, 60)
     values = [{"k": k} for k in (1.0, 1.7, 3.0)]
     upper, lower = bode_band(mass, values, output="x", input=("force", 1), omega=w).axes
@@ -56,39 +58,39 @@ def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass:
     np.testing.assert_allclose(np.asarray(lower.lines[0].get_ydata())[[0, -1]], [0.0, -180.0], atol=1.0)
 
 
-def test_the_default_grid_meets_the_resonances_of_the_members(mass: UncertainSystem) -> None:
+def test_the_default_grid_meets_the_resonances_of_the_members(mass: System) -> None:
     figure = bode_band(mass, [{"k": 1.0}], output="x", input="force")
     corners = figure.axes[0].collections[0].get_paths()[0].vertices
     assert corners[:, 1].max() == pytest.approx(1 / (0.02 * 1.0), rel=1e-3)  # peak of the soft member at 1 rad/s
 
 
-def test_the_same_seed_draws_the_same_members(mass: UncertainSystem) -> None:
+def test_the_same_seed_draws_the_same_members(mass: System) -> None:
     once, again = (pole_map(mass, 5, seed=3).axes[0].collections[1].get_offsets() for _ in range(2))
     np.testing.assert_array_equal(once, again)
     assert len(once) == 10
     assert not np.array_equal(once, pole_map(mass, 5, seed=4).axes[0].collections[1].get_offsets())
 
 
-def test_singular_values_are_those_of_the_response(mass: UncertainSystem) -> None:
+def test_singular_values_are_those_of_the_response(mass: System) -> None:
     w = np.array([0.5, 1.4, 4.0])
     axes = sigma_plot(mass, [{"k": 1.0}], omega=w).axes[0]
-    expected = np.linalg.norm(frequency_response(mass.data_at({}), w)[:, 0, :], axis=1)
+    expected = np.linalg.norm(frequency_response(mass.at({}), w)[:, 0, :], axis=1)
     np.testing.assert_allclose(axes.lines[0].get_ydata(), expected, rtol=1e-12)
 
 
-def test_poles_are_those_of_the_members(mass: UncertainSystem) -> None:
+def test_poles_are_those_of_the_members(mass: System) -> None:
     nominal, members = pole_map(mass, [{"k": 3.0}]).axes[0].collections
     np.testing.assert_allclose(np.abs(nominal.get_offsets() @ [1, 1j]), np.sqrt(2.0))
     np.testing.assert_allclose(np.abs(members.get_offsets() @ [1, 1j]), np.sqrt(3.0))
 
 
-def test_mistakes_are_errors_of_one_line(mass: UncertainSystem) -> None:
-    certain = StateSpace.static(np.eye(1), [("u", 1)], [("y", 1)])
+def test_mistakes_are_errors_of_one_line(mass: System) -> None:
+    certain = System.static(np.eye(1), [("u", 1)], [("y", 1)])
     with pytest.raises(ValueError, match=r"output port must be one of x, got 'y'"):
         bode_band(mass, output="y", input="force")
     with pytest.raises(ValueError, match=r"index of input port force must be from 0 to 1, got 2"):
         bode_band(mass, output="x", input=("force", 2))
-    with pytest.raises(ValueError, match=r"samples must be 0 for a StateSpace"):
+    with pytest.raises(ValueError, match=r"samples must be 0 for a system without uncertain elements"):
         sigma_plot(certain, 5)
     with pytest.raises(ValueError, match=r"samples must be 0 or more, got -1"):
         pole_map(mass, -1)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, System
 from lftkit.proofs.sampled_loop import box_of, loop_model
 from lftkit.proofs.sampled_loop.branching import Branching
 
 SLOW, FAST, ZETA = 1.0, 10.0, 0.05
 
 
-def two_oscillators() -> UncertainSystem:
+def two_oscillators() -> System:
     """Sum of the velocities of two oscillators a decade apart, each with an uncertain stiffness."""
     A, B, C = np.zeros((4, 4)), np.zeros((4, 3)), np.zeros((3, 4))
     parameters = []
@@ -23,7 +23,7 @@ def two_oscillators() -> UncertainSystem:
         C[i, position], C[2, velocity] = 1.0, 1.0
         parameters.append(RealParameter(f"k{i}", omega**2, 0.8 * omega**2, 1.3 * omega**2))
     ports = (Port("force", 1),), (Port("velocity", 1),)
-    return UncertainSystem(A, B, C, np.zeros((3, 3)), *ports, ("k0", "k1"), tuple(parameters))
+    return System(A, B, C, np.zeros((3, 3)), *ports, channels=("k0", "k1"), elements=tuple(parameters))
 
 
 @pytest.mark.parametrize(("omega", "axis"), [(0.95 * SLOW, 0), (0.95 * FAST, 1)])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, SampledSystem, UncertainSystem
+from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import (
     LoopModel,
@@ -31,12 +31,12 @@ NYQUIST = math.pi / DT
 ZETA = 0.05
 
 
-def oscillator(low: float = 0.8, high: float = 1.3) -> UncertainSystem:
+def oscillator(low: float = 0.8, high: float = 1.3) -> System:
     """Unit mass on a spring of uncertain stiffness k, damping 2 zeta; position by force, worst at the least k."""
     k = RealParameter("k", 1.0, low, high)
     A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0], [-1.0, 1.0]]
     C = [[1.0, 0.0], [1.0, 0.0]]
-    return UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("k",), (k,))
+    return System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("k",), elements=(k,))
 
 
 def peak(k: float) -> float:
@@ -44,18 +44,18 @@ def peak(k: float) -> float:
     return 1.0 / (2.0 * ZETA * math.sqrt(k - ZETA**2))
 
 
-def held_loop() -> tuple[UncertainSystem, SampledSystem]:
+def held_loop() -> tuple[System, SampledSystem]:
     """The oscillator with a force command and a measured velocity, under a sampled velocity feedback with a lag."""
     k = RealParameter("k", 1.0, 0.8, 1.3)
     A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
     C, D = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
     inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
-    plant = UncertainSystem(A, B, C, D, inputs, outputs, ("k",), (k,))
+    plant = System(A, B, C, D, inputs, outputs, channels=("k",), elements=(k,))
     law = SampledSystem([[0.8]], [[0.2]], [[-0.3]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
     return plant, law
 
 
-def proof_of(system: UncertainSystem, level: float) -> LoopProof:
+def proof_of(system: System, level: float) -> LoopProof:
     model = loop_model(system, DT)
     bounds = prove_level(model, box_of(system), (0.0, NYQUIST), level)
     assert not bounds.uncovered
@@ -116,7 +116,7 @@ def test_the_model_has_the_sampled_response_of_the_nominal_loop() -> None:
     model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
     _, errors = model.at(omega)
     n = 2
-    data = plant.data_at({})
+    data = plant.at({})
     # one tick of state, held command and the force's two states exp(j w t)
     whole = np.zeros((n + 3, n + 3))
     whole[:n, :n], whole[:n, n], whole[:n, n + 1] = data.A, data.B[:, 1], data.B[:, 0]
@@ -175,16 +175,16 @@ def test_an_unstable_member_is_never_covered() -> None:
     """Negative damping beyond d = 0: a pole crosses the axis inside the box."""
     d = RealParameter("d", 0.1, -0.02, 0.2)
     A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
-    system = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("d",), (d,))
+    system = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("d",), elements=(d,))
     bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3)
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
-def loop_eigenvalues(plant: UncertainSystem, law: SampledSystem) -> ComplexArray:
+def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
     """Of the nominal loop from tick to tick: plant, held command, law."""
     from scipy.linalg import expm
 
-    data = plant.data_at({})
+    data = plant.at({})
     n, k = len(data.A), law.order
     step = np.zeros((n + 1, n + 1))
     step[:n, :n], step[:n, n] = data.A, data.B[:, 1]

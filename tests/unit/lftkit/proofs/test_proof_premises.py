@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, SampledSystem, UncertainSystem
+from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, bounds, check_loop_proof, loop_model, premises, prove_level
 from lftkit.proofs.sampled_loop.above import beyond, channels, commands_bound, windows_above
 from lftkit.proofs.sampled_loop.checker import stable_below
@@ -29,7 +29,7 @@ def damped(frequency: float, damping: float = 0.1, feedthrough: float = 0.0) -> 
     C, D = [[0.0, 1.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
     D[0, 0] = feedthrough
     inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
-    plant = UncertainSystem(A, B, C, D, inputs, outputs, ("d",), (d,))
+    plant = System(A, B, C, D, inputs, outputs, channels=("d",), elements=(d,))
     law = SampledSystem([[0.8]], [[0.2]], [[-0.003]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
     return loop_model(plant, DT, law, commands=["u"], measurements=["v"])
 
@@ -152,8 +152,15 @@ def test_the_channels_above_are_enclosed() -> None:
 
 def test_a_proof_is_checked_as_it_is_returned() -> None:
     d = RealParameter("d", 1.0, 0.8, 1.2)
-    system = UncertainSystem(
-        [[-1.0]], [[-1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), (Port("f", 1),), (Port("x", 1),), ("d",), (d,)
+    system = System(
+        [[-1.0]],
+        [[-1.0, 1.0]],
+        [[1.0], [1.0]],
+        np.zeros((2, 2)),
+        (Port("f", 1),),
+        (Port("x", 1),),
+        channels=("d",),
+        elements=(d,),
     )
     found = worst_case_gain(system).proof
     assert found is not None and check_proof(found) == check_proof(found.content)

@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import transport_aircraft
 
-from lftkit import RealParameter, UncertainSystem
+from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
 from lftkit.proofs.state_space.search import ray_factor, smallest_unstable_factor
@@ -17,7 +17,7 @@ from lftkit.proofs.state_space.search import ray_factor, smallest_unstable_facto
 PARAMETERS = 7
 
 
-def random_system(seed: int) -> UncertainSystem:
+def random_system(seed: int) -> System:
     """Six states, seven parameters of which two occur twice, and a feedthrough; intervals of unequal sides."""
     rng = np.random.default_rng(seed)
     names = tuple(f"p{i}" for i in range(PARAMETERS))
@@ -26,10 +26,10 @@ def random_system(seed: int) -> UncertainSystem:
     A -= (linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
     B, C = 0.3 * rng.normal(size=(6, 9)), 0.3 * rng.normal(size=(9, 6))
     parameters = tuple(RealParameter(n, 0.0, -rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0)) for n in names)
-    return UncertainSystem(A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels, parameters).sorted_channels()
+    return System(A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels, parameters).sorted_channels()
 
 
-def ends_of(system: UncertainSystem) -> FloatArray:
+def ends_of(system: System) -> FloatArray:
     return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters])
 
 

@@ -8,7 +8,8 @@ import control
 import numpy as np
 import pytest
 
-from lftkit import Port, SampledSystem, StateSpace, UncertainSystem, from_control, state_space, static_gain
+from lftkit import Port, SampledSystem, System, from_control, state_space, static_gain
+from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.signal_labels import order_for_ports, ports_of_labels
 
 LABELS = ("w[0]", "w[1]", "w[2]", "v", "q[0]", "q[1]")
@@ -23,7 +24,7 @@ def system(inputs: tuple[str, ...], outputs: tuple[str, ...], dt: float | bool |
     return control.ss(pole, b[None], 10 * c[:, None], c[:, None] + 100 * b, dt, inputs=inputs, outputs=outputs)
 
 
-def check(made: StateSpace | SampledSystem | UncertainSystem) -> None:
+def check(made: System | SampledSystem | System) -> None:
     """Each signal of each port has the column and row of its label."""
     b = [COLUMN[label] for port in made.inputs for label in port.signals]
     c = np.array([COLUMN[label] for port in made.outputs for label in port.signals])
@@ -35,7 +36,7 @@ def check(made: StateSpace | SampledSystem | UncertainSystem) -> None:
 
 @pytest.mark.parametrize("labels", ORDERS[:25])
 def test_labels_in_any_order_reach_their_ports(labels: tuple[str, ...]) -> None:
-    check(StateSpace.from_control(system(labels, labels[::-1])))
+    check(System.from_control(system(labels, labels[::-1])))
     check(from_control(system(labels, labels[::-1])))
     sampled = SampledSystem.from_control(system(labels, labels[::-1], 0.25))
     check(sampled)
@@ -79,19 +80,25 @@ def test_doubtful_labels_are_refused(labels: list[str], message: str) -> None:
         ports_of_labels(labels)
     assert "\n" not in str(caught.value)
     plant = control.ss([[-1.0]], np.ones((1, len(labels))), [[1.0]], np.zeros((1, len(labels))), inputs=labels)
-    for convert in (StateSpace.from_control, from_control):
+    for convert in (System.from_control, from_control):
         with pytest.raises(ValueError, match="input labels"):
             convert(plant)
 
 
-@pytest.mark.parametrize("dt", [0.1, 1.0, True])
-def test_a_discrete_system_is_no_continuous_one(dt: float | bool) -> None:
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_the_period_stays(dt: float) -> None:
     """The stable pole 0.5 of the discrete system would be an unstable one of the continuous system."""
     plant = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt)
-    for convert in (StateSpace.from_control, from_control):
-        with pytest.raises(ValueError, match=f"system must be in continuous time, got sampling period {dt}") as caught:
-            convert(plant)
-        assert "\n" not in str(caught.value)
+    for convert in (System.from_control, from_control):
+        made = convert(plant)
+        assert made.dt == dt and made.poles().tolist() == [0.5] and made.to_control().dt == dt
+        with pytest.raises(ValueError, match=f"system must be in continuous time, got sampling period {dt} s"):
+            frequency_response(made, [1.0])
+
+
+def test_a_discrete_system_without_a_period_is_refused() -> None:
+    with pytest.raises(ValueError, match="must have a sampling period in seconds, got dt True"):
+        from_control(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True))
 
 
 @pytest.mark.parametrize("dt", [0, None, True])
@@ -101,21 +108,35 @@ def test_a_sampled_system_needs_its_period(dt: float | bool | None) -> None:
 
 
 def test_other_types_are_refused_by_name() -> None:
-    for convert in (StateSpace.from_control, SampledSystem.from_control, from_control):
-        with pytest.raises(ValueError, match=r"must be a control\.StateSpace, got TransferFunction"):
-            convert(control.tf([1], [1, 1]))
+    for convert in (System.from_control, SampledSystem.from_control, from_control):
+        with pytest.raises(
+            ValueError, match=r"control\.StateSpace or control\.TransferFunction, got FrequencyResponse"
+        ):
+            convert(control.frd([1.0, 2.0], [1.0, 2.0]))
+
+
+def test_transfer_matrices_keep_their_response_labels_and_period() -> None:
+    entries = [[[1.0, 3.0], [2.0]], [[1.0], [4.0, 0.0, 1.0]]]
+    under = [[[1.0, 2.0], [5.0]], [[1.0, 0.5, 0.25], [1.0, 1.0, 3.0]]]
+    for dt in (0, 0.5):
+        theirs = control.tf(entries, under, dt, inputs=["w[1]", "w[0]"], outputs=["y", "z"])
+        ours, point = from_control(theirs), 0.3 + 0.7j
+        assert ours.dt == dt and [(p.name, p.size) for p in ours.inputs] == [("w", 2)]
+        np.testing.assert_allclose(ours(point), theirs(point)[:, ::-1], rtol=1e-13)
+    with pytest.raises(ValueError, match="transfer function must be proper"):
+        from_control(control.tf([1, 0, 0], [1, 1]))
 
 
 def test_round_trips_are_exact() -> None:
     rng = np.random.default_rng(0)
     ports = (Port("w", 3), Port("v", 1)), (Port("y", 2), Port("z", 1))
     matrices = rng.normal(size=(4, 4)), rng.normal(size=(4, 4)), rng.normal(size=(3, 4)), rng.normal(size=(3, 4))
-    model, sampled = StateSpace(*matrices, *ports), SampledSystem(*matrices, *ports, 0.125, "k")
+    model, sampled = System(*matrices, *ports), SampledSystem(*matrices, *ports, 0.125, "k")
     uncertain = state_space(*matrices, *ports)
     for one, again in (
-        (model, StateSpace.from_control(model.to_control())),
+        (model, System.from_control(model.to_control())),
         (sampled, SampledSystem.from_control(sampled.to_control())),
-        (uncertain, from_control(uncertain.nominal())),
+        (uncertain, from_control(uncertain.to_control())),
     ):
         assert (one.inputs, one.outputs) == (again.inputs, again.outputs)
         assert all(np.array_equal(getattr(one, key), getattr(again, key)) for key in "ABCD")
@@ -125,13 +146,13 @@ def test_round_trips_are_exact() -> None:
 def test_a_continuous_model_stays_one_whatever_the_default_of_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(control.config.defaults, "control.default_dt", 0.1)
     monkeypatch.setitem(control.config.defaults, "statesp.remove_useless_states", True)
-    model = StateSpace([[-1.0, 0.0], [0.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    model = System([[-1.0, 0.0], [0.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], [("u", 1)], [("y", 1)])
     assert model.to_control().dt == 0 and model.to_control().nstates == 2
-    assert static_gain([[2.0]], [Port("u", 1)], [Port("y", 1)]).nominal().dt is None
+    assert static_gain([[2.0]], [Port("u", 1)], [Port("y", 1)]).to_control().dt is None
 
 
 def test_a_port_with_the_name_of_a_signal_does_not_become_a_label() -> None:
-    model = StateSpace.static([[1.0, 2.0, 3.0]], [("w", 2), ("w[0]", 1)], [("y", 1)])
+    model = System.static([[1.0, 2.0, 3.0]], [("w", 2), ("w[0]", 1)], [("y", 1)])
     with pytest.raises(
         ValueError, match=r"input port must have a name without an index to become labels, got 'w\[0\]'"
     ):
@@ -142,7 +163,7 @@ def test_complex_matrices_are_refused() -> None:
     """Their imaginary part would be lost."""
     ports = [Port("u", 1)], [Port("y", 1)]
     for make in (
-        lambda: StateSpace([[-1 + 1j]], [[1]], [[1]], [[0]], *ports),
+        lambda: System([[-1 + 1j]], [[1]], [[1]], [[0]], *ports),
         lambda: state_space([[-1 + 1j]], [[1]], [[1]], [[0]], *ports),
         lambda: SampledSystem([[0.5j]], [[1]], [[1]], [[0]], *map(tuple, ports), 0.1),
         lambda: static_gain(np.array([[1j]]), *ports),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, UncertainSystem, connect, state_space, static_gain
+from lftkit import Port, RealParameter, System, connect, state_space, static_gain
 from lftkit.systems.minimal import minimal_realisation
 
 POINT = {"k": 1.1, "m": 0.3}
 
 
-def padded(system: UncertainSystem, rng: np.random.Generator, states: int, copies: int) -> UncertainSystem:
+def padded(system: System, rng: np.random.Generator, states: int, copies: int) -> System:
     """The same family with more states and occurrences, well mixed by similarity transformations."""
     n, q = system.order, len(system.channels)
     k_columns = [i for i, c in enumerate(system.channels) if c == "k"]
@@ -32,7 +32,7 @@ def padded(system: UncertainSystem, rng: np.random.Generator, states: int, copie
     M = rng.standard_normal((k.size, k.size)) + 3.0 * np.eye(k.size)
     B[:, k], D[:, k] = B[:, k] @ M, D[:, k] @ M
     C[k], D[k] = np.linalg.solve(M, C[k]), np.linalg.solve(M, D[k])
-    return UncertainSystem(A, B, C, D, system.inputs, system.outputs, channels, system.parameters)
+    return System(A, B, C, D, system.inputs, system.outputs, channels=channels, elements=system.parameters)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -73,8 +73,8 @@ def test_integrating_an_acceleration_twice_over_is_found() -> None:
 def test_a_parameter_that_acts_on_nothing_goes_away() -> None:
     k = RealParameter("k", 0.0, -1.0, 1.0)
     empty = np.zeros((0, 0))
-    idle = UncertainSystem(
-        empty, empty, empty, [[0.0, 1.0], [0.0, 2.0]], (Port("u", 1),), (Port("y", 1),), ("k",), (k,)
+    idle = System(
+        empty, empty, empty, [[0.0, 1.0], [0.0, 2.0]], (Port("u", 1),), (Port("y", 1),), channels=("k",), elements=(k,)
     )
     result = minimal_realisation(idle)
     assert result.system.occurrences() == {} and result.removed_occurrences == {"k": 1}

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, UncertainSystem, from_control, state_space, static_gain
+from lftkit import Port, RealParameter, System, from_control, state_space, static_gain
 
 
-def gain(k: RealParameter) -> UncertainSystem:
+def gain(k: RealParameter) -> System:
     """y = k u."""
     empty = np.zeros((0, 0))
     D = [[0.0, 1.0], [1.0, k.nominal]]
-    return UncertainSystem(empty, empty, empty, D, (Port("u", 1),), (Port("y", 1),), (k.name,), (k,))
+    return System(empty, empty, empty, D, (Port("u", 1),), (Port("y", 1),), channels=(k.name,), elements=(k,))
 
 
 def test_delta_zero_is_nominal_and_values_are_physical() -> None:
@@ -22,7 +22,7 @@ def test_delta_zero_is_nominal_and_values_are_physical() -> None:
 
 
 def test_nominal_result_is_a_control_system_with_signal_names(make) -> None:
-    nominal = make(np.random.default_rng(1)).nominal()
+    nominal = make(np.random.default_rng(1)).nominal().to_control()
     assert nominal.input_labels == ["u[0]", "u[1]", "w"]
     assert nominal.output_labels == ["y[0]", "y[1]", "z"]
     assert nominal.nstates == 4
@@ -50,7 +50,9 @@ def test_an_unknown_port_lists_those_there_are(make) -> None:
 def test_ill_posed_values_are_refused() -> None:
     k = RealParameter("k", 0.0, -1.0, 1.0)
     empty = np.zeros((0, 0))
-    system = UncertainSystem(empty, empty, empty, [[1, 1], [1, 0]], (Port("u", 1),), (Port("y", 1),), ("k",), (k,))
+    system = System(
+        empty, empty, empty, [[1, 1], [1, 0]], (Port("u", 1),), (Port("y", 1),), channels=("k",), elements=(k,)
+    )
     assert system.at({"k": 0.5}).D[0, 0] == pytest.approx(1.0)
     with pytest.raises(ValueError, match="must be well posed"):
         system.at({"k": 1.0})
@@ -74,7 +76,16 @@ def test_one_name_with_two_definitions_is_refused() -> None:
     k, other = RealParameter("k", 0.0, -1.0, 1.0), RealParameter("k", 0.0, -2.0, 1.0)
     empty = np.zeros((0, 0))
     with pytest.raises(ValueError, match="must have one definition, got two"):
-        UncertainSystem(empty, empty, empty, np.zeros((3, 3)), (Port("u", 1),), (Port("y", 1),), ("k", "k"), (k, other))
+        System(
+            empty,
+            empty,
+            empty,
+            np.zeros((3, 3)),
+            (Port("u", 1),),
+            (Port("y", 1),),
+            channels=("k", "k"),
+            elements=(k, other),
+        )
 
 
 def test_arrays_cannot_be_written(make) -> None:
@@ -115,7 +126,7 @@ def test_normalised_family_is_the_same_family(make) -> None:
 
 def test_round_trip_through_control() -> None:
     system = state_space([[-1.0]], [[1.0]], [[2.0]], [[0.5]], [Port("u", 1)], [Port("y", 1)])
-    again = from_control(system.nominal())
+    again = from_control(system.nominal().to_control())
     np.testing.assert_array_equal(again.A, system.A)
     assert [p.name for p in again.inputs] == ["u"]
 

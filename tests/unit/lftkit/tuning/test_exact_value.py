@@ -17,7 +17,7 @@ from lftkit.analysis.batched_linalg import (
 )
 from lftkit.analysis.norms import hinf_norm
 from lftkit.systems.filters import transfer
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.gains.exact_value import ExactValue
@@ -30,14 +30,14 @@ from lftkit.tuning.tuner import TuningOptions, tune
 U, Y = ("u", 2), ("y", 3)
 
 
-def plant(seed: int, through: float = 0.0) -> StateSpace:
+def plant(seed: int, through: float = 0.0) -> System:
     """Stable plant of five states; `through` scales the direct path from the command to the measurement."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((5, 5))
     A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(5)
     D = 0.1 * rng.standard_normal((5, 4))
     D[2:, 2:] *= through
-    return StateSpace(
+    return System(
         A, rng.standard_normal((5, 4)), rng.standard_normal((5, 5)), D, [("w", 2), U], [("z", 2), Y], f"plant {seed}"
     )
 

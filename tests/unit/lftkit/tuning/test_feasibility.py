@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.smooth_phase import Point, point_at, smooth_phase
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
@@ -15,11 +15,11 @@ from lftkit.tuning.tuner import TuningOptions, tune
 STATIC = gain([("y", 1)], [("u", 1)])
 
 
-def lag(pole: float) -> StateSpace:
+def lag(pole: float) -> System:
     """1 / (s - pole) with the disturbance at its input; outputs: state, command, measurement."""
     D = [[0, 0], [0, 1], [0, 0]]
     C = [[1.0], [0.0], [1.0]]
-    return StateSpace([[pole]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
+    return System([[pole]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
 
 
 def problem(effort: float) -> Problem:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.gain_moves import FURTHER, GAINS, descended, gain_moves, with_gain
 from lftkit.tuning.descent.smooth_phase import point_at
 from lftkit.tuning.problem import Problem
@@ -17,7 +17,7 @@ from lftkit.tuning.structures import Structure, controller, gain, pid, state_spa
 W = np.array([0.0, 0.3, 2.0, 50.0])
 
 
-def response(model: StateSpace) -> np.ndarray:
+def response(model: System) -> np.ndarray:
     A, B, C, D = model.matrices
     return np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + D for w in W])
 
@@ -50,7 +50,7 @@ def test_structures_with_fixed_entries_have_no_such_controller() -> None:
 
 def test_moves_are_stable_and_go_farther_along_the_last_displacement() -> None:
     """1 / (s + 1) with u = k y is stable for k < 1."""
-    plant = StateSpace([[-1]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System([[-1]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]))
     found = [float(x[0]) for x in gain_moves(problem, np.array([-2.0]), np.array([-1.5]))]
     assert found == pytest.approx([*(-2.0 * factor for factor in GAINS), *(-2.0 - 0.5 * t for t in FURTHER)])

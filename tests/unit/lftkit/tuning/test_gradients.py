@@ -7,7 +7,7 @@ import pytest
 
 from lftkit.systems.filters import transfer
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.decentralised import Decentralised
 from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import singular_slopes
@@ -20,7 +20,7 @@ from lftkit.tuning.structures import Structure, gain, gain_matrix_of, pid, state
 Y, U = (Port("y", 3),), (Port("u", 2),)
 
 
-def random_model(seed: int, n: int = 6) -> StateSpace:
+def random_model(seed: int, n: int = 6) -> System:
     """Stable plant with feedthrough everywhere except on the H2 channel."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
@@ -31,7 +31,7 @@ def random_model(seed: int, n: int = 6) -> StateSpace:
     D[4:, 3:] = 0.2 * rng.normal(size=(3, 2))
     ports_in = [("w", 2), ("n", 1), ("u", 2)]
     ports_out = [("z", 2), ("e", 2), ("y", 3)]
-    return StateSpace(A, rng.normal(size=(n, 5)), rng.normal(size=(7, n)), D, ports_in, ports_out, f"m{seed}")
+    return System(A, rng.normal(size=(n, 5)), rng.normal(size=(7, n)), D, ports_in, ports_out, f"m{seed}")
 
 
 REQUIREMENTS = [
@@ -49,7 +49,7 @@ def started(structure: Structure) -> np.ndarray:
     if n and hasattr(structure, "base"):
         K = structure.gain_matrix(x)
         K[:n, :n] -= 0.5 * np.eye(n)
-        x = structure.parameters_of(StateSpace(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], Y, U))
+        x = structure.parameters_of(System(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], Y, U))
     return x
 
 
@@ -104,7 +104,7 @@ def test_gradient_of_the_gain_at_a_fixed_frequency_equals_the_analytic_derivativ
     """T is analytic in K: u^H T v is differentiated along the imaginary direction."""
     model = random_model(2)
     plant = PlantResponses(model, ("y",), ("u",), (HinfGain("w", "z"),))
-    K = gain_matrix_of(StateSpace([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
+    K = gain_matrix_of(System([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
     omega = np.array([0.7])
     arrays = plant.arrays(omega)
     values, rows, columns = singular_slopes(plant, arrays, K, 2, 0)

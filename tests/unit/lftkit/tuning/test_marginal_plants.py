@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
@@ -13,7 +13,7 @@ from lftkit.tuning.structures import controller, gain, pid, state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 
-def masses(ground: float, measured: int = 2) -> StateSpace:
+def masses(ground: float, measured: int = 2) -> System:
     """Two unit masses, a spring of 1 N/m between them and one of stiffness `ground` to the ground; no damping at all.
 
     Force on the first, disturbance on the second, whose position counts; position and rate of the first are measured.
@@ -24,7 +24,7 @@ def masses(ground: float, measured: int = 2) -> StateSpace:
     C = np.array([[0.0, 1, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]])[: 2 + measured]
     D = np.zeros((2 + measured, 2))
     D[1, 1] = 1.0
-    return StateSpace(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", measured)], "two masses")
+    return System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", measured)], "two masses")
 
 
 def check_certified(result) -> None:
@@ -72,7 +72,7 @@ def test_embedded_controller_has_the_same_values(form: str) -> None:
     structure = state_space([("y", 2)], [("u", 1)], 2, form=form)
     lower = lower_order(structure)
     assert lower is not None and lower.order == 1 and lower.size == state_space([("y", 2)], [("u", 1)], 1).size
-    x = lower.parameters_of(StateSpace([[-2.0]], [[0.3, 0.1]], [[0.2]], [[-0.4, -0.9]], [("y", 2)], [("u", 1)]))
+    x = lower.parameters_of(System([[-2.0]], [[0.3, 0.1]], [[0.2]], [[-0.4, -0.9]], [("y", 2)], [("u", 1)]))
     needs = [HinfGain("w", "z")]
     before = Problem([plant], needs, lower).evaluate(x).values
     problem = Problem([plant], needs, structure)
@@ -93,14 +93,14 @@ def test_structures_without_a_lower_order() -> None:
 def test_direct_path_that_no_controller_changes_bounds_the_value() -> None:
     """z = x + 3 w: the gain at infinite frequency is 3 for every controller."""
     D = [[3.0, 0.0], [0.0, 0.0]]
-    plant = StateSpace([[-1.0]], [[1, 1]], [[1], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System([[-1.0]], [[1, 1]], [[1], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     result = tune([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1))
     assert result.soft == pytest.approx(3.0, rel=1e-3) and result.soft >= 3.0
 
 
 def test_the_ports_of_the_controller_may_be_those_of_a_requirement() -> None:
     """Gain from the command to the measurement with the loop closed: g / (1 - g k) with g = 1 / (s + 1)."""
-    plant = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    plant = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
     needs = [HinfGain("u", "y"), HinfGain("u", "y", bound=0.25, hard=True, name="bound")]
     result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=20))
     assert result.feasible and result.soft <= 0.25 * (1 + 1e-6)
@@ -109,7 +109,7 @@ def test_the_ports_of_the_controller_may_be_those_of_a_requirement() -> None:
 def test_decay_that_no_static_gain_reaches_is_infeasible() -> None:
     """Rate feedback moves both poles of an oscillator to at most -1 rad/s: a decay of 2 is never reached."""
     A, B = [[0.0, 1.0], [-1.0, 0.0]], [[0.0, 0.0], [1.0, 1.0]]
-    plant = StateSpace(A, B, [[1, 0], [0, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System(A, B, [[1, 0], [0, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     needs = [HinfGain("w", "z"), ClosedLoopPoles(min_decay=2.0)]
     result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=60))
     assert not result.feasible and result.status in ("infeasible", "stalled", "iterations")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.prox_linear import prox_linear
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.descent.smooth_phase import smooth_phase
@@ -14,9 +14,9 @@ from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.structures import gain, gain_sizes, state_space
 
 
-def lag() -> StateSpace:
+def lag() -> System:
     """1 / (s + 1) with a disturbance on its input, the command a second output."""
-    return StateSpace(
+    return System(
         [[-1]],
         [[1, 1]],
         [[1], [0], [1]],
@@ -38,7 +38,7 @@ def two_axes(delay: float) -> tuple[Problem, np.ndarray]:
     inputs, outputs = [("w", 2), ("u", 2)], [("z", 2), ("y", 2)]
     D = np.zeros((4, 4))
     D[:2, 2:] = 0.1 * np.eye(2)
-    model = StateSpace(A, rng.standard_normal((4, 4)), rng.standard_normal((4, 4)), D, inputs, outputs)
+    model = System(A, rng.standard_normal((4, 4)), rng.standard_normal((4, 4)), D, inputs, outputs)
     requirements = [
         HinfGain("w", "z", name="peak"),
         H2Gain("w", "z", bound=2.0, name="rms"),
@@ -46,7 +46,7 @@ def two_axes(delay: float) -> tuple[Problem, np.ndarray]:
         ClosedLoopPoles(min_decay=0.05),
     ]
     structure = state_space([("y", 2)], [("u", 2)], 1, feedthrough=False)
-    K = StateSpace([[-1.0]], [[0.2, 0.1]], [[0.3], [-0.2]], np.zeros((2, 2)), [("y", 2)], [("u", 2)])
+    K = System([[-1.0]], [[0.2, 0.1]], [[0.3], [-0.2]], np.zeros((2, 2)), [("y", 2)], [("u", 2)])
     return Problem([model], requirements, structure, loop_delay=delay), structure.parameters_of(K)
 
 

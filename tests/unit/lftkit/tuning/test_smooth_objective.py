@@ -7,7 +7,7 @@ import pytest
 
 from lftkit.analysis.frequency_response import direct_response
 from lftkit.systems.feedback import close_loop
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.metric import metric_of
 from lftkit.tuning.descent.quasi_newton import _updated, quasi_newton
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
@@ -18,10 +18,10 @@ from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.structures import controller, gain, state_space
 
 
-def oscillator(damping: float = 0.0) -> StateSpace:
+def oscillator(damping: float = 0.0) -> System:
     """Undamped mass on a spring: force and disturbance at the mass, position and rate measured."""
     A, B = [[0, 1], [-4, -damping]], [[0, 0], [1, 1]]
-    return StateSpace(A, B, [[1, 0], [1, 0], [0, 1]], np.zeros((3, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 2)])
+    return System(A, B, [[1, 0], [1, 0], [0, 1]], np.zeros((3, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 2)])
 
 
 def problem(delay: float = 0.0) -> tuple[Problem, np.ndarray]:
@@ -32,7 +32,7 @@ def problem(delay: float = 0.0) -> tuple[Problem, np.ndarray]:
         ClosedLoopPoles(min_decay=0.05),
     ]
     structure = state_space([("y", 2)], [("u", 1)], 1)
-    x = structure.parameters_of(StateSpace([[-1.0]], [[0.2, 0.1]], [[0.3]], [[-0.5, -0.4]], [("y", 2)], [("u", 1)]))
+    x = structure.parameters_of(System([[-1.0]], [[0.2, 0.1]], [[0.3]], [[-0.5, -0.4]], [("y", 2)], [("u", 1)]))
     return Problem([oscillator(), oscillator(0.1)], requirements, structure, loop_delay=delay), x
 
 
@@ -58,9 +58,7 @@ def test_power_norm_tends_to_the_largest_value() -> None:
 def test_unstable_point_is_infinite() -> None:
     p, x = problem()
     objective = SmoothObjective(p, x, p.evaluate(x))
-    unstable = p.structure.parameters_of(
-        StateSpace([[-1.0]], [[0.0, 0.0]], [[0.0]], [[0.0, 0.4]], [("y", 2)], [("u", 1)])
-    )
+    unstable = p.structure.parameters_of(System([[-1.0]], [[0.0, 0.0]], [[0.0]], [[0.0, 0.4]], [("y", 2)], [("u", 1)]))
     assert objective(unstable)[0] == np.inf and objective.value(unstable) == np.inf
 
 

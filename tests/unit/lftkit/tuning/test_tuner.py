@@ -9,7 +9,7 @@ import pytest
 
 from lftkit.systems.filters import transfer
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.certificate import certify
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
@@ -19,7 +19,7 @@ from lftkit.tuning.structures import gain, gain_matrix_of, state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 
-def masses(ground: float = 0.0, damping: float = 0.0) -> StateSpace:
+def masses(ground: float = 0.0, damping: float = 0.0) -> System:
     """Two equal masses with a spring of 1 N/m between them, held by a spring `ground`; force and position at the first.
 
     Without ground and damping the common mode is a double integrator and the other one undamped.
@@ -28,21 +28,21 @@ def masses(ground: float = 0.0, damping: float = 0.0) -> StateSpace:
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -damping * K]])
     B = np.array([[0.0, 0, 0, 1], [0, 0, 1, 0]]).T  # disturbance on the second mass, command on the first
     C = [[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]]
-    return StateSpace(A, B, C, np.zeros((3, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 2)], "two masses")
+    return System(A, B, C, np.zeros((3, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 2)], "two masses")
 
 
-def lag(pole: float = -1.0, name: str = "lag") -> StateSpace:
+def lag(pole: float = -1.0, name: str = "lag") -> System:
     """1 / (s - pole) with the disturbance at its input; effort is the command."""
     D = [[0, 0], [0, 1], [0, 0]]
-    return StateSpace(
+    return System(
         [[pole]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)], name
     )
 
 
-def integrators() -> StateSpace:
+def integrators() -> System:
     """1 / s^2: no static gain of the position stabilises it."""
     A, B = [[0, 1], [0, 0]], [[0, 0], [1, 1]]
-    return StateSpace(
+    return System(
         A, B, [[1, 0], [1, 0]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], "double integrator"
     )
 
@@ -71,7 +71,7 @@ def test_undamped_open_loop_gives_the_certified_norm(ground: float) -> None:
 def test_uncontrollable_undamped_mode_is_no_crash() -> None:
     """A mode on the axis that the command does not reach can never be stabilised."""
     A = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, -1]])
-    plant = StateSpace(
+    plant = System(
         A,
         [[0, 0], [1, 0], [1, 1]],
         [[1, 0, 1], [1, 0, 1]],
@@ -107,7 +107,7 @@ def test_many_models_share_one_controller() -> None:
 
 def test_h2_optimum_is_the_lqg_cost() -> None:
     """u = k y on 1 / (s + 1), z and effort to white noise: min (1 + k^2) / (2 (1 + k)), at k = sqrt(2) - 1."""
-    plant = StateSpace(
+    plant = System(
         [[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], "lqg"
     )
     result = tune([plant], [H2Gain("w", "z")], STATIC, options=QUICK)
@@ -132,7 +132,7 @@ def test_stabilises_what_a_dynamic_controller_can() -> None:
 def test_unstabilisable_plant() -> None:
     """An unstable pole that the command does not reach."""
     A, B = [[1, 0], [0, -1]], [[1, 0], [0, 1]]
-    plant = StateSpace(A, B, [[1, 1], [1, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System(A, B, [[1, 1], [1, 1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     result = tune([plant], [HinfGain("w", "z")], STATIC, options=TuningOptions(starts=2, iterations=30))
     assert result.status == "not_stabilised" and result.abscissa == pytest.approx(1.0, abs=1e-6)
 
@@ -257,7 +257,7 @@ def test_pole_requirements_hold_on_the_closed_loop() -> None:
 
 def test_delay_limits_the_gain() -> None:
     """k / s with a delay T: the smallest peak of the disturbance response 1 / (s + k e^{-sT}) needs a finite k."""
-    plant = StateSpace([[0]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System([[0]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     result = tune([plant], [HinfGain("w", "z")], STATIC, loop_delay=0.5, options=QUICK)
     k = -result.controller.D.item()
     w = np.geomspace(1e-3, 1e2, 200001)
@@ -269,7 +269,7 @@ def test_delay_limits_the_gain() -> None:
 
 
 def test_certificate_is_independent_and_sees_a_wrong_controller() -> None:
-    wrong = StateSpace.static([[3.0]], [("y", 1)], [("u", 1)])
+    wrong = System.static([[3.0]], [("y", 1)], [("u", 1)])
     found = certify([lag()], wrong, [HinfGain("w", "z")])
     assert not found.stable and found.values[0, 0] == np.inf
 
@@ -301,8 +301,8 @@ def test_mistakes_raise_one_line(arguments: dict, message: str | None) -> None:
 
 def test_nan_plant_and_h2_feedthrough_are_refused() -> None:
     with pytest.raises(ValueError, match="matrix A must be finite"):
-        StateSpace([[np.nan]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)], "broken")
-    noisy = StateSpace([[-1]], [[0, 1]], [[0], [1]], [[0, 1], [1, 0]], [("n", 1), ("u", 1)], [("effort", 1), ("y", 1)])
+        System([[np.nan]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)], "broken")
+    noisy = System([[-1]], [[0, 1]], [[0], [1]], [[0, 1], [1, 0]], [("n", 1), ("u", 1)], [("effort", 1), ("y", 1)])
     with pytest.raises(ValueError, match="direct feedthrough"):
         tune([noisy], [H2Gain("n", "effort")], STATIC)
     strictly = state_space([("y", 1)], [("u", 1)], 1, feedthrough=False)
@@ -326,6 +326,6 @@ def test_weights_are_folded_in() -> None:
 
 
 def test_gain_matrix_of_round_trips() -> None:
-    model = StateSpace([[-1, 2], [0, -3]], [[1], [2]], [[3, 4]], [[5]], [("y", 1)], [("u", 1)])
+    model = System([[-1, 2], [0, -3]], [[1], [2]], [[3, 4]], [[5]], [("y", 1)], [("u", 1)])
     structure = state_space([("y", 1)], [("u", 1)], 2)
     assert np.array_equal(structure.gain_matrix(structure.parameters_of(model)), gain_matrix_of(model))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
@@ -35,7 +35,7 @@ class Clock:
         return longer
 
 
-def structure_with_all_states_seen(modes: int) -> StateSpace:
+def structure_with_all_states_seen(modes: int) -> System:
     """Lightly damped modes, three forces, three rates; all states and the commands count."""
     rng = np.random.default_rng(1)
     omega = np.geomspace(0.5, 300.0, modes)
@@ -46,7 +46,7 @@ def structure_with_all_states_seen(modes: int) -> StateSpace:
     D = np.zeros((n + 6, 6))
     D[n : n + 3, 3:] = np.eye(3)
     outputs = np.vstack([np.eye(n), np.zeros((3, n)), C])
-    return StateSpace(A, np.hstack([0.1 * B, B]), outputs, D, [("w", 3), ("u", 3)], [("z", n + 3), ("y", 3)])
+    return System(A, np.hstack([0.1 * B, B]), outputs, D, [("w", 3), ("u", 3)], [("z", n + 3), ("y", 3)])
 
 
 @pytest.mark.parametrize("limit", [0.5, 10.5, 60.5])

@@ -21,7 +21,7 @@ from support.worst_case_plants import (
     oscillator,
 )
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
 
@@ -48,12 +48,10 @@ def test_interior_worst_case_is_found_by_the_climb() -> None:
 
 
 def test_instability_is_the_worst_of_all() -> None:
-    def build(p: Mapping[str, float]) -> StateSpace:
-        return StateSpace(
-            [[p["pole"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-        )
+    def build(p: Mapping[str, float]) -> System:
+        return System([[p["pole"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
-    weak = StateSpace.static([[-0.5]], [("y", 1)], [("u", 1)])
+    weak = System.static([[-0.5]], [("y", 1)], [("u", 1)])
     found = worst_case(build, {"pole": (-1.0, 1.0)}, weak, [HinfGain("w", "z")])
     assert found[0].value == np.inf and found[0].parameters["pole"] >= 0.5
 
@@ -83,16 +81,16 @@ def test_same_seed_same_answer() -> None:
 def test_runners_up_have_their_peaks_elsewhere() -> None:
     """Two oscillators, each excited most at its own corner of the box: the second peak is reported beside the first."""
 
-    def build(p: dict) -> StateSpace:
+    def build(p: dict) -> System:
         A = np.zeros((4, 4))
         for k, w in enumerate((1.0, 10.0)):
             A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -0.02 * w]]
         B = np.array([[0.0, 0.0], [p["slow"], 0.0], [0.0, 0.0], [0.9 * p["fast"], 0.0]])
         C = np.array([[1.0, 0.0, 10.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
-        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
     box = {"slow": (0.1, 1.0), "fast": (0.1, 1.0)}
-    none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
+    none = System.static([[0.0]], [("y", 1)], [("u", 1)])
     (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=10, climbs=0))
     assert found.omega == pytest.approx(1.0, rel=0.05)
     assert len(found.others) == 1
@@ -104,14 +102,14 @@ def test_runners_up_have_their_peaks_elsewhere() -> None:
 def test_runner_up_beside_a_peak_at_infinite_frequency() -> None:
     """A direct path whose gain is reached at infinity, beside a resonance: no warning, both are reported."""
 
-    def build(p: Mapping[str, float]) -> StateSpace:
+    def build(p: Mapping[str, float]) -> System:
         A = [[0.0, 1.0], [-1.0, -0.1]]
         D = [[p["through"], 0.0], [0.0, 0.0]]
-        return StateSpace(
+        return System(
             A, [[0, 0], [0.1 * p["mode"], 0]], [[1, 0], [0, 0]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
         )
 
-    none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
+    none = System.static([[0.0]], [("y", 1)], [("u", 1)])
     box = {"through": (0.0, 2.0), "mode": (0.0, 1.5)}
     with np.errstate(all="raise"):
         (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=4, climbs=0))
@@ -208,7 +206,7 @@ def test_climb_reaches_the_largest_gain_between_the_samples() -> None:
     box = {"a": (-1.0, 1.0), "b": (-0.5, 0.4)}
     options = WorstCaseOptions(samples=0, climbs=1, iterations=30)
 
-    def build(p: Mapping[str, float]) -> StateSpace:
+    def build(p: Mapping[str, float]) -> System:
         return first_order(bump(p))
 
     gain_case, h2_case = worst_case(build, box, OPEN, [GAIN, H2Gain("w", "z")], options=options)
@@ -219,7 +217,7 @@ def test_climb_reaches_the_largest_gain_between_the_samples() -> None:
         assert case.parameters["a"] == pytest.approx(0.3, abs=2e-3)
         assert case.parameters["b"] == pytest.approx(-0.2, abs=2e-3)
 
-    def slow(p: Mapping[str, float]) -> StateSpace:
+    def slow(p: Mapping[str, float]) -> System:
         return first_order(1.0, 2.0 - bump(p))
 
     (decay,) = worst_case(slow, box, OPEN, [ClosedLoopPoles(min_decay=2.0)], options=options)

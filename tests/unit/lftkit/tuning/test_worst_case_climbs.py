@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, first_order, mode, mode_peak, modes
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.robust import tune_robust
 from lftkit.tuning.structures import gain
@@ -132,10 +132,10 @@ def test_gain_of_zero_is_a_value_as_others_are() -> None:
 
 def test_loop_delay_is_zero_unless_given_and_counts() -> None:
     """1 / s with the gain 1: ``|1 / (jw + exp(-jw T))|`` is at most 1 at frequency 0 without a delay, larger with."""
-    unity = StateSpace.static([[-1.0]], [("y", 1)], [("u", 1)])
+    unity = System.static([[-1.0]], [("y", 1)], [("u", 1)])
     w = np.linspace(1e-3, 3.0, 30_001)
 
-    def build(p: Mapping[str, float]) -> StateSpace:
+    def build(p: Mapping[str, float]) -> System:
         return first_order(1.0 - 0.5 * (p["a"] - 0.2) ** 2, 0.0)
 
     for delay, expected in ((None, 1.0), (0.9, np.abs(1.0 / (1j * w + np.exp(-0.9j * w))).max())):
@@ -148,7 +148,7 @@ def test_loop_delay_is_zero_unless_given_and_counts() -> None:
 
 def test_controller_with_states_is_climbed_with_its_response_at_the_peak() -> None:
     """Integral feedback k / s of a gain: ``g s / (s^2 + s + k)`` has the peak g at sqrt(k)."""
-    integrator = StateSpace([[0.0]], [[1.0]], [[-4.0]], [[0.0]], [("y", 1)], [("u", 1)])
+    integrator = System([[0.0]], [[1.0]], [[-4.0]], [[0.0]], [("y", 1)], [("u", 1)])
     options = WorstCaseOptions(samples=0, climbs=1, iterations=30)
     box = {"a": (-1.0, 1.0), "b": (-0.5, 0.4)}
     (found,) = worst_case(lambda p: first_order(bump(p)), box, integrator, [GAIN], options=options)
@@ -233,7 +233,7 @@ def test_runners_up_are_the_worst_of_two_other_peaks_in_order() -> None:
     names = ("p0", "p1", "p2", "p3")
     box = dict.fromkeys(names, (0.05, 1.0))
 
-    def build(p: Mapping[str, float]) -> StateSpace:
+    def build(p: Mapping[str, float]) -> System:
         return modes([g * p[n] for g, n in zip((4.0, 3.0, 2.0, 1.0), names)])
 
     (found,) = worst_case(build, box, OPEN, [GAIN], options=ONLY_POINTS)
@@ -274,7 +274,7 @@ def test_peaks_more_than_a_tenth_apart_are_different(a: float, b: float, apart: 
 
 def test_plant_with_a_pole_at_the_frequency_of_the_peak_is_climbed() -> None:
     """The gain of the closed loop g / (s + 1) of an integrator is largest at its pole, where the plant has none."""
-    unity = StateSpace.static([[-1.0]], [("y", 1)], [("u", 1)])
+    unity = System.static([[-1.0]], [("y", 1)], [("u", 1)])
     options = WorstCaseOptions(samples=0, climbs=1, iterations=30)
     box = {"a": (-1.0, 1.0), "b": (-0.5, 0.4)}
     (found,) = worst_case(lambda p: first_order(bump(p), 0.0), box, unity, [GAIN], options=options)
@@ -282,11 +282,11 @@ def test_plant_with_a_pole_at_the_frequency_of_the_peak_is_climbed() -> None:
     assert found.value == pytest.approx(1.0, rel=1e-6) and found.sampled < 0.95
 
 
-def first_order_with_effort(p: Mapping[str, float]) -> StateSpace:
+def first_order_with_effort(p: Mapping[str, float]) -> System:
     """1 / (s - pole) with the disturbance at its input; outputs: state, command, measurement."""
     D = [[0, 0], [0, 1], [0, 0]]
     C = [[1.0], [0.0], [1.0]]
-    return StateSpace([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
+    return System([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
 
 
 def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
@@ -325,11 +325,11 @@ def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
 def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
 
-    def build(p: Mapping[str, float]) -> StateSpace:
+    def build(p: Mapping[str, float]) -> System:
         A = [[0, 1], [-1, -0.05]]
         B = [[0, 0], [1, 1]]
         C = [[1.0, 0.0], [p["mix"], 1.0]]
-        return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
     box = {"mix": (-2.0, 2.0)}
     structure = gain([("y", 1)], [("u", 1)])

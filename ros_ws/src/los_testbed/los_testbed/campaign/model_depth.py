@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lftkit import SampledSystem, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
@@ -81,7 +81,7 @@ class ModelDepth:
     Parameters
     ----------
     model : ModelLoop
-    system : UncertainSystem
+    system : System
     parameters : mapping
     controllers : (SampledSystem, SampledSystem)
     stage : {"none", "isolator", "fsm", "fsm+pma"}
@@ -96,7 +96,7 @@ class ModelDepth:
     """
 
     model: ModelLoop
-    system: UncertainSystem
+    system: System
     parameters: Parameters
     controllers: tuple[SampledSystem, SampledSystem]
     stage: str
@@ -107,7 +107,7 @@ class ModelDepth:
 
     @classmethod
     def of(
-        cls, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+        cls, system: System, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelDepth:
         """Prepare what the members of a family share."""
         model = ModelLoop.of(system, parameters, k_fsm, k_pma, stage)
@@ -215,13 +215,13 @@ class ModelDepth:
 
 
 def _exact_noise(
-    system: UncertainSystem,
+    system: System,
     parameters: Parameters,
     controllers: tuple[SampledSystem, SampledSystem],
     stage: str,
     values: Mapping[str, float],
 ) -> tuple[float, float]:
-    return noise_metrics(system.data_at(values), *controllers, parameters, loop=stage)
+    return noise_metrics(system.at(values), *controllers, parameters, loop=stage)
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:

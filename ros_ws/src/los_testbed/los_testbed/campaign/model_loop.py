@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 from scipy import linalg
 
-from lftkit import SampledSystem, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
@@ -54,7 +54,7 @@ STILL = 0.2
 """Shift of a pole, in decay rates, that does not count."""
 
 
-def channel_factors(system: UncertainSystem) -> tuple[FloatArray, FloatArray]:
+def channel_factors(system: System) -> tuple[FloatArray, FloatArray]:
     """Orthonormal bases U (q, c) and V (q, b) of what Delta sees and of what it drives."""
     q = len(system.channels)
     seen = np.hstack([system.C[:q], system.D[:q, q:]])
@@ -154,7 +154,7 @@ class ModelLoop:
 
     @classmethod
     def of(
-        cls, system: UncertainSystem, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+        cls, system: System, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
         loop = ImplementedLoop(OpenLoop(system, parameters), k_fsm, k_pma, stage)

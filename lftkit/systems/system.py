@@ -1,0 +1,629 @@
+"""The one type of linear systems: named ports, continuous or discrete time, certain or uncertain (upper LFT)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.systems import lft
+from lftkit.systems.control_conversion import control_system, ports_and_matrices
+from lftkit.systems.delta import Value, chosen_values, delta_response, delta_system, random_values
+from lftkit.systems.matrices import checked_matrices
+from lftkit.systems.operand import common_period, constant_matrix, is_number, same_size
+from lftkit.systems.ports import Port, as_ports, port_indices, total_size
+from lftkit.systems.system_summary import html, lines, text
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
+from lftkit.uncertainty.parameters import RealParameter
+
+if TYPE_CHECKING:
+    import control
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Linear system ``F_u(M, Delta)`` with named ports.
+
+    ``Delta = diag(value - nominal)``, an element repeated as often as it occurs; without elements it is a plain state
+    space. In continuous time ``x' = A x + B u, y = C x + D u``; in discrete time x' is the state at the next tick.
+
+    The stored matrices are those of M: the first inputs and outputs are the Delta channels, one for each entry of
+    `channels`; the ports follow in their order. **Delta = 0 is the nominal system.** The operators ``+ - * @ /`` and
+    ``**`` combine systems by position, the ports of the first operand stay: see :meth:`__matmul__`.
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        Shapes (n, n), (n, q + m), (q + p, n), (q + p, q + m) with q Delta channels; n may be 0. Kept as read-only
+        copies.
+    inputs, outputs : sequence of Port (or of (name, size))
+        Sizes add up to m and p; names are unique on each side.
+    name : str
+        Name in messages and results.
+    dt : float
+        Sampling period [s]; 0: continuous time.
+    channels : tuple of str
+        Name of the element of each Delta channel. A matrix of dynamics takes as many channels per occurrence as the
+        larger of its sizes.
+    elements : tuple of RealParameter, ComplexParameter or DynamicElement
+        Definitions of all the names in `channels`.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, entries that are not finite, a port name used twice, a channel without an element, a
+        period that is negative or not finite.
+
+    Examples
+    --------
+    >>> mass = System([[0, 1], [0, 0]], [[0], [0.5]], [[1, 0]], [[0]], [("force", 1)], [("position", 1)], "2 kg")
+    >>> mass.order, (3 * mass)["position", "force"].C.tolist()
+    (2, [[3.0, 0.0]])
+
+    A gain k in [1, 3], nominal 2, as ``y = 2 u + w`` with ``w = (k - 2) u``:
+
+    >>> k, ports = RealParameter("k", 2.0, 1.0, 3.0), ([("u", 1)], [("y", 1)])
+    >>> gain = System([], [], [], [[0.0, 1.0], [1.0, 2.0]], *ports, channels=("k",), elements=(k,))
+    >>> float(gain.at({"k": 3.0}).D[0, 0])
+    3.0
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    name: str = "system"
+    dt: float = 0.0
+    channels: tuple[str, ...] = ()
+    elements: tuple[Element, ...] = ()
+
+    __array_ufunc__ = None  # an array beside an operator is a gain, not a list of systems
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name must be text (channels= and elements= go by keyword), got {self.name!r}")
+        for side in ("inputs", "outputs"):
+            object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
+        object.__setattr__(self, "channels", tuple(self.channels))
+        if not (np.isfinite(self.dt) and self.dt >= 0):
+            raise ValueError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
+        q = len(self.channels)
+        try:
+            sizes = q + total_size(self.inputs), q + total_size(self.outputs)
+            matrices = checked_matrices(self.A, self.B, self.C, self.D, *sizes)
+            table = element_table(self.elements)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+        for key, matrix in zip("ABCD", matrices):
+            object.__setattr__(self, key, matrix)
+        for name, count in Counter(self.channels).items():
+            if name not in table:
+                raise ValueError(f"every Delta channel must have an element, got none for {name!r}")
+            if count % width(table[name]):
+                raise ValueError(f"channels of {name!r} must be a multiple of {width(table[name])}, got {count}")
+        used = tuple(e for e in dict.fromkeys(self.elements) if e.name in set(self.channels))
+        object.__setattr__(self, "elements", used)
+
+    def __repr__(self) -> str:
+        return "\n".join(lines(self))
+
+    def _repr_html_(self) -> str:
+        return html(self)
+
+    def summary(self) -> str:
+        """Order, every port with size and unit, every element with range and occurrences, as text of several lines."""
+        return text(self)
+
+    # what it is
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def certain(self) -> bool:
+        """Whether the system has no uncertain elements."""
+        return not self.channels
+
+    @property
+    def matrices(self) -> Matrices:
+        """(A, B, C, D) of a system without uncertain elements.
+
+        Raises
+        ------
+        ValueError
+            An uncertain system: its uncertainty would be lost.
+        """
+        self.require_certain()
+        return self.A, self.B, self.C, self.D
+
+    @property
+    def lft(self) -> Matrices:
+        """(A, B, C, D) of M, with the Delta channels first."""
+        return self.A, self.B, self.C, self.D
+
+    @property
+    def parameters(self) -> tuple[RealParameter, ...]:
+        """The real elements; see :meth:`require_real`."""
+        return tuple(e for e in self.elements if isinstance(e, RealParameter))
+
+    def require_certain(self) -> None:
+        """Raise a ValueError where the system has uncertain elements."""
+        if self.channels:
+            found = ", ".join(e.name for e in self.elements)
+            raise ValueError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {found}")
+
+    def require_real(self) -> None:
+        """Raise a ValueError where an element is complex or dynamic."""
+        for e in self.elements:
+            if not isinstance(e, RealParameter):
+                kind = "complex" if isinstance(e, ComplexParameter) else "dynamic"
+                raise ValueError(f"{self.name}: elements must be real, got the {kind} element {e.name!r}")
+
+    def require_continuous(self) -> None:
+        """Raise a ValueError where the system is in discrete time."""
+        if self.dt:
+            raise ValueError(f"{self.name}: system must be in continuous time, got sampling period {self.dt} s")
+
+    def occurrences(self) -> dict[str, int]:
+        """Number of repetitions of each element in Delta, in the order of `elements`."""
+        count = Counter(self.channels)
+        return {e.name: count[e.name] // width(e) for e in self.elements}
+
+    def parameter(self, name: str) -> RealParameter:
+        """Definition of a real element; a ValueError lists the existing ones."""
+        found = self.element(name)
+        if not isinstance(found, RealParameter):
+            raise ValueError(f"element {name!r} must be real, got {description(found)}")
+        return found
+
+    def element(self, name: str) -> Element:
+        """Definition of an element; a ValueError lists the existing ones."""
+        for element in self.elements:
+            if element.name == name:
+                return element
+        known = ", ".join(e.name for e in self.elements)
+        raise ValueError(f"parameter must be one of {known or '(none)'}, got {name!r}")
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, shape (n,): of an uncertain system those of the nominal one."""
+        return np.asarray(linalg.eigvals(self.A), dtype=complex) if self.order else np.zeros(0, dtype=complex)
+
+    def __call__(self, point: complex) -> Any:
+        """Transfer matrix (p, m) of the nominal system at s or z; of one input and one output a number."""
+        q = len(self.channels)
+        value = lft.response((self.A, self.B[:, q:], self.C[q:], self.D[q:, q:]), point)
+        return complex(value[0, 0]) if value.shape == (1, 1) else value
+
+    def response(self, omega: ArrayLike, values: Mapping[str, Value] | None = None) -> ComplexArray:
+        """Transfer matrices at frequencies [rad/s], shape (len(omega), p, m), at values of the elements.
+
+        A value may also be complex, where :meth:`at` takes real numbers and systems only.
+        """
+        chosen = chosen_values(self.elements, values or {}, beyond_range=False)
+        q, found = len(self.channels), []
+        for w in np.atleast_1d(np.asarray(omega, dtype=float)):
+            point = np.exp(1j * w * self.dt) if self.dt else 1j * w
+            M = lft.response(self.lft, point)
+            delta = delta_response(self.channels, self.elements, chosen, point)
+            inner = linalg.solve(np.eye(q) - M[:q, :q] @ delta, M[:q, q:]) if q else M[:0]
+            found.append(M[q:, q:] + M[q:, :q] @ delta @ inner)
+        return np.array(found).reshape(-1, self.D.shape[0] - q, self.D.shape[1] - q)
+
+    # members
+
+    def at(self, values: Mapping[str, Value] | None = None, *, beyond_range: bool = False, **named: Value) -> System:
+        """The system at values of the elements (nominal where none is given), by mapping or by keyword.
+
+        Parameters
+        ----------
+        values : mapping, optional
+            A number for a real or complex element (real here: see :meth:`response`); a number, matrix or system for
+            dynamics, whose gain is checked where it is constant.
+        beyond_range : bool
+            Whether real values may lie outside their range.
+
+        Raises
+        ------
+        ValueError
+            Unknown element, value outside its range, or an LFT that is not well posed at these values.
+        """
+        given = {**(values or {}), **named}
+        chosen = chosen_values(self.elements, given, beyond_range=beyond_range)
+        requirement = f"the LFT must be well posed at {given}"
+        if all(isinstance(e, RealParameter) for e in self.elements):
+            nominal = {e.name: e.nominal for e in self.parameters}
+            delta = np.array([chosen[c] - nominal[c] for c in self.channels])
+            matrices = lft.at_deviations(self.lft, delta, requirement)
+        else:
+            matrices = lft.at_system(self.lft, delta_system(self.channels, self.elements, chosen), requirement)
+        return System(*matrices, self.inputs, self.outputs, self.name, self.dt)
+
+    def nominal(self) -> System:
+        """The system at the nominal values of its elements."""
+        return self.at({})
+
+    def sample_values(self, rng: np.random.Generator, count: int = 1) -> list[dict[str, Any]]:
+        """`count` draws of all elements, independent.
+
+        Real ones are uniform in their ranges, complex ones in their disks; dynamics are all-pass systems with a pole
+        and a gain, up to the bound, that are random.
+        """
+        return [
+            {name: self._drawn(v) for name, v in random_values(self.elements, rng, self.dt).items()}
+            for _ in range(count)
+        ]
+
+    def _drawn(self, value: Any) -> Any:
+        if not isinstance(value, tuple):
+            return value
+        A, B, C, D = value
+        return System(A, B, C, D, (Port("in", D.shape[1]),), (Port("out", D.shape[0]),), dt=self.dt)
+
+    def sample(self, rng: np.random.Generator, count: int = 1) -> list[System]:
+        """The system at `count` random values of its elements, real and dynamic."""
+        return [self.at(values) for values in self.sample_values(rng, count)]
+
+    # parts and names
+
+    def __getitem__(self, key: tuple[str | Sequence[str], str | Sequence[str]]) -> System:
+        """Sub-system ``system[outputs, inputs]`` by port names; all states and channels stay."""
+        if not isinstance(key, tuple) or len(key) != 2:
+            raise ValueError(f"index must be [output ports, input ports], for example P['los', 'u'], got {key!r}")
+        return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
+
+    def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> System:
+        """Keep the named ports, in the order given; the other inputs are zero.
+
+        Raises
+        ------
+        ValueError
+            Unknown port; the message lists the existing ones.
+        """
+        q = len(self.channels)
+        keep_in = tuple(self.inputs if inputs is None else (self.input_port(n) for n in inputs))
+        keep_out = tuple(self.outputs if outputs is None else (self.output_port(n) for n in outputs))
+        columns = np.r_[np.arange(q), q + self.input_indices(p.name for p in keep_in)]
+        rows = np.r_[np.arange(q), q + self.output_indices(p.name for p in keep_out)]
+        return replace(
+            self,
+            B=self.B[:, columns],
+            C=self.C[rows],
+            D=self.D[np.ix_(rows, columns)],
+            inputs=keep_in,
+            outputs=keep_out,
+        )
+
+    def input_indices(self, names: Iterable[str]) -> IntArray:
+        """Places of the signals of the ports `names`, in the given order, among those of all inputs."""
+        return port_indices(self.inputs, names, "input", self._label)
+
+    def output_indices(self, names: Iterable[str]) -> IntArray:
+        """Places of the signals of the ports `names`, in the given order, among those of all outputs."""
+        return port_indices(self.outputs, names, "output", self._label)
+
+    def input_port(self, name: str) -> Port:
+        """Input port of this name; a ValueError lists the existing ones."""
+        self.input_indices([name])
+        return next(p for p in self.inputs if p.name == name)
+
+    def output_port(self, name: str) -> Port:
+        """Output port of this name; a ValueError lists the existing ones."""
+        self.output_indices([name])
+        return next(p for p in self.outputs if p.name == name)
+
+    @property
+    def _label(self) -> str:
+        return "" if self.name == "system" else self.name
+
+    def named(self, name: str) -> System:
+        """The same system under another name."""
+        return replace(self, name=name)
+
+    def with_lft(self, matrices: Matrices, **changes: Any) -> System:
+        """The same system with other matrices of M and other fields."""
+        A, B, C, D = matrices
+        return replace(self, A=A, B=B, C=C, D=D, **changes)
+
+    def renamed(self, ports: Mapping[str, str] | None = None, elements: Mapping[str, str] | None = None) -> System:
+        """The same system with other names of ports and elements (a name that is not given stays).
+
+        Raises
+        ------
+        ValueError
+            A name to be replaced that does not exist.
+        """
+        ports, elements = dict(ports or {}), dict(elements or {})
+        known = {p.name for p in self.inputs + self.outputs}
+        for name in ports:
+            if name not in known:
+                raise ValueError(f"port must be one of {', '.join(sorted(known))}, got {name!r}")
+        for name in elements:
+            self.element(name)
+        return replace(
+            self,
+            inputs=tuple(replace(p, name=ports.get(p.name, p.name)) for p in self.inputs),
+            outputs=tuple(replace(p, name=ports.get(p.name, p.name)) for p in self.outputs),
+            channels=tuple(elements.get(c, c) for c in self.channels),
+            elements=tuple(replace(e, name=elements.get(e.name, e.name)) for e in self.elements),
+        )
+
+    def sorted_channels(self, order: Sequence[str] | None = None) -> System:
+        """The same LFT with the channels of each element adjacent, in the order of `order` (default: as stored)."""
+        names = list(order) if order is not None else [e.name for e in self.elements]
+        q = len(self.channels)
+        rank = {name: i for i, name in enumerate(names)}
+        permutation = np.array(sorted(range(q), key=lambda i: rank[self.channels[i]]), dtype=int)
+        columns = np.r_[permutation, np.arange(q, self.D.shape[1])].astype(int)
+        rows = np.r_[permutation, np.arange(q, self.D.shape[0])].astype(int)
+        return replace(
+            self,
+            B=self.B[:, columns],
+            C=self.C[rows],
+            D=self.D[np.ix_(rows, columns)],
+            channels=tuple(self.channels[i] for i in permutation),
+            elements=tuple(self.element(name) for name in names if name in self.channels),
+        )
+
+    def normalised(self) -> System:
+        """The same uncertain system with every element of size at most 1 and nominal value 0.
+
+        A symmetric real range is scaled; an asymmetric one uses the bilinear map of :attr:`RealParameter.bilinear`,
+        which adds no occurrence: a normalised value nu is the physical value ``parameter.from_normalised(nu)``.
+        Complex and dynamic elements are divided by radius or bound.
+        """
+        q = len(self.channels)
+        scale = {e.name: _normalisation(e) for e in self.elements}
+        ab = np.array([scale[c] for c in self.channels]).reshape(q, 2)
+        B, D = self.B.copy(), self.D.copy()
+        B[:, :q] *= ab[:, 0]
+        D[:, :q] *= ab[:, 0]
+        D[np.arange(q), np.arange(q)] -= ab[:, 1]
+        return replace(self, B=B, D=D, elements=tuple(_normalised(e) for e in self.elements))
+
+    # arithmetic
+
+    def _operand(self, other: Any) -> System | None:
+        """The other operand as a system; a number is a gain of one input and one output."""
+        if isinstance(other, System):
+            return other
+        gain = constant_matrix(other)
+        if gain is None:
+            return None
+        ports = (("in", gain.shape[1]),), (("out", gain.shape[0]),)
+        return System.static(gain, *ports)  # type: ignore[arg-type]
+
+    def _sum(self, other: Any, signs: tuple[float, float]) -> System:
+        second = self._operand(other)
+        if second is None:
+            return NotImplemented  # type: ignore[no-any-return]
+        p, m = total_size(self.outputs), total_size(self.inputs)
+        if is_number(other):  # as in MATLAB and python-control: to every entry
+            second = System.static(float(other) * np.ones((p, m)), self.inputs, self.outputs)
+        same_size(self.inputs, second.inputs, "sum: inputs")
+        same_size(self.outputs, second.outputs, "sum: outputs")
+        left = np.hstack([signs[0] * np.eye(p), signs[1] * np.eye(p)])
+        M = lft.side_by_side([self.lft, second.lft], [len(self.channels), len(second.channels)])
+        q = len(self.channels) + len(second.channels)
+        return self._made([self, second], lft.mapped(M, q, left, np.vstack([np.eye(m)] * 2)), self, self)
+
+    def _made(
+        self, parts: Sequence[System], matrices: Matrices, inputs: System, outputs: System | None = None
+    ) -> System:
+        return System(
+            *matrices,
+            inputs.inputs,
+            (outputs or inputs).outputs,
+            self.name,
+            common_period(parts),
+            tuple(c for part in parts for c in part.channels),
+            tuple(e for part in parts for e in part.elements),
+        )
+
+    def __add__(self, other: Any) -> System:
+        """Sum; a number is added to every entry of the transfer matrix."""
+        return self._sum(other, (1.0, 1.0))
+
+    def __radd__(self, other: Any) -> System:
+        return self._sum(other, (1.0, 1.0))
+
+    def __sub__(self, other: Any) -> System:
+        return self._sum(other, (1.0, -1.0))
+
+    def __rsub__(self, other: Any) -> System:
+        return self._sum(other, (-1.0, 1.0))
+
+    def __neg__(self) -> System:
+        return self._scaled(-1.0)
+
+    def _scaled(self, factor: float) -> System:
+        q = len(self.channels)
+        left, right = factor * np.eye(total_size(self.outputs)), np.eye(total_size(self.inputs))
+        return self.with_lft(lft.mapped(self.lft, q, left, right))
+
+    def __matmul__(self, other: Any) -> System:
+        """Series: ``(G @ H)(s) = G(s) H(s)``, H first; inputs of H, outputs of G."""
+        first = self._operand(other)
+        return NotImplemented if first is None else self._after(first)
+
+    def __rmatmul__(self, other: Any) -> System:
+        second = self._operand(other)
+        return NotImplemented if second is None else second._after(self)
+
+    def _after(self, first: System) -> System:
+        same_size(first.outputs, self.inputs, "series: outputs of the first and inputs of the second system")
+        q = len(first.channels) + len(self.channels)
+        M = lft.side_by_side([first.lft, self.lft], [len(first.channels), len(self.channels)])
+        m, k, p = total_size(first.inputs), total_size(self.inputs), total_size(self.outputs)
+        S = np.zeros((m + k, k + p))
+        S[m:, :k] = np.eye(k)
+        E, So = np.vstack([np.eye(m), np.zeros((k, m))]), np.hstack([np.zeros((p, k)), np.eye(p)])
+        return self._made([first, self], lft.close_loop(M, q, S, E, So, np.zeros((p, m))), first, self)
+
+    def __mul__(self, other: Any) -> System:
+        """As ``@``; a number, or a system of one input and one output, multiplies every entry."""
+        if is_number(other):
+            return self._scaled(float(other))
+        second = self._operand(other)
+        return NotImplemented if second is None else _product(self, second)
+
+    def __rmul__(self, other: Any) -> System:
+        if is_number(other):
+            return self._scaled(float(other))
+        first = self._operand(other)
+        return NotImplemented if first is None else _product(first, self)
+
+    def inverse(self) -> System:
+        """The system from outputs to inputs; D must be invertible.
+
+        Raises
+        ------
+        ValueError
+            Unequal numbers of inputs and outputs, or a direct feedthrough that is singular.
+        """
+        same_size(self.inputs, self.outputs, "inverse: inputs and outputs")
+        q = len(self.channels)
+        ports = q + np.arange(total_size(self.inputs))
+        M = lft.exchanged(self.lft, ports, ports, f"{self.name}: direct feedthrough must be invertible")
+        return self.with_lft(M, inputs=self.outputs, outputs=self.inputs)
+
+    def __truediv__(self, other: Any) -> System:
+        if is_number(other):
+            return self._scaled(1.0 / float(other))
+        divisor = self._operand(other)
+        return NotImplemented if divisor is None else self * divisor.inverse()
+
+    def __rtruediv__(self, other: Any) -> System:
+        return NotImplemented if self._operand(other) is None else self.inverse().__rmul__(other)
+
+    def __pow__(self, exponent: int) -> System:
+        if not isinstance(exponent, int) or exponent == 0:
+            raise ValueError(f"exponent must be an integer other than 0, got {exponent!r}")
+        base = self if exponent > 0 else self.inverse()
+        result = base
+        for _ in range(abs(exponent) - 1):
+            result = result @ base
+        return result
+
+    # conversion
+
+    @classmethod
+    def static(cls, gain: ArrayLike, inputs: Sequence[Any], outputs: Sequence[Any], name: str = "gain") -> System:
+        """System without states, ``y = gain u``."""
+        none = np.zeros((0, 0))
+        return cls(none, none, none, np.atleast_2d(np.asarray(gain, dtype=float)), tuple(inputs), tuple(outputs), name)
+
+    @classmethod
+    def from_control(
+        cls,
+        system: Any,
+        units: Mapping[str, str] | None = None,
+        name: str = "",
+        *,
+        inputs: Sequence[Port] | None = None,
+        outputs: Sequence[Port] | None = None,
+    ) -> System:
+        """System of a `control.StateSpace` or `control.TransferFunction`, with its period.
+
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            Signals ``w[0], w[1], ...`` become one port ``w``, wherever they stand.
+        units : mapping, optional
+            SI unit of each port by name.
+        name : str, optional
+            Taken from the system otherwise.
+        inputs, outputs : sequence of Port, optional
+            Ports whose signals are the labels in some order, or which name them anew.
+
+        Raises
+        ------
+        ValueError
+            Another type, a discrete system without a period in seconds (dt True), or labels from which the ports do
+            not follow: one used twice, a missing index, ``w`` beside ``w[0]``.
+        """
+        matrices, ports_in, ports_out = ports_and_matrices(system, units, inputs, outputs)
+        if system.dt is True:
+            raise ValueError("system must have a sampling period in seconds, got dt True")
+        return cls(*matrices, ports_in, ports_out, name or str(system.name), float(system.dt or 0.0))
+
+    def to_control(self, name: str | None = None) -> control.StateSpace:
+        """`control.StateSpace` with the signal names of the ports, from which :meth:`from_control` makes them again.
+
+        Raises
+        ------
+        ValueError
+            An uncertain system, or a port whose name is that of a signal of another port, for instance ``w[0]``.
+        """
+        dt = self.dt or (0.0 if self.order else None)  # a gain may stand in either time
+        return control_system(self.matrices, self.inputs, self.outputs, dt, self.name if name is None else name)
+
+
+def _product(left: System, right: System) -> System:
+    """Product in which an operand of one input and one output multiplies every entry of the other."""
+    one, other = ((total_size(s.inputs), total_size(s.outputs)) == (1, 1) for s in (left, right))
+    if one and not other:
+        return _repeated(left, right.outputs)._after(right)
+    if other and not one:
+        return left._after(_repeated(right, left.inputs))
+    return left._after(right)
+
+
+def _repeated(scalar: System, ports: tuple[Port, ...]) -> System:
+    """The system of one input and one output on every signal of the ports."""
+    count, q = total_size(ports), len(scalar.channels)
+    M = lft.side_by_side([scalar.lft] * count, [q] * count)
+    return System(*M, ports, ports, scalar.name, scalar.dt, scalar.channels * count, scalar.elements)
+
+
+def _names(key: str | Sequence[str]) -> tuple[str, ...]:
+    return (key,) if isinstance(key, str) else tuple(key)
+
+
+def _normalisation(element: Element) -> tuple[float, float]:
+    if isinstance(element, RealParameter):
+        return element.bilinear
+    return (element.bound if isinstance(element, DynamicElement) else element.radius), 0.0
+
+
+def _normalised(element: Element) -> Element:
+    if isinstance(element, RealParameter):
+        return RealParameter(element.name, 0.0, -1.0, 1.0, "1", element.description)
+    if isinstance(element, ComplexParameter):
+        return ComplexParameter(element.name, 0.0, 1.0, "1", element.description)
+    return replace(element, bound=1.0)
+
+
+def state_space(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]
+) -> System:
+    """System without elements from its matrices, in continuous time."""
+    return System(A, B, C, D, tuple(inputs), tuple(outputs))  # type: ignore[arg-type]
+
+
+def static_gain(matrix: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]) -> System:
+    """Gain without states or elements: ``y = matrix u``."""
+    none = np.zeros((0, 0))
+    return System(none, none, none, matrix, tuple(inputs), tuple(outputs))  # type: ignore[arg-type]
+
+
+def from_control(system: Any, inputs: Sequence[Port] | None = None, outputs: Sequence[Port] | None = None) -> System:
+    """A system of python-control as a :class:`System`: see :meth:`System.from_control`.
+
+    Examples
+    --------
+    >>> import control
+    >>> w = control.ss([[-1]], [[1, 2, 3]], [[1]], [[0, 0, 0]], inputs=["w[0]", "v", "w[1]"], outputs=["z"])
+    >>> from_control(w)["z", "w"].B.tolist()
+    [[1.0, 3.0]]
+    """
+    return System.from_control(system, inputs=inputs, outputs=outputs)
