@@ -26,7 +26,9 @@ def random_system(seed: int) -> System:
     A -= (linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
     B, C = 0.3 * rng.normal(size=(6, 9)), 0.3 * rng.normal(size=(9, 6))
     parameters = tuple(RealParameter(n, 0.0, -rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0)) for n in names)
-    return System(A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels, parameters).sorted_channels()
+    return System(
+        A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels=channels, elements=parameters
+    ).sorted_channels()
 
 
 def ends_of(system: System) -> FloatArray:

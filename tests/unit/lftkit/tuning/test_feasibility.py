@@ -84,7 +84,7 @@ def test_infeasible_has_the_least_violation_whatever_the_start() -> None:
 @pytest.mark.parametrize("start", [0.5, -1e3])
 def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float) -> None:
     """The sum of the poles is -0.2 whatever the gain is: no decay of 10 rad/s."""
-    plant = StateSpace(
+    plant = System(
         [[0, 1], [-1, -0.2]],
         [[0, 0], [1, 1]],
         [[1, 0], [0, 0], [1, 0]],
