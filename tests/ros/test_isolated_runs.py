@@ -30,7 +30,7 @@ def permitted():
         with isolated_network():
             pass
     except ValueError as error:
-        pytest.skip(str(error))
+        pytest.skip(f"user namespaces are not permitted: {error}")
 
 
 @pytest.fixture(scope="module")

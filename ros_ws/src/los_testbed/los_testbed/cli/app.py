@@ -22,6 +22,7 @@ from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
+from los_testbed.cli.keys import KEYS_EXAMPLES, keys
 from los_testbed.cli.plant import plant_app
 from los_testbed.cli.proofs import CERTIFY_EXAMPLES, CHECK_PROOF_EXAMPLES, certify, check_proof
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
@@ -47,6 +48,7 @@ app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
 app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
 app.command(name="stages", help=STAGES_EXAMPLES)(stages)
 app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
+app.command(name="keys", help=KEYS_EXAMPLES)(keys)
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 bag_app.command(name="info", help=INFO_EXAMPLES)(info)
 bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)

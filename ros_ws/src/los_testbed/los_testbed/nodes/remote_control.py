@@ -21,7 +21,8 @@ from rclpy.parameter import Parameter
 from los_testbed.loop.changes import ALIASES, owner_of
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import FAULT
-from los_testbed.run.node_launch import RANGE_VARIABLE
+from los_testbed.run.enclaves import CONTROL
+from los_testbed.run.node_launch import RANGE_VARIABLE, enclave_arguments
 
 TRANSITIONS = {"activate": Transition.TRANSITION_ACTIVATE, "deactivate": Transition.TRANSITION_DEACTIVATE}
 
@@ -122,7 +123,7 @@ def remote_control(domain: int | None, namespace: str, timeout: float) -> Iterat
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     choose_middleware(os.environ)
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    rclpy.init(args=["--ros-args", *enclave_arguments(CONTROL, namespace)], context=context, domain_id=domain)
     node = Node(f"control_{os.getpid()}", context=context)
     try:
         yield RemoteControl(node, namespace, timeout)

@@ -12,6 +12,7 @@ import yaml
 
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
+from los_testbed.run.enclaves import enclave_path
 from los_testbed.run.memory_file import memory_file
 from los_testbed.topics import NODES
 from pointing_analysis.files.atomic_output import write_text
@@ -61,10 +62,21 @@ def parameter_file(config: RunConfig, path: Path) -> None:
     write_text(path, parameter_text(config))
 
 
-def ros_arguments(config: RunConfig, parameters: str | Path) -> list[str]:
+def ros_arguments(config: RunConfig, parameters: str | Path, name: str) -> list[str]:
     """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
     quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
-    return ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
+    own = ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
+    return own + enclave_arguments(name, config.namespace)
+
+
+def enclave_arguments(name: str, namespace: str) -> list[str]:
+    """Arguments after ``--ros-args`` that name a node's keys; none without DDS security."""
+    return ["--enclave", enclave_path(name, namespace)] if security_is_asked_for() else []
+
+
+def security_is_asked_for() -> bool:
+    """Whether ROS is to use DDS security."""
+    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
 
 
 def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
@@ -103,4 +115,4 @@ def run_alone(name: str, config: RunConfig) -> int:
         os.environ["ROS_DOMAIN_ID"] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{name}")
-        return int(node.main(ros_arguments(config, parameters.path)))
+        return int(node.main(ros_arguments(config, parameters.path, name)))

@@ -230,7 +230,7 @@ class Runner:
 
     def _start(self, name: str) -> None:
         assert self._parameters is not None and self._statistics is not None and self._members is not None
-        command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path)]
+        command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path, name)]
         if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end

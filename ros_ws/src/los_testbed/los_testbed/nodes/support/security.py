@@ -6,8 +6,9 @@ without protection after one line of warning.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
+
+from los_testbed.run.node_launch import security_is_asked_for
 
 _MISSING = b"doesn't have the security libraries"
 
@@ -20,7 +21,7 @@ def refuse_missing_security() -> None:
     ValueError
         ``ROS_SECURITY_ENABLE`` is true and the middleware cannot do it.
     """
-    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+    if not security_is_asked_for():
         return
     libraries = {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if ".so" in line}
     for library in sorted(libraries):
