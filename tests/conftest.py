@@ -48,6 +48,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
+@pytest.fixture
+def without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without their pictures, which take more than a second: for tests of what else is on a page.
+
+    A test with the marker ``pictures`` has them in spite of it.
+    """
+    if request.node.get_closest_marker("pictures") is None:
+        monkeypatch.setattr("pointing_analysis.report.report.PICTURES", ())
+
+
 UNJUDGED: list[str] = []
 """What was not judged in this run."""
 

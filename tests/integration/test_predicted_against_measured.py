@@ -19,6 +19,8 @@ from lftkit.systems.sampled_system import SampledSystem
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import render
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 LIMIT = 1e-4
 """Of the mirror [rad], small enough to be reached."""
 

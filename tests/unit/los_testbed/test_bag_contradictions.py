@@ -17,6 +17,8 @@ from pointing_analysis.read.mcap.records import OP_MANIFEST
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 def test_the_altered_messages_are_not_used_and_nothing_is_judged(bag: Path) -> None:
     before = Run.open(bag)["truth/los"]

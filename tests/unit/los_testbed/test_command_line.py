@@ -15,6 +15,8 @@ from simple_telescope import SimpleTelescope, write_controllers
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled_system import SampledSystem
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
@@ -62,6 +64,7 @@ def test_a_run_ends_with_one_json_line(run):
     assert (run.here / figures["bag"] / "report.html").stat().st_size > 10_000
 
 
+@pytest.mark.pictures
 def test_the_table_names_figures_limits_and_paths(run):
     code, out, _ = run("run", "--mode=inprocess", "--duration=3", "--output=b", *run.controllers)
     assert code == 0

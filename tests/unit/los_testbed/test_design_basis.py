@@ -28,6 +28,8 @@ from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
 from titop_plant.telescope.parameters import design_basis, load_parameters
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 REFERENCE = load_parameters()
 
 

@@ -14,6 +14,8 @@ from user_code import STORED_LAW
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 Call = Callable[..., tuple[int, str, str]]
 
 HEAD = """

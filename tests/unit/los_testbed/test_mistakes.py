@@ -15,6 +15,8 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
 from pointing_analysis.read.run import Run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 Call = Callable[..., tuple[int, str, str]]
 
 

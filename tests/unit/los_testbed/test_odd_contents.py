@@ -18,6 +18,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import write_report
 from pointing_analysis.requirements.summary import summarise
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 Call = Callable[..., tuple[int, str, str]]
 
 
@@ -100,6 +102,7 @@ def test_angles_that_are_none_are_told_with_their_time(tmp_path: Path, value: fl
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e-170, LARGEST / 2])
+@pytest.mark.pictures
 def test_a_report_of_the_smallest_and_largest_angles(tmp_path: Path, value: float) -> None:
     """Also of a line of sight that does not move: its pictures have no positive value."""
     run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.full((1500, 2), value)}))
@@ -161,6 +164,7 @@ def test_a_parameter_file_that_is_none_is_told_before_a_folder_is_made(call: Cal
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.pictures
 def test_an_interrupted_picture_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 

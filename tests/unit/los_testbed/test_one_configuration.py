@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 import yaml
-from los_testbed.cli.app import app
+from los_testbed.cli.app import command_line
 from los_testbed.cli.run import configure
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.run.node_launch import parameter_text
@@ -92,7 +92,7 @@ def changed(name: str) -> RunConfig:
 
 
 def option_of(name: str) -> typer.core.TyperOption:
-    command = typer.main.get_command(app).commands["run"]
+    command = command_line().commands["run"]
     flag = OPTIONS.get(name, "--" + name.replace("_", "-"))
     (found,) = [p for p in command.params if flag in p.opts]
     return found
@@ -136,7 +136,7 @@ def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch
         (tmp_path / "mine.toml").write_text("")
     try:
         command = ["run", "--output", str(tmp_path / "bag"), "--scenario", "design", *words]
-        typer.main.get_command(app).main(command, standalone_mode=False)
+        command_line().main(command, standalone_mode=False)
     except ZeroDivisionError:
         pass
     found = getattr(seen["config"], name)

@@ -24,6 +24,8 @@ from pointing_analysis.requirements.summary import requirements_of as recorded
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.text import parse
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 MINE = "[weights]\nrpe_limit_fine = 4.848e-8\nape_limit = 4.848e-6\n"  # 10 mas, 1 arcsec
 MAS = 4.84813681109536e-09
 

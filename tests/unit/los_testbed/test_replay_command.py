@@ -18,6 +18,8 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):

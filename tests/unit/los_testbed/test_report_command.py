@@ -9,6 +9,8 @@ from command_line import call_command
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read import run as read
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 MAS = np.pi / 648_000_000
 RNG = np.random.default_rng(0)
 
@@ -41,6 +43,7 @@ def refused(call, *arguments, words=()):
     assert not list(call.here.iterdir())
 
 
+@pytest.mark.pictures
 def test_several_bags_side_by_side(call, tmp_path) -> None:
     bags = [
         write_bag(tmp_path / n, {"truth/los": los(10, s)}, parameters={"loop": n})

@@ -24,6 +24,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 MODULE = '''
 import numpy as np
 from lftkit.systems.sampled_system import SampledSystem

@@ -24,6 +24,8 @@ from pointing_analysis.requirements.verdict import load, parse
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 RATE = 512.0
 REQUIREMENTS = """
 [[requirement]]
@@ -108,6 +110,7 @@ def test_parquet_without_pyarrow_names_the_extra(tmp_path: Path, monkeypatch: py
         open_los(tmp_path / "a.parquet", unit="rad")
 
 
+@pytest.mark.pictures
 def test_arrays_give_the_same_objects_and_the_same_page(folder: Path) -> None:
     xy, requirements = samples(), load(folder / "mission.toml")
     ours = summarise(Run.open(folder / "ours"), requirements=requirements)

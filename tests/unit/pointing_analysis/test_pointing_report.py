@@ -110,11 +110,16 @@ def outline(path: Path) -> Outline:
     return found
 
 
-def test_same_bag_same_bytes(stages, page, tmp_path) -> None:
+@pytest.fixture(scope="module")
+def page_of_one(stages) -> str:
+    return render([Run.open(stages[3])])
+
+
+def test_same_bag_same_bytes(stages, page, page_of_one, tmp_path) -> None:
     again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html", predictions=PREDICTED)
     assert again.read_bytes() == page.read_bytes()
     moved = shutil.copytree(stages[3], tmp_path / stages[3].name)
-    assert render([Run.open(moved)]) == render([Run.open(stages[3])])
+    assert render([Run.open(moved)]) == page_of_one
 
 
 def test_nothing_comes_from_outside(page) -> None:
@@ -134,10 +139,11 @@ def test_pictures_have_texts_and_are_svg(page) -> None:
         assert text.count(f'<g class="run-{run}">') > 5
 
 
-def test_page_of_one_run_is_small(stages) -> None:
-    assert len(render([Run.open(stages[3])]).encode()) < 1_000_000
+def test_page_of_one_run_is_small(page_of_one) -> None:
+    assert len(page_of_one.encode()) < 1_000_000
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_card_shows_limit_and_margin(stages) -> None:
     """Margin: limit minus quantile of the requirement, with its sign."""
     run = Run.open(stages[0])
@@ -224,6 +230,7 @@ def test_labels_are_unique(stages) -> None:
     assert len(set(labels([runs[0], runs[0]]))) == 2
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_requirements_over_several_runs_are_judged_once(stages) -> None:
     mixed = [requirements.parse("prob(|RPE(20 ms)| < 40 mas) >= 0.5 at 95 % confidence, mixed")]
     page = render([Run.open(bag) for bag in stages], requirements=mixed)
@@ -232,12 +239,13 @@ def test_requirements_over_several_runs_are_judged_once(stages) -> None:
 
 
 def test_model_is_drawn_beside_the_measured_lines(stages) -> None:
-    runs = [Run.open(bag) for bag in stages]
+    runs = [Run.open(bag) for bag in stages[2:]]
     model = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
     assert render(runs, model=model) != render(runs)
     assert "Disturbance lines, run by run" not in render(runs[:1], model=model)
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
     text = page.read_text()
     part = text[text.index('id="predicted"') : text.index('id="provenance"')]

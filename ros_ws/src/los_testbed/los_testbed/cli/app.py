@@ -8,6 +8,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -94,6 +95,13 @@ def _not_raised(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
 
 
+@cache
+def command_line() -> Callable[..., Any]:
+    """The commands with their options, put together once."""
+    made: Callable[..., Any] = typer.main.get_command(app)
+    return made
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point: mistakes are one line on the error output and exit code 2, failures 1.
 
@@ -108,9 +116,8 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _not_raised
     try:
-        command: Callable[..., Any] = typer.main.get_command(app)
         given = with_lone_options(sys.argv[1:] if arguments is None else arguments)
-        result = command(args=given, prog_name="los-testbed", standalone_mode=False)
+        result = command_line()(args=given, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))
     except (typer.Abort, KeyboardInterrupt):
