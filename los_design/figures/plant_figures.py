@@ -1,7 +1,7 @@
 """Pictures of how micro-vibrations reach the line of sight: those of the paper's analysis of the open plant.
 
 The same parameter file gives the same files byte for byte. What is computed:
-:mod:`titop_plant.telescope.disturbance_responses`.
+:mod:`titop_plant.simulation.disturbance_responses`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matplotlib.ticker import LogLocator
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.telescope.disturbance_responses import (
+from titop_plant.simulation.disturbance_responses import (
     ALL,
     ARCSEC,
     DRIVES,

@@ -55,7 +55,7 @@ def an_uncertain_system(_: Path, __: pytest.MonkeyPatch) -> Names:
 
 def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Names:
     """The design takes an hour: its call is checked against the signature, its result is empty."""
-    from los_design.synthesis import redesign
+    from los_design import redesign
 
     (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")
     check = SimpleNamespace(fsm={}, pma={})

@@ -17,8 +17,8 @@ from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 from los_design.figures import plant_figures
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.simulation.build import PlantConfig, parameter_values, telescope
+from titop_plant.simulation.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.structures import write_modal_data
-from titop_plant.telescope.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.telescope.parameters import load_parameters
 from titop_plant.telescope.weights import rpe_weight
 

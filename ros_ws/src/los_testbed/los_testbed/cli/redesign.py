@@ -81,7 +81,7 @@ def design_all(
     json_: Json = False,
 ) -> None:
     """See ALL_EXAMPLES."""
-    from los_design.synthesis import redesign
+    from los_design import redesign
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
 
     number("--seed", seed, 0, 2**31 - 1)
