@@ -1,7 +1,8 @@
 """Runs with random faults for some minutes: ``python tests/fuzz/fault_campaign.py MINUTES [SEED] [CASE ...]``.
 
 Each case is one run of the program with one fault, chosen by the seed and the number of the case: a signal to one of
-its processes, a full disk, too few descriptors, too little memory, one processor, a second run on its domain or output.
+its processes, a full disk, too few descriptors, too little memory, one processor, steps of the wall clock, a second run
+on its domain or output.
 A case is judged from outside: exit code and words of the message, processes that are left, bags that can be read or
 repaired. The table at the end counts; what is wrong is printed at once, with the command that repeats it. Exit code:
 0 nothing found, 1 something found.
@@ -9,13 +10,16 @@ repaired. The table at the end counts; what is wrong is printed at once, with th
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import os
 import random
 import re
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -38,6 +42,8 @@ LEFT_S = 30.0
 """Time in which its processes must be gone."""
 DURATION_S = 2.0
 MARK = "FAULT_CASE"
+CLOCK_SOURCE = Path(__file__).parents[1] / "support" / "clock_step.c"
+HOUR_S = 3600
 MCAP0_MAGIC = b"\x89MCAP0\r\n"
 NODES = ("plant", "estimator", "controller", "recorder")
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSEGV, signal.SIGABRT)
@@ -58,6 +64,7 @@ class Case:
     mode : mode of the run
     act : does the fault while the run goes on
     prepare : limits of the process, set before the program begins
+    variables : of the environment of the program
     bag : where it is written
     """
 
@@ -68,6 +75,7 @@ class Case:
     mode: str = "realtime"
     act: Callable[[subprocess.Popen[str]], None] = lambda process: None
     prepare: Callable[[], None] = lambda: None
+    variables: dict[str, str] = field(default_factory=dict)
     bag: Path = field(init=False)
     outputs: list[tuple[int, str]] = field(default_factory=list)
 
@@ -91,6 +99,7 @@ def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--mode={case.mode}", f"--duration={DURATION_S:g}"]
     command += [f"--output={bag}", "--no-report", f"--domain={domain}", "--max-missed=100", "--start=rest"]
     variables = {**os.environ, MARK: str(case.folder), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "400"}
+    variables |= case.variables
     return subprocess.Popen(
         command,
         cwd=case.folder,
@@ -225,6 +234,39 @@ def second_run(rng: random.Random, folder: Path) -> Case:
     return case
 
 
+def clock_step(rng: random.Random, folder: Path) -> Case:
+    """The wall clock of all its processes is set by up to an hour, back and forth."""
+    case = Case("clock step", "wall clock set three times", folder, {OK: ""})
+    case.mode = rng.choice(("realtime", "realtime", "lockstep", "inprocess"))
+    offset = folder / "offset"
+    offset.write_bytes(struct.pack("<q", 0))
+    case.variables = {"LD_PRELOAD": str(build_clock()), "CLOCK_STEP_FILE": str(offset)}
+
+    def act(process: subprocess.Popen[str]) -> None:
+        for _ in range(3):
+            moment(case, process, rng)
+            with offset.open("r+b") as stream:
+                stream.write(struct.pack("<q", rng.randint(-HOUR_S, HOUR_S)))
+
+    case.act = act
+    return case
+
+
+@functools.cache
+def build_clock() -> Path:
+    """Library with a wall clock that can be set."""
+    library = Path(tempfile.mkdtemp(prefix="fault_clock_")) / "clock_step.so"
+    command = [compiler(), "-shared", "-fPIC", "-O1", "-o", str(library), str(CLOCK_SOURCE), "-ldl"]
+    subprocess.run(command, check=True)
+    atexit.register(shutil.rmtree, library.parent, ignore_errors=True)
+    return library
+
+
+def compiler() -> str:
+    """C compiler of this machine; empty without one."""
+    return shutil.which("cc") or shutil.which("gcc") or ""
+
+
 FAULTS: list[tuple[int, Callable[[random.Random, Path], Case]]] = [
     (8, signal_to_node),
     (3, pause_of_process),
@@ -234,7 +276,7 @@ FAULTS: list[tuple[int, Callable[[random.Random, Path], Case]]] = [
     (1, one_processor),
     (2, second_run),
 ]
-FULL_DISK = (2, full_disk)
+FULL_DISK, CLOCK_STEP = (2, full_disk), (2, clock_step)
 
 
 def faults() -> Iterator[str]:
@@ -246,6 +288,10 @@ def faults() -> Iterator[str]:
         else:
             subprocess.run(["umount", folder], check=True)
             FAULTS.append(FULL_DISK)
+    if compiler():
+        FAULTS.append(CLOCK_STEP)
+    else:
+        yield "clock step left out: there is no C compiler"
 
 
 def holds_messages(file: Path) -> bool:

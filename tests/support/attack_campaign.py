@@ -6,7 +6,8 @@ Each seed gives a case: topic or service, name, stamps, rate, size and time of a
 beside it is compared with that of an undisturbed run of the same seed, message by message. Outcomes:
 
 - unchanged: the same messages, and whoever sent on a topic of the loop is reported;
-- told: the same messages up to a request that ended the run or began it again, and the bag tells who asked;
+- told: the same messages up to a request that changed, ended or began the run again, and the bag tells who asked (of a
+  transition of the life cycle: that somebody did);
 - refused: the run did not begin or did not end, with a line that names the stranger or its topic.
 
 All others are found errors: falsified (another message), silent (no line about messages that were refused), unnamed (an
@@ -24,12 +25,17 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from attacker import EARLY, SERVICES, STAMPS, Attacker, Case
+from attacker import EARLY, REQUESTS, SERVICES, STAMPS, Attacker, Case
+from los_testbed.bags.cdr import stamp_of
+from los_testbed.nodes.support.requesters import UNKNOWN
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.runner import Runner
 from los_testbed.topics import PROGRESS_TOPIC, TOPICS
 from mcap.reader import make_reader
 from ros_runs import PLANT, config_for
+
+from pointing_analysis.read.run import Run
+from titop_plant.interface import TICK_NS
 
 DURATION = 0.6
 LIMIT_S = 150
@@ -62,6 +68,7 @@ def case_of(seed: int) -> Case:
         size=0 if service else chance.choice([0, 0, 0, 0, -1, -20, -30, 4, 1000, 60_000]),
         begin=EARLY if chance.random() < 0.3 else chance.randint(0, 300),
         seconds=chance.choice([0.5, 2.0, 4.0]),
+        request=chance.choice(REQUESTS[topic]) if service else "",
     )
 
 
@@ -90,20 +97,37 @@ def run_beside(folder: Path, case: Case | None) -> Results:
 def outcome(case: Case, results: Results, expected: Messages) -> str:
     """What became of a run that came to its end."""
     assert results.bag is not None
-    rows = json.loads(results.statistics["plant"].get("changes", "[]"))
-    told = case.topic in SERVICES and any(row.get("by") == case.node for row in rows)
-    for bag in [*results.earlier, results.bag]:
+    found = messages_of(results.bag)
+    ticks = changed_by(case, results)
+    same = expected if not ticks else before(expected, min(ticks))
+    for topic, messages in same.items():
+        own = found.get(topic, [])
+        if own != messages and (not ticks or own[: len(messages)] != messages):
+            return "falsified"
+    for bag in results.earlier:  # each until a reset
         found = messages_of(bag)
-        whole = bag == results.bag and not told
-        for topic, messages in expected.items():
-            own = found.get(topic, [])
-            if own != (messages if whole else messages[: len(own)]):
-                return "falsified"
+        if any(found.get(topic, []) != messages[: len(found.get(topic, []))] for topic, messages in expected.items()):
+            return "falsified"
+        if case.node not in Run.open(bag).parameters["statistics"]["plant"].get("changes", ""):
+            return "silent"
     recorder = results.statistics["recorder"]
     topic = f"/telescope/{case.topic}"
     if case.topic in LOOP and int(recorder.get(f"foreign_{topic}", 0)) and topic not in " ".join(results.failures):
         return "silent"
-    return "told" if told else "unchanged"
+    return "told" if ticks or results.earlier else "unchanged"
+
+
+def changed_by(case: Case, results: Results) -> list[int]:
+    """Ticks of the changes that the bag tells to be of the stranger."""
+    names = {case.node, UNKNOWN} if case.topic.endswith("change_state") else {case.node}
+    told = [json.loads(values.get("changes", "[]")) for values in results.statistics.values()]
+    return [int(row["tick"]) for rows in told for row in rows if case.topic in SERVICES and row.get("by") in names]
+
+
+def before(expected: Messages, tick: int) -> Messages:
+    """Messages of the ticks before this one."""
+    end = min(stamp_of(data) for data in expected[f"/telescope/{TOPICS[0].name}"]) + tick * TICK_NS
+    return {topic: [data for data in messages if stamp_of(data) < end] for topic, messages in expected.items()}
 
 
 def judge(folder: Path, case: Case, expected: Messages) -> tuple[str, str]:
@@ -113,7 +137,7 @@ def judge(folder: Path, case: Case, expected: Messages) -> tuple[str, str]:
     except HungError:
         return "hung", ""
     except (RunError, ValueError) as error:
-        named = case.node in str(error) or case.topic in str(error)
+        named = any(name in str(error) for name in (case.node, case.topic, *case.topic.split("/change_state")[:-1]))
         return ("refused" if named else "unnamed"), str(error)
     return outcome(case, results, expected), "; ".join([*results.warnings, *results.failures])
 

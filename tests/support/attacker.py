@@ -20,7 +20,34 @@ import numpy as np
 STAMPS = ("future", "past", "hold", "off_grid", "next", "repeated")
 """Stamps relative to those of the run: 1000 s ahead, 1000 s back, zero, between two ticks, of the next tick, equal."""
 
-SERVICES = ("plant/stop", "plant/start", "plant/reset", "plant/set_parameters", "controller/change_state")
+TRANSITIONS = {"unknown": 250, "activate": 3, "deactivate": 4, "cleanup": 2, "shutdown": 7}
+PARAMETERS = {
+    "refused": {"fault": ['{"name": "camera_dropout", "value": "no"}', '{"name": "active", "value": false}', "{"]},
+    "read_only": {"seed": [99], "duration": [1e5], "namespace": ["/stranger"], "use_sim_time": [False]},
+    "noise": {"noise": [False]},
+    "disturbance": {"disturbance": [False]},
+    "camera": {"camera_dropout": [0.9]},
+    "stop": {"fault": ['{"name": "stop", "value": true}']},
+    "stop_later": {"fault": ['{"name": "stop", "value": true, "at": 0.5}']},
+    "stage": {"loop": ["isolator"]},
+    "authority": {"fsm_authority": [1e-6]},
+}
+"""Values of parameters that a request sets, by the name of the request."""
+
+REQUESTS = {
+    "plant/stop": ("",),
+    "plant/start": ("",),
+    "plant/reset": ("",),
+    "plant/set_parameters": ("refused", "read_only", "noise", "disturbance", "camera", "stop", "stop_later"),
+    "plant/set_parameters_atomically": ("refused", "read_only", "noise", "stop"),
+    "controller/set_parameters": ("refused", "read_only", "stage", "authority"),
+    "controller/set_parameters_atomically": ("refused", "stage"),
+    "estimator/set_parameters": ("refused", "read_only"),
+    "recorder/set_parameters": ("refused", "read_only"),
+    "controller/change_state": tuple(TRANSITIONS),
+    "estimator/change_state": tuple(TRANSITIONS),
+}
+SERVICES = tuple(REQUESTS)
 EARLY = -1
 """Value of `begin` for a stranger that is there before the nodes of the run."""
 
@@ -38,6 +65,7 @@ class Case:
     size : bytes added to each message (or cut from it, if negative)
     begin : tick of the run at which it begins to send; EARLY: before
     seconds : how long it sends
+    request : what it asks of a service, one of REQUESTS
     """
 
     topic: str = "truth/los"
@@ -48,6 +76,7 @@ class Case:
     size: int = 0
     begin: int = 200
     seconds: float = 3.0
+    request: str = ""
 
     @property
     def node(self) -> str:
@@ -119,7 +148,7 @@ def main(domain: int, case: Case) -> None:
     while not ended and case.begin != EARLY and not (first and newest >= first + case.begin * 1_000_000):
         listen()
         time.sleep(0.002)
-    act = _caller(node, case.topic) if case.topic in SERVICES else _sender(node, case)
+    act = _caller(node, case) if case.topic in SERVICES else _sender(node, case)
     if case.begin == EARLY:
         sys.stdout.write("begins\n")
         sys.stdout.flush()
@@ -174,29 +203,34 @@ def _sender(node, case):
     return send
 
 
-def _caller(node, name):
+def _caller(node, case):
     """A function that sends a request."""
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-    from std_srvs.srv import Trigger
-
-    if name.endswith("set_parameters"):
-        faults = ['{"name": "camera_dropout", "value": "no"}', '{"name": "active", "value": false}', "{"]
-        parameters = [Parameter("fault", value=text).to_parameter_msg() for text in faults]
-        kind, request = SetParameters, SetParameters.Request(parameters=parameters)
-    elif name.endswith("change_state"):
-        kind, request = ChangeState, ChangeState.Request(transition=Transition(id=250, label="fly"))
-    else:
-        kind, request = Trigger, Trigger.Request()
-    client = node.create_client(kind, f"/telescope/{name}")
+    client_of, request = _request(case)
+    client = node.create_client(client_of, f"/telescope/{case.topic}")
 
     def call(stamp: int) -> None:
         if client.service_is_ready():
             client.call_async(request)
 
     return call
+
+
+def _request(case):
+    """Type of a service, and a request."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import Trigger
+
+    if case.topic.endswith("change_state"):
+        return ChangeState, ChangeState.Request(transition=Transition(id=TRANSITIONS[case.request], label="fly"))
+    if "set_parameters" not in case.topic:
+        return Trigger, Trigger.Request()
+    given = [(name, value) for name, values in PARAMETERS[case.request].items() for value in values]
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in given]
+    kind = SetParametersAtomically if case.topic.endswith("atomically") else SetParameters
+    return kind, kind.Request(parameters=parameters)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Two hosts for the test of who hears a run: one runs the loop and watches its network card, one has a stranger.
 
-    python observed_host.py run CONFIG.json DEVICE FOLDER       runs the loop; prints packets, sockets, statistics
+    python observed_host.py run CONFIG.json DEVICE FOLDER       runs the loop, with a server for viewers; prints
+                                                                packets, sockets, statistics
+    python observed_host.py campaign DEVICE FOLDER              a campaign of two workers; prints packets, sockets
     python observed_host.py stranger ADDRESS DOMAIN FOLDER S    an ordinary rclpy node; prints what it heard and sent;
                                                                 for S seconds if it hears nothing
 
@@ -13,6 +15,7 @@ import collections
 import json
 import os
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -56,6 +59,7 @@ def run(config: str, device: str, folder: str) -> dict[str, object]:
     """Run until the stranger has left."""
     from los_testbed.config import RunConfig
     from los_testbed.run.runner import Runner
+    from los_testbed.run.viewers import Live
     from ros_runs import PLANT
 
     packets = OutgoingPackets(device)
@@ -71,8 +75,27 @@ def run(config: str, device: str, folder: str) -> dict[str, object]:
             raise KeyboardInterrupt
 
     values = json.loads(Path(config).read_text())
-    results = Runner(RunConfig.from_mapping(values), progress, {"plant": PLANT}).run()
+    addresses: list[str] = []
+    live = Live(port=0, tell=lambda foxglove, page: addresses.extend([foxglove, page]))
+    results = Runner(RunConfig.from_mapping(values), progress, {"plant": PLANT}, live=live).run()
+    found["served"] = len(addresses)
     return {**found, "with_stranger": dict(packets.counts), "plant": results.statistics["plant"]}
+
+
+def campaign(device: str, folder: str) -> dict[str, object]:
+    """A campaign that computes in two processes."""
+    packets, output = OutgoingPackets(device), Path(folder, "campaign")
+    options = ["--samples=8", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=2"]
+    command = [sys.executable, "-m", "los_testbed.cli.app", "campaign", *options, f"--output={output}"]
+    sockets: set[str] = set()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None:
+            sockets |= local_addresses()
+            time.sleep(0.1)
+        assert process.stderr is not None
+        errors = process.stderr.read()
+    assert process.returncode == 0, errors
+    return {"packets": dict(packets.counts), "sockets": sorted(sockets)}
 
 
 def stranger(address: str, domain: str, folder: str, seconds: str) -> dict[str, object]:
@@ -105,4 +128,4 @@ def stranger(address: str, domain: str, folder: str, seconds: str) -> dict[str, 
 
 
 if __name__ == "__main__":
-    json.dump({"run": run, "stranger": stranger}[sys.argv[1]](*sys.argv[2:]), sys.stdout)
+    json.dump({"run": run, "campaign": campaign, "stranger": stranger}[sys.argv[1]](*sys.argv[2:]), sys.stdout)
