@@ -31,7 +31,7 @@ BASE = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imba
 OPTIONS = [
     "campaign",
     "--samples",
-    "30",
+    "20",
     "--seed",
     "5",
     "--duration",
@@ -44,7 +44,7 @@ OPTIONS = [
 ]
 
 
-def asked(samples: int = 30) -> Campaign:
+def asked(samples: int = 20) -> Campaign:
     return Campaign.of(BASE, "uniform", samples, 5, "time", identity(BASE))
 
 
@@ -74,7 +74,7 @@ def test_interrupted_and_resumed_with_two_workers(
     assert main([*OPTIONS, "--workers", "2", "--resume", "--keep", "1", "--output", str(folder.path)]) == 0
     summary = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert summary["rows_hash"] == undisturbed.rows_hash() == folder.rows_hash()
-    assert (summary["members"], summary["status"]) == (30, {"ok": 30})
+    assert (summary["members"], summary["status"]) == (20, {"ok": 20})
     assert [Path(bag).exists() for bag in summary["bags"]] == [True]
 
 

@@ -150,6 +150,7 @@ def test_messages_about_a_missing_package_name_the_extra(without_ros: Path, tmp_
     assert {"dataframes", "nastran", "ros"} <= set(PROJECT["optional-dependencies"])
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_wheel_runs_outside_the_tree_with_ros(
     built: tuple[Path, Path], library: tuple[Path, Path], tmp_path: Path

@@ -38,8 +38,17 @@ def measured(config: RunConfig, omega: float) -> float:
     return float(np.sqrt(np.sum(fit**2)))
 
 
-@pytest.mark.parametrize("index", INDICES)
-@pytest.mark.parametrize("loop", STAGES)
+BOTH = STAGES[-1]
+
+
+@pytest.mark.parametrize(
+    ("loop", "index"),
+    [
+        pytest.param(loop, index, marks=[pytest.mark.slow] * (loop != BOTH and index != "RPE"))
+        for loop in STAGES
+        for index in INDICES
+    ],
+)
 def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> None:
     """Within 2 %, at the worst parameters of the stage, with the designs that ship."""
     chosen = {"loop": loop, "worst_of": index, "duration": 10.0, "noise": False, "mode": "inprocess"}

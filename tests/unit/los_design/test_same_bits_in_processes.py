@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
@@ -21,6 +22,7 @@ from titop_plant.telescope.parameters import load_parameters
 SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)
 
 
+@pytest.mark.slow
 def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
     monkeypatch.setattr(stage_check, "CHUNK", 2)
     parameters, pair = load_parameters(), load_designs("implemented")

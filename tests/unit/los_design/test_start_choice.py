@@ -73,6 +73,7 @@ def test_the_reference_telescope_has_the_stored_start(parameters, chosen) -> Non
         np.testing.assert_array_equal(M, gain_matrix(stored_start(kind)))
 
 
+@pytest.mark.slow
 def test_another_telescope_has_the_best_of_several_after_a_short_descent(parameters, chosen, monkeypatch) -> None:
     """With the soft isolator the stored start and the random laws are worse than the stored pair."""
     monkeypatch.setattr(start_choice, "POINTS", 1)

@@ -94,7 +94,7 @@ def test_refined_peaks_are_on_top(parameters) -> None:
 
 def test_the_worst_of_many_points_is_the_largest_of_each_alone(parameters) -> None:
     """Peaks that can't be the largest are not refined; those of a point alone always are."""
-    points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 9)]
+    points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 5)]
     loop = ImplementedLoop(OpenLoop(small_family(), parameters), *quiet_pair(), "fsm+pma")
     alone = [stage_check.check_stage(loop, [point], changes=False).worst for point in points]
     together = stage_check.check_stage(loop, points, changes=False).worst

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from pointing_analysis.read.run import Run
 EIGHT_GB = 8 << 30
 
 
+@cache
 def zeros(size: int) -> bytes:
     """Compressed zeros: 262 kB for 8 GB."""
     packed, block = io.BytesIO(), bytes(1 << 22)

@@ -49,7 +49,7 @@ def check(run: Run, signals: dict[str, np.ndarray]) -> None:
         {"index": False},
         {"chunks": False},
         {"chunks": False, "index": False},
-        {"chunk_size": 1000},
+        {"chunk_size": 4000},
         {"namespace": ""},
         {"namespace": "/lab/telescope_2"},
     ],

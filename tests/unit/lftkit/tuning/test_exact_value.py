@@ -129,6 +129,7 @@ def test_the_lqg_start_has_the_least_h2_norm() -> None:
         assert problem.evaluate(other, gradients=False).values.max() >= best * (1.0 - 1e-5)
 
 
+@pytest.mark.slow
 def test_many_starts_of_a_small_problem_give_the_same_bits_in_two_processes() -> None:
     model = PLANTS["AC17"]()
     structure = state_space([model.outputs[1]], [model.inputs[1]], 0)

@@ -35,8 +35,17 @@ def check_certified(result) -> None:
         assert result.certificate.upper.max() == pytest.approx(result.soft, rel=1e-3)
 
 
-@pytest.mark.parametrize("ground", [0.0, 1e-4, 0.3])
-@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize(
+    ("ground", "order"),
+    [
+        (0.0, 0),
+        (1e-4, 0),
+        (0.3, 0),
+        (0.0, 1),
+        pytest.param(1e-4, 1, marks=pytest.mark.slow),
+        pytest.param(0.3, 1, marks=pytest.mark.slow),
+    ],
+)
 def test_undamped_modes_are_tuned_and_certified(ground: float, order: int) -> None:
     """From an unstable start and from a random one; once the tuned value was 4588 and the certificate 27.5."""
     structure = state_space([("y", 2)], [("u", 1)], order)

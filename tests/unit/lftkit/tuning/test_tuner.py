@@ -214,7 +214,7 @@ def test_target_stops_early() -> None:
 
 def test_same_seed_same_bits_and_workers_change_nothing() -> None:
     def run(workers: int, seed: int) -> tuple[bytes, tuple[float, ...]]:
-        options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=15)
+        options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=6)
         plant = PLANTS["REA1"]()
         result = tune([plant], [HinfGain("w", "z")], gain([plant.outputs[1]], [plant.inputs[1]]), options=options)
         return result.x.tobytes(), result.starts
@@ -248,7 +248,7 @@ def test_stable_controller_on_request() -> None:
 def test_pole_requirements_hold_on_the_closed_loop() -> None:
     poles = ClosedLoopPoles(min_decay=0.3, min_damping=0.5, max_frequency=20.0)
     free = state_space([("y", 1)], [("u", 1)], 2)
-    result = tune([integrators()], [HinfGain("w", "z"), poles], free, options=TuningOptions(starts=4, iterations=150))
+    result = tune([integrators()], [HinfGain("w", "z"), poles], free, options=TuningOptions(starts=2, iterations=60))
     assert result.feasible and result.certificate is not None
     closed = result.certificate.abscissae.max()
     assert closed <= -0.3 * (1 - 1e-6)
