@@ -58,7 +58,7 @@ def check_tuning(seed: int, kinds: list[str], order: int, feedthrough: bool, ite
 
 
 @example(8158, ["unstable pole", "integrator"], 1, False)  # a start with a pole of the loop at a frequency of the grid
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(*PLANTS)
 def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
     check_tuning(seed, kinds, order, feedthrough, iterations=6)

@@ -78,7 +78,7 @@ def seen(request, tmp_path_factory):
 
 
 localhost = pytest.mark.parametrize("seen", ["LOCALHOST"], indirect=True)
-subnet = pytest.mark.parametrize("seen", ["SUBNET"], indirect=True)
+subnet = pytest.mark.parametrize("seen", [pytest.param("SUBNET", marks=pytest.mark.slow)], indirect=True)
 
 
 @localhost

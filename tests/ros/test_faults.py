@@ -287,6 +287,7 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     assert any("commands rejected" in text for _, level, text in diagnostics(results.bag, "plant") if level == 1)
 
 
+@pytest.mark.slow
 def test_dropped_camera_frames_do_not_stop_the_estimator(tmp_path):
     results = run_with_fault(tmp_path, 10**9, lambda r: None, 2.0, camera_dropout=0.5)
     run = Run.open(results.bag)

@@ -158,6 +158,7 @@ def watched(tmp_path_factory):
     return found, results["run"]
 
 
+@pytest.mark.slow
 def test_values_on_the_page_equal_those_of_the_bag(watched):
     found, results = watched
     truth = Run.open(results.bag)["truth/los"]
@@ -171,6 +172,7 @@ def test_values_on_the_page_equal_those_of_the_bag(watched):
     assert compared >= 3
 
 
+@pytest.mark.slow
 def test_the_page_ends_with_the_counts_of_the_run(watched):
     found, results = watched
     assert found["last"]["missed"] == results.statistics["plant"]["missed_ticks"]
@@ -179,6 +181,7 @@ def test_the_page_ends_with_the_counts_of_the_run(watched):
     assert not [line for line in results.warnings if "viewers" in line]
 
 
+@pytest.mark.slow
 def test_a_stage_is_switched_by_keyboard_and_seen_within_a_second(watched):
     found, results = watched
     run = Run.open(results.bag)
@@ -190,6 +193,7 @@ def test_a_stage_is_switched_by_keyboard_and_seen_within_a_second(watched):
     assert 1500 < last <= changes[0]["tick"] + 1000, "the last frame that showed the former stage"
 
 
+@pytest.mark.slow
 def test_the_page_has_no_errors_and_fits_a_desk_and_a_telephone(watched):
     found = watched[0]
     assert found["widths"][1280] <= 1280 and found["widths"][390] <= 390
@@ -198,6 +202,7 @@ def test_the_page_has_no_errors_and_fits_a_desk_and_a_telephone(watched):
     assert {"stage", "noise", "disturbance", "deactivate", "activate", "start", "stop", "reset"} <= found["reached"]
 
 
+@pytest.mark.slow
 def test_actions_are_refused_without_the_token_and_with_values_that_do_not_fit(watched):
     refused = watched[0]["refused"]
     for name in ("no token", "wrong token"):
@@ -219,5 +224,6 @@ def test_a_port_in_use_is_refused_before_the_run(tmp_path):
     assert error.value.code == 2
 
 
+@pytest.mark.slow
 def test_the_addresses_are_those_of_the_loopback_interface(watched):
     assert {urlsplit(watched[0][name]).hostname for name in ("foxglove", "address")} == {"127.0.0.1"}

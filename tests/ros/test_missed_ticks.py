@@ -27,7 +27,7 @@ class Slow(LosEstimator):
 """
 
 
-@pytest.mark.parametrize(("limit", "code"), [((), 4), (("--max-missed=100",), 0)])
+@pytest.mark.parametrize(("limit", "code"), [((), 4), pytest.param(("--max-missed=100",), 0, marks=pytest.mark.slow)])
 def test_more_missed_ticks_than_the_limit_are_no_success(tmp_path, limit, code):
     write_controllers(tmp_path)
     (tmp_path / "slow.py").write_text(SLOW)

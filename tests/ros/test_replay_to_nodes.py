@@ -19,7 +19,7 @@ from pointing_analysis.read.run import Run
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture(scope="module", params=["realtime", "lockstep"])
+@pytest.fixture(scope="module", params=["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def recorded(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     config = config_for(folder, mode=request.param, duration=1.2, seed=5, camera_dropout=0.2)

@@ -131,7 +131,7 @@ sys.exit(recorder.main())
 """
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def test_the_bag_has_the_last_statistics_of_nodes_whose_reports_were_lost(tmp_path, mode):
     """As where the processor is taken away for seconds."""
     commands = {"plant": PLANT_COMMAND, "recorder": [sys.executable, "-c", LOSES_REPORTS]}
