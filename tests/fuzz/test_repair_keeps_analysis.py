@@ -89,7 +89,7 @@ def untyped(bag: Path) -> bool:
 
 @pytest.mark.parametrize("kind", sorted(mutations.KINDS))
 @given(changes=st.lists(MUTATIONS, min_size=1, max_size=2))
-@examples(3)
+@examples(2)
 def test_damage(recorded: Recorded, kind: str, changes: list[Mutation]) -> None:
     data = recorded.data
     for change in (replace(changes[0], kind=kind), *changes[1:]):
@@ -99,7 +99,7 @@ def test_damage(recorded: Recorded, kind: str, changes: list[Mutation]) -> None:
 
 @pytest.mark.parametrize("kind", sorted(record_mutations.KINDS))
 @given(changes=st.lists(RECORD_MUTATIONS, min_size=1, max_size=2), trusted=st.booleans())
-@examples(3)
+@examples(2)
 def test_records_that_agree_with_their_checksums(
     recorded: Recorded, kind: str, changes: list[RecordMutation], trusted: bool
 ) -> None:

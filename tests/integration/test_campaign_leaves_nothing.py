@@ -90,7 +90,7 @@ def processes_of(variable: str) -> Iterator[int]:
                 yield int(entry.name)
 
 
-@pytest.mark.parametrize("started", ["folder", "rows"])
+@pytest.mark.parametrize("started", ["folder", pytest.param("rows", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name",
     [

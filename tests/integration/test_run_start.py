@@ -59,6 +59,7 @@ def test_a_steady_start_has_no_transient(biased: RunConfig, loop: str) -> None:
     assert np.abs(los - basis @ fit).max() < 1e-6 * np.abs(los).max()
 
 
+@pytest.mark.slow
 def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
     """After 200 s; at the beginning the washout's answer to the bias of the accelerometers is many times as large."""
     biased = replace(biased, worst_of="fast")

@@ -89,6 +89,7 @@ def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
     assert checked.stable == (BANDS[figure] == WHOLE), "poles above half of the sampling rate included"
 
 
+@pytest.mark.slow
 def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
     assert nominal_stable(loop)
 

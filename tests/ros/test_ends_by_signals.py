@@ -55,6 +55,7 @@ def test_a_recorder_that_is_told_to_end_by_a_stranger_records_the_rest_of_the_ru
     assert_plant_is_recorded(run, int(results.statistics["plant"]["ticks"]))
 
 
+@pytest.mark.slow
 def test_a_plant_that_is_told_to_end_by_a_stranger_begins_again(tmp_path):
     results = run_with_fault(tmp_path, 800, end_once("plant"), 3.0)
     assert results.failures[0] == "plant ended unexpectedly (signal 15); it was started again"

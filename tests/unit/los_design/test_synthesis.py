@@ -89,7 +89,8 @@ def nominal_values(parameters) -> dict[str, float]:
     return {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
 
 
-@pytest.mark.parametrize("kind", ["k-fsm", pytest.param("k-pma", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])
 def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameters, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", TINY)
     options, (k_fsm, k_pma) = DesignOptions(nominal=True), load_designs("implemented")

@@ -29,6 +29,7 @@ def differentiator(speed: float) -> np.ndarray:
     return np.array([-speed, 0.3 * speed, 0.0, -0.3 * speed, 0.096 * speed, 0.06])
 
 
+@pytest.mark.slow
 def test_perturbed_restarts_follow_the_valley(problem: Problem) -> None:
     x = differentiator(100.0)
     first = float(np.exp(ExactValue(problem)(x)[0]))
