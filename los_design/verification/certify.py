@@ -28,7 +28,7 @@ from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.proof import Interval, packed, unpacked
-from lftkit.proofs.state_space.checker import ProofError
+from lftkit.proofs.verdict import ProofError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics

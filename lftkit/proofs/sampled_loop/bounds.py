@@ -20,9 +20,9 @@ from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.checker import windows_of
-from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.premises import require_box
 from lftkit.proofs.sampled_loop.proof import Interval, Strip
+from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
 from lftkit.support.threads import one_thread
 
@@ -36,7 +36,7 @@ FOLLOWING = 8
 BISECTIONS = 5
 """Most bisections of a step in the check of a prover."""
 PART = 0.01
-"""Part of the band, relative to its frequency, for which a box is bisected."""
+"""Part of the band, relative to its frequency, for which a box is bisected by default."""
 SLOW = 0.1
 """Part of the plant's slowest pole below which scalings are D alone and the whole band is bisected at once."""
 LOWEST = 1e-3
@@ -90,7 +90,7 @@ class LoopBounds:
 
 
 def prove_level(
-    model: LoopModel,
+    model: Responses,
     box: Sequence[Interval],
     band: Interval,
     level: float,
@@ -98,12 +98,13 @@ def prove_level(
     until: float = math.inf,
     seed: int = 0,
     known: Sequence[Strip] = (),
+    part: float = PART,
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
     Parameters
     ----------
-    model : LoopModel
+    model : Responses
     box : sequence of (low, high)
         Deviations from the nominal values; of an angle theta [rad].
     band : (low, high)
@@ -115,6 +116,8 @@ def prove_level(
         Of the members that are looked at.
     known : sequence of Strip
         Of a proof for another level that covers this box and band: what also holds for this level is kept.
+    part : float
+        Part of the band, relative to its frequency, for which a box is bisected.
 
     Raises
     ------
@@ -123,8 +126,10 @@ def prove_level(
     """
     require_box(box)
     start = time.process_time()
-    slow = SLOW * float(np.abs(model.poles).min(initial=1.0 / model.dt))
-    state = _State(model, level, until, np.random.default_rng(seed), LoopBounds(), slow, Branching(model, level, until))
+    slow = SLOW * model.slowest
+    state = _State(
+        model, level, until, np.random.default_rng(seed), LoopBounds(), slow, part, Branching(model, level, until)
+    )
     with one_thread():
         if known:
             for strip in known:
@@ -137,12 +142,13 @@ def prove_level(
 
 @dataclass
 class _State:
-    model: LoopModel
+    model: Responses
     level: float
     until: float
     rng: np.random.Generator
     found: LoopBounds
     slow: float
+    part: float
     branching: Branching
 
     @property
@@ -211,7 +217,7 @@ class _State:
                     break
             if reached >= high:
                 return
-            end = min(high, reached * (1.0 + PART))
+            end = min(high, reached * (1.0 + self.part))
             if depth == DEEPEST:
                 self.found.uncovered.append((box, (reached, end)))
             else:
@@ -277,6 +283,8 @@ class _State:
 
     def _look(self, box: Box, low: float, high: float) -> None:
         """Gains of some members where scalings were not found."""
+        if not self.model.sizes[3]:
+            return
         omega = float(self.rng.uniform(max(low, self.lowest), high))
         ends = np.array(box)
         points = self.rng.uniform(size=(SAMPLES, len(box)))
@@ -288,7 +296,7 @@ class _State:
             self.found.lower, self.found.point, self.found.omega = float(gains[best]), members[best], omega
 
 
-def member_gains(model: LoopModel, omega: float, members: FloatArray) -> FloatArray:
+def member_gains(model: Responses, omega: float, members: FloatArray) -> FloatArray:
     """Gain over the limit of members (N, parameters) at a frequency."""
     q = model.sizes[0]
     z, e = model.at(omega)

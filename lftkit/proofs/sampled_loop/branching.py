@@ -16,8 +16,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle
-from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
 
 Box = tuple[Interval, ...]
@@ -41,14 +41,14 @@ class Branching:
 
     Parameters
     ----------
-    model : LoopModel
+    model : Responses
     level : float
         To be proven.
     until : float
         ``time.monotonic()`` after which nothing is measured.
     """
 
-    model: LoopModel
+    model: Responses
     level: float
     until: float = math.inf
     known: list[tuple[Box, float, FloatArray | None]] = field(default_factory=list)

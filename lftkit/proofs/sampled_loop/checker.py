@@ -31,7 +31,8 @@ from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from lftkit.proofs.sampled_loop.premises import require_premises
 from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
-from lftkit.proofs.state_space.checker import ProofError, uncovered
+from lftkit.proofs.sampled_loop.responses import Responses
+from lftkit.proofs.verdict import ProofError, uncovered
 
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
@@ -69,7 +70,7 @@ def ends_of(angle: bool, low: float, high: float) -> tuple[float, float, float, 
     return math.cos(0.5 * low), math.sin(0.5 * low), math.cos(0.5 * high), math.sin(0.5 * high)
 
 
-def coordinates(model: LoopModel, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
+def coordinates(model: Responses, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
     """(w, d) by coordinates in which the form is about -I at a frequency. Any others would do, less well."""
     q, d = model.sizes[0], model.sizes[3]
     z, e = model.at(omega)
@@ -101,7 +102,7 @@ def coordinates(model: LoopModel, strip: Strip, number: int, omega: float, level
     return V
 
 
-def _middle(model: LoopModel, box: Sequence[Interval], z: ComplexArray) -> ComplexArray:
+def _middle(model: Responses, box: Sequence[Interval], z: ComplexArray) -> ComplexArray:
     """(w, d) by (deviation of w from the middle of the box, d)."""
     q, d = model.sizes[0], model.sizes[3]
     cz, sz, cw, sw = middle_of(model, box)
@@ -112,7 +113,7 @@ def _middle(model: LoopModel, box: Sequence[Interval], z: ComplexArray) -> Compl
     return np.vstack([w, np.hstack([np.zeros((d, q)), np.eye(d)])])
 
 
-def middle_of(model: LoopModel, box: Sequence[Interval]) -> Matrices:
+def middle_of(model: Responses, box: Sequence[Interval]) -> Matrices:
     """Of each channel ``z = cz z' + sz w'`` and ``w = cw z' + sw w'`` with w' = 0 in the middle, +-z' at the ends."""
     q = model.sizes[0]
     cz, sz, cw, sw = np.ones(q), np.zeros(q), np.zeros(q), np.zeros(q)
@@ -133,7 +134,7 @@ def is_circle(low: float, high: float) -> bool:
     return high - low > 6.28
 
 
-def inequality(model: LoopModel, strip: Strip, number: int, low: float, high: float, level: float) -> Polynomial:
+def inequality(model: Responses, strip: Strip, number: int, low: float, high: float, level: float) -> Polynomial:
     """The quadratic form over [low, high], between the nodes `number` and `number` + 1, in its coordinates."""
     q = model.sizes[0]
     middle, half = 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 4.0 * UNIT) + 4.0 * UNIT * high
@@ -193,7 +194,7 @@ def positive(matrix: ComplexArray, rest: FloatArray) -> bool:
     return bool(linalg.lapack.zpotrf(middle - bound * np.eye(n), lower=1)[1] == 0)
 
 
-def windows_of(model: LoopModel, strip: Strip, number: int, level: float, deepest: int = DEEPEST) -> int:
+def windows_of(model: Responses, strip: Strip, number: int, level: float, deepest: int = DEEPEST) -> int:
     """Windows between two nodes in which the inequality was verified, after bisections; 0 if it was not."""
     waiting, done = [(float(strip.nodes[number]), float(strip.nodes[number + 1]), 0)], 0
     while waiting:
@@ -229,18 +230,23 @@ def scalings_allowed(strip: Strip, angle: Sequence[bool]) -> bool:
 
 def covered(proof: LoopProof) -> None:
     """Whether the strips cover box and band; a ProofError names a hole."""
-    spans = [(float(strip.nodes[0]), float(strip.nodes[-1])) for strip in proof.strips]
-    cuts = sorted({*proof.band, *(at for span in spans for at in span)})
+    require_cover(proof.strips, proof.box, proof.band, "rad/s")
+
+
+def require_cover(strips: Sequence[Strip], box: Sequence[Interval], band: Interval, unit: str) -> None:
+    """Whether strips cover a box and a band of their variable, whose unit is named; a ProofError names a hole."""
+    spans = [(float(strip.nodes[0]), float(strip.nodes[-1])) for strip in strips]
+    cuts = sorted({*band, *(at for span in spans for at in span)})
     for low, high in itertools.pairwise(cuts):
-        if high <= proof.band[0] or low >= proof.band[1]:
+        if high <= band[0] or low >= band[1]:
             continue
-        boxes = [list(s.box) for s, span in zip(proof.strips, spans) if span[0] <= low and span[1] >= high]
-        hole = uncovered(list(proof.box), boxes)
+        boxes = [list(s.box) for s, span in zip(strips, spans) if span[0] <= low and span[1] >= high]
+        hole = uncovered(list(box), boxes)
         if hole is not None:
-            raise ProofError(f"the strips must cover the box, got a hole at {hole} from {low} to {high} rad/s")
+            raise ProofError(f"the strips must cover the box, got a hole at {hole} from {low} to {high} {unit}")
 
 
-def check_strip(item: tuple[LoopModel, Strip, float]) -> int | str:
+def check_strip(item: tuple[Responses, Strip, float]) -> int | str:
     """Number of windows in which the inequality of a strip was verified, or why the strip is refused."""
     model, strip, level = item
     if not scalings_allowed(strip, model.angle):

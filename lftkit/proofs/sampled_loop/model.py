@@ -83,6 +83,11 @@ class LoopModel:
         q, y, u = sum(len(g) for g in self.groups), len(self.frame), len(self.K_C)
         return q, y, len(self.C) - q - y, len(self.weights), u
 
+    @property
+    def slowest(self) -> float:
+        """Smallest magnitude of the plant's poles [rad/s], at most 1 / dt."""
+        return float(np.abs(self.poles).min(initial=1.0 / self.dt))
+
     @cached_property
     def growth(self) -> tuple[ComplexArray, ComplexArray]:
         """``exp(p dt)`` and ``(exp(p dt) - 1) / p`` of the plant's poles."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
-from lftkit.proofs.state_space.checker import ProofError
+from lftkit.proofs.sampled_loop.responses import Responses
+from lftkit.proofs.verdict import ProofError
 
 COMPLEX = ("poles", "C", "B", "K_poles", "K_C", "K_B")
 REAL = ("D", "K_D", "weights")
@@ -98,7 +99,7 @@ def require_band(proof: LoopProof) -> None:
         raise ProofError(f"a proof needs 0 <= low < high <= pi / dt and a level, got {band} and {proof.level}")
 
 
-def require_strip(number: int, strip: Strip, model: LoopModel) -> None:
+def require_strip(number: int, strip: Strip, model: Responses) -> None:
     """Ordered intervals; frequencies that ascend from zero or above; scalings of every parameter at every one."""
     count, nodes = len(model.groups), strip.nodes
     if len(strip.box) != count or not all(-math.inf < low <= high < math.inf for low, high in strip.box):

@@ -12,7 +12,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.state_space.checker import ProofError
+from lftkit.proofs.verdict import ProofError
 
 Interval = tuple[float, float]
 FORMAT = "los-testbed loop proof 1"

@@ -11,8 +11,8 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
-from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.state_space.barrier import (
     ANY_REAL,
     CENTRED,
@@ -21,10 +21,10 @@ from lftkit.proofs.state_space.barrier import (
     GROWTH,
     REAL,
     BarrierBlock,
-    BarrierProblem,
     newton_step,
 )
 from lftkit.proofs.state_space.cells import balanced
+from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 
 PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
@@ -47,7 +47,7 @@ class ScalingTest:
 
     Parameters
     ----------
-    model : LoopModel
+    model : Responses
     box : sequence of (low, high)
     omega : float
         Frequency [rad/s], positive.
@@ -57,7 +57,7 @@ class ScalingTest:
     """
 
     def __init__(
-        self, model: LoopModel, box: Sequence[Interval], omega: float, level: float, static: bool = False
+        self, model: Responses, box: Sequence[Interval], omega: float, level: float, static: bool = False
     ) -> None:
         self.model, self.omega = model, omega
         self.groups = list(map(list, model.groups))
@@ -82,13 +82,11 @@ class ScalingTest:
         self.factors = [_factors(angle, *ends) for angle, ends in zip(model.angle, box)]
         kind = COMPLEX if static else REAL
         kinds = [ANY_REAL if angle and is_circle(*ends) else kind for angle, ends in zip(model.angle, box)]
-        self.problem = BarrierProblem(
-            [
-                *(BarrierBlock(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)),
-                BarrierBlock(FULL, maps[q:], inputs[q:]),
-            ],
-            PENALTY,
-        )
+        blocks = [BarrierBlock(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)]
+        self.gain = d > 0
+        if self.gain:
+            blocks.append(BarrierBlock(FULL, maps[q:], inputs[q:]))
+        self.problem = barrier_problem(blocks, PENALTY)
 
     def scalings(self, y: FloatArray) -> NodeScalings:
         """Scalings of the problem's variables."""
@@ -99,7 +97,9 @@ class ScalingTest:
             square, single = self.factors[k]
             D.append(_hermitian(size * d / square))
             G.append(_hermitian(size * g / single))
-        factor = float(self.problem.matrices(y, len(self.groups))[0][0, 0].real) * float(self.scale[-1]) ** 2
+        factor = 1.0
+        if self.gain:
+            factor = float(self.problem.matrices(y, len(self.groups))[0][0, 0].real) * float(self.scale[-1]) ** 2
         return NodeScalings(self.omega, tuple(D), tuple(G), factor)
 
     def variables(self, scalings: NodeScalings) -> FloatArray:
@@ -110,8 +110,9 @@ class ScalingTest:
             square, single = self.factors[k]
             D.append(scalings.D[k] * square / size)
             G.append(scalings.G[k] * single / size)
-        D.append(np.array([[scalings.factor / self.scale[-1] ** 2]], dtype=complex))
-        G.append(np.zeros((1, 1), complex))
+        if self.gain:
+            D.append(np.array([[scalings.factor / self.scale[-1] ** 2]], dtype=complex))
+            G.append(np.zeros((1, 1), complex))
         return self.problem.variables(D, G)
 
     def allowed(self, y: FloatArray) -> bool:

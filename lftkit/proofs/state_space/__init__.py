@@ -6,8 +6,9 @@ Start at :func:`worst_case_gain` and :func:`robust_stability`; :func:`check_proo
 
 from lftkit.proofs.state_space.bounds import Bounds, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.cells import Cell
-from lftkit.proofs.state_space.checker import CheckedProof, ProofError, check_proof
+from lftkit.proofs.state_space.checker import check_proof
 from lftkit.proofs.state_space.proof import Proof
+from lftkit.proofs.verdict import CheckedProof, ProofError
 
 __all__ = [
     "Bounds",

@@ -210,7 +210,7 @@ class BarrierProblem:
 
     def derivatives(self, y: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
         """Gradient and Hessian."""
-        S = _inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
+        S = positive_inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
         inner = self.signals @ S @ self.signals.conj().T
         slope = self._functional(S, inner)
         curvature: FloatArray = np.zeros((self.count, self.count))
@@ -219,7 +219,7 @@ class BarrierProblem:
         self._repeated(inner, curvature)
         curvature = np.asarray(np.triu(curvature) + np.triu(curvature, 1).T)
         for part, D in self._positive(y):
-            inverse = _inverse(D)
+            inverse = positive_inverse(D)
             slope[part] -= _coordinates(inverse)
             curvature[part, part] += _products([(inverse, inverse)])
         return slope + self.penalty * y, curvature + np.diag(self.penalty)
@@ -290,7 +290,7 @@ class BarrierProblem:
     def result(self, y: FloatArray) -> Scalings:
         """Scalings of the variables, with the loss of each block."""
         pairs = [self.matrices(y, i) for i in range(len(self.blocks))]
-        S = _inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
+        S = positive_inverse(y[0] * np.eye(self.N) - self.sum_of_forms(y))
         losses = [
             D[0, 0].real * np.trace(b.Z @ S @ b.Z.conj().T).real
             if b.kind == FULL
@@ -300,7 +300,7 @@ class BarrierProblem:
         return Scalings(-float(y[0]), tuple(D for D, _ in pairs), tuple(G for _, G in pairs), np.array(losses))
 
 
-def _inverse(matrix: ComplexArray) -> ComplexArray:
+def positive_inverse(matrix: ComplexArray) -> ComplexArray:
     """Inverse of a positive definite matrix."""
     factor, _ = linalg.lapack.zpotrf(matrix, lower=1)
     lower = np.tril(linalg.lapack.zpotri(factor, lower=1)[0])

@@ -58,7 +58,7 @@ class Bounds:
         Parameters of the worst member found.
     frequency : float
         Where it is worst [rad/s].
-    proof : Proof or None
+    proof : Proof, AxisProof or None
         Of `upper` (of `lower` for stability).
     status : str
         ``closed`` (the gap is reached), ``out_of_time``, ``unstable`` (the box contains an unstable member, or one
@@ -71,7 +71,7 @@ class Bounds:
     upper: float
     point: Mapping[str, float]
     frequency: float
-    proof: Proof | None
+    proof: Any
     status: str
     uncovered: tuple[Cell, ...] = ()
 
@@ -135,10 +135,7 @@ def worst_case_gain(
     >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
     ('closed', True, 0.8)
     """
-    if not gap > 0.0 or not wall_limit > 0.0 or (level is not None and not level > 0.0):
-        raise ValueError(f"gap, wall_limit and level must be positive, got {gap}, {wall_limit} and {level}")
-    if not 0.0 <= band[0] < band[1]:
-        raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
+    checked_band(band, level, gap, wall_limit)
     chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
     with one_thread():
         state = _GainBounds(chosen, intervals_of(chosen, box), band, level, gap, wall_limit, max_tests, seed, progress)
@@ -188,6 +185,14 @@ def robust_stability(
     ends = intervals_of(chosen, box)
     with one_thread():
         return _stability_bounds(chosen, ends, largest, gap, time.monotonic() + wall_limit, max_tests, seed, progress)
+
+
+def checked_band(band: tuple[float, float], level: float | None, gap: float, wall_limit: float) -> None:
+    """Refuse a band, a level, a gap or a wall limit that makes no sense with a ValueError."""
+    if not gap > 0.0 or not wall_limit > 0.0 or (level is not None and not level > 0.0):
+        raise ValueError(f"gap, wall_limit and level must be positive, got {gap}, {wall_limit} and {level}")
+    if not 0.0 <= band[0] < band[1]:
+        raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
 
 
 def intervals_of(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | None) -> list[tuple[float, float]]:

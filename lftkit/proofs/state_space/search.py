@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ sl_optimize: Any = optimize
 MAX_CORNERS = 64
 ALL_CORNERS = 6
 """Most parameters of which all corners are looked at; of more, corners are searched by derivatives of the poles."""
+CLIMBS, CORNER_STEPS, SLOPES = 4, 10, 80
+"""Members from which the gain is climbed there, most corners that the slopes lead to, and most gains afterwards."""
 RANDOM_CORNERS = 16
 """Random corners to begin with there, beside those that the derivatives at the nominal member give."""
 RAY_STEPS = 48
@@ -93,9 +96,11 @@ def worst_member(
     """The member with the largest gain among middle, corners and random ones, improved by a local search."""
     ends = np.array(box, dtype=float).reshape(-1, 2)
     rng, size = np.random.default_rng(seed), len(ends)
-    corners = list(itertools.islice(itertools.product((0.0, 1.0), repeat=size), 2**size if size <= 6 else 0))
+    corners = list(itertools.islice(itertools.product((0.0, 1.0), repeat=size), 2**size if size <= ALL_CORNERS else 0))
     shares = [np.full(size, 0.5), *(np.array(c) for c in corners)]
-    if size > 6:
+    if size > ALL_CORNERS:
+        if band == (0.0, np.inf):
+            shares += _unstable_shares(system, ends, seed)
         shares += list(rng.integers(0, 2, (MAX_CORNERS, size)).astype(float))
     shares += list(rng.random((samples, size))) if size else []
     found = []
@@ -103,8 +108,23 @@ def worst_member(
         found.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band, gain))
         if np.isinf(found[-1].gain):
             return found[-1]
-    best = max(found, key=lambda m: m.gain)
-    return climbed(system, box, band, best, evaluations) if gain else best
+    found.sort(key=lambda member: -member.gain)
+    if not gain:
+        return found[0]
+    if size <= ALL_CORNERS:
+        return climbed(system, box, band, found[0], evaluations)
+    return max((climbed(system, box, band, start) for start in found[:CLIMBS]), key=lambda member: member.gain)
+
+
+def _unstable_shares(system: UncertainSystem, ends: FloatArray, seed: int) -> list[FloatArray]:
+    """A corner of the box that is unstable, if one is found."""
+    nominal = np.array([p.nominal for p in system.parameters])
+    if not system.order or np.any(nominal < ends[:, 0]) or np.any(nominal > ends[:, 1]):
+        return []
+    bare = system.select(inputs=(), outputs=())
+    search = CornerSearch(bare, ends - nominal[:, None])
+    corner = earliest_unstable_corner(search, 1.0, lambda corner: 0.0, samples=RANDOM_CORNERS, seed=seed)[1]
+    return [] if corner is None else [0.5 * (1.0 + corner)]
 
 
 def climbed(
@@ -114,11 +134,13 @@ def climbed(
     start: Member,
     evaluations: int = 150,
 ) -> Member:
-    """Local search for a larger gain from `start`, inside the box."""
+    """Local search for a larger gain from `start`, inside the box: by slopes where there are many parameters."""
     ends = np.array(box, dtype=float).reshape(-1, 2)
     width = ends[:, 1] - ends[:, 0]
     if not np.any(width > 0.0) or np.isinf(start.gain):
         return start
+    if len(ends) > ALL_CORNERS:
+        return _climbed_by_slopes(system, ends, band, start)
     best = start
 
     def objective(share: FloatArray) -> float:
@@ -138,6 +160,70 @@ def climbed(
         options={"maxfev": evaluations, "xtol": 1e-3, "ftol": 1e-4},
     )
     return best
+
+
+class _Unstable(Exception):
+    """Ends a climb: an unstable member is as bad as can be."""
+
+
+def _climbed_by_slopes(system: UncertainSystem, ends: FloatArray, band: tuple[float, float], start: Member) -> Member:
+    """Ascent of the logarithm of the peak; its slopes are those of the gain at the frequency of the peak."""
+    best, width = start, ends[:, 1] - ends[:, 0]
+
+    def objective(share: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal best
+        point = np.clip(ends[:, 0] + np.clip(share, 0.0, 1.0) * width, ends[:, 0], ends[:, 1])
+        member = member_gain(system, point, band)
+        if member.gain > best.gain:
+            best = member
+        if np.isinf(member.gain):
+            raise _Unstable
+        if not member.gain > 0.0:
+            return 0.0, np.zeros(len(width))
+        return -float(np.log(member.gain)), -gain_slopes(system, member) * width / member.gain
+
+    def corner(member: Member) -> FloatArray:
+        return np.where(gain_slopes(system, member) > 0.0, 1.0, 0.0)
+
+    first = (start.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
+    with suppress(_Unstable, linalg.LinAlgError):
+        for _ in range(CORNER_STEPS):
+            before = best.gain
+            objective(corner(best))
+            if best.gain <= before * (1.0 + 1e-9):
+                break
+        first = first if best is start else (best.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
+        sl_optimize.minimize(
+            objective,
+            np.clip(first, 0.0, 1.0),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(0.0, 1.0)] * len(ends),
+            options={"maxfun": SLOPES, "ftol": 1e-7},
+        )
+    return best
+
+
+def gain_slopes(system: UncertainSystem, member: Member) -> FloatArray:
+    """Derivatives of the gain of a member by its parameters, at its frequency.
+
+    Raises
+    ------
+    LinAlgError
+        The nominal member has a pole there.
+    """
+    q, n = len(system.channels), system.order
+    table = {p.name: v - p.nominal for p, v in zip(system.parameters, member.point)}
+    delta = np.array([table[c] for c in system.channels])
+    whole = np.asarray(system.D, complex)
+    if n and np.isfinite(member.frequency):
+        whole = whole + system.C @ linalg.solve(1j * member.frequency * np.eye(n) - system.A, system.B.astype(complex))
+    loop = linalg.solve(np.eye(q) - whole[:q, :q] * delta, whole[:q])
+    seen, through = loop[:, q:], whole[q:, :q] @ (np.eye(q) + delta[:, None] * loop[:, :q])
+    response = whole[q:, q:] + whole[q:, :q] @ (delta[:, None] * seen)
+    left, _, right = linalg.svd(response, full_matrices=False)
+    each = ((left[:, 0].conj() @ through) * (seen @ right[0].conj())).real
+    return np.array([sum(each[i] for i, c in enumerate(system.channels) if c == p.name) for p in system.parameters])
 
 
 def scaled_box(system: UncertainSystem, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:

@@ -226,8 +226,8 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    from lftkit.proofs.state_space.checker import ProofError
     from lftkit.proofs.state_space.checker import check_proof as check
+    from lftkit.proofs.verdict import ProofError
     from lftkit.support.threads import one_thread
 
     count = processes(workers)
@@ -261,7 +261,7 @@ def check_proof(
 def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
     """Check a proof of a sampled loop, and of which loop it is."""
     from lftkit.proofs.sampled_loop import check_loop_proof
-    from lftkit.proofs.state_space.checker import ProofError
+    from lftkit.proofs.verdict import ProofError
     from lftkit.support.threads import one_thread
     from lftkit.support.workers import Workers
 

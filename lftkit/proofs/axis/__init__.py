@@ -1,0 +1,10 @@
+"""Bounds of uncertain systems over the frequency axis by scalings that depend on frequency, with a proof.
+
+For systems of more states and parameters than :mod:`lftkit.proofs.state_space` can take.
+"""
+
+from lftkit.proofs.axis.bounds import axis_gain, axis_stability
+from lftkit.proofs.axis.checker import check_axis_proof
+from lftkit.proofs.axis.proof import AxisProof
+
+__all__ = ["AxisProof", "axis_gain", "axis_stability", "check_axis_proof"]

@@ -1,0 +1,288 @@
+"""Worst-case gain and robust stability of systems with many states and parameters, proven over the frequency axis.
+
+The prover is that of :mod:`lftkit.proofs.sampled_loop`: scalings at frequencies, interpolated, bisection of the box
+where there are none. Members with large gains and unstable members are searched as for
+:mod:`lftkit.proofs.state_space`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.proofs.axis.model import AxisModel, modal_form
+from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.sampled_loop.bounds import prove_level
+from lftkit.proofs.sampled_loop.proof import Interval, Strip
+from lftkit.proofs.state_space.bounds import SHARE, SMALLEST, WHOLE, Bounds, checked_band, intervals_of
+from lftkit.proofs.state_space.cells import NARROW, Cell
+from lftkit.proofs.state_space.search import (
+    Member,
+    climbed,
+    member_gain,
+    scaled_box,
+    smallest_unstable_factor,
+    worst_member,
+)
+from lftkit.support.progress import Progress
+from lftkit.support.threads import one_thread
+from lftkit.systems.uncertain_system import UncertainSystem
+
+PART = 0.1
+"""Part of the band, relative to its frequency, for which a box is bisected."""
+RAISED = (1.1, 1.25, 1.5, 2.0, 5.0, 20.0, 1000.0)
+"""Factors of the level at which parts that are left over are tried, each for half of the time that is left."""
+LOWERED = (1.0, 0.9, 0.75, 0.5, 0.25)
+"""Factors of the aim at which stability is tried one after the other, likewise."""
+FIRST = 0.7
+"""Part of the time for the first attempt."""
+
+Box = tuple[Interval, ...]
+Piece = tuple[bool, Box, Interval]
+
+
+@dataclass
+class _Axis:
+    """The proof of one claim as far as it is: strips on both sides of the border, and the pieces that are left."""
+
+    proof: AxisProof
+    pieces: list[Piece]
+    strips: dict[bool, list[Strip]] = field(default_factory=lambda: {False: [], True: []})
+    worst: Member | None = None
+
+    @classmethod
+    def of(cls, system: UncertainSystem, kind: str, box: Sequence[Interval], band: Interval) -> _Axis:
+        """An empty proof for a system whose channels are sorted.
+
+        Raises
+        ------
+        ValueError
+            The nominal member is not in the box, or it is not stable, or its poles can't be separated.
+        """
+        q = len(system.channels)
+        inner = slice(0, q if kind == "stability" else None)
+        groups, at = [], 0
+        for size in system.occurrences().values():
+            groups.append(tuple(range(at, at + size)))
+            at += size
+        poles, T, X = modal_form(system.A)
+        fastest = 4.0 * float(np.abs(poles).max(initial=0.25))
+        border = 2.0 ** math.ceil(math.log2(max(fastest, band[0], 1e-100)))
+        proof = AxisProof(
+            kind,
+            None,
+            tuple(p.name for p in system.parameters),
+            tuple(p.nominal for p in system.parameters),
+            tuple((float(low), float(high)) for low, high in box),
+            band,
+            np.array(system.A),
+            np.array(system.B[:, inner]),
+            np.array(system.C[inner]),
+            np.array(system.D[inner, inner]),
+            poles,
+            T,
+            X,
+            tuple(groups),
+            border,
+        )
+        if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.model(False).nominal_stable():
+            raise ValueError("the nominal member must be in the box, stable, with separate poles, got another")
+        whole = tuple(_widened(ends, p.upper - p.lower) for ends, p in zip(proof.deviations, system.parameters))
+        high = min(band[1], border) if math.isinf(band[1]) else band[1]
+        pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
+        if math.isinf(band[1]):
+            pieces.append((True, whole, (0.0, 1.0 / border)))
+        return cls(proof, pieces)
+
+    def prove(self, level: float, until: float, seed: int) -> bool:
+        """Prove the pieces that are left; True if none is left now."""
+        waiting, self.pieces = self.pieces, []
+        for number, (beyond, box, band) in enumerate(waiting):
+            if time.monotonic() > until or self._exceeded(level):
+                self.pieces += waiting[number:]
+                break
+            found = prove_level(self._model(beyond), box, band, level, until=until, seed=seed, part=PART)
+            self.strips[beyond] += found.strips
+            self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
+            if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
+                point = np.clip(found.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
+                self.worst = Member(found.lower, point, 1.0 / found.omega if beyond else found.omega)
+        return not self.pieces
+
+    def _model(self, beyond: bool) -> AxisModel:
+        return self.proof.model(beyond)
+
+    def _exceeded(self, level: float) -> bool:
+        return self.worst is not None and self.worst.gain >= level
+
+    def finished(self, level: float | None) -> AxisProof:
+        """The proof with its strips."""
+        return replace(self.proof, level=level, below=tuple(self.strips[False]), above=tuple(self.strips[True]))
+
+    def uncovered(self) -> tuple[Cell, ...]:
+        """Pieces that are left, as cells."""
+        cells = []
+        for beyond, box, (low, high) in self.pieces:
+            ends = tuple((at + a, at + b) for at, (a, b) in zip(self.proof.nominal, box))
+            above = 1.0 / low if low > 0.0 else math.inf
+            cells.append(Cell(ends, (1.0 / high, above) if beyond else (low, high)))
+        return tuple(cells)
+
+
+def axis_gain(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    band: tuple[float, float] = WHOLE,
+    level: float | None = None,
+    gap: float = 0.05,
+    *,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
+
+    As :func:`lftkit.proofs.state_space.worst_case_gain`, for more states and parameters.
+
+    Parameters
+    ----------
+    system, box, inputs, outputs, band, level, gap, wall_limit, seed, progress
+        As there. The box must contain the nominal values.
+
+    Raises
+    ------
+    ValueError
+        As there; also a nominal member that is not stable, or whose poles can't be separated.
+    """
+    checked_band(band, level, gap, wall_limit)
+    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
+    ends = intervals_of(chosen, box)
+    with one_thread(), Progress("worst-case gain", progress):
+        return _gain_bounds(chosen, ends, band, level, gap, wall_limit, seed)
+
+
+def _gain_bounds(
+    system: UncertainSystem,
+    box: list[Interval],
+    band: Interval,
+    level: float | None,
+    gap: float,
+    wall_limit: float,
+    seed: int,
+) -> Bounds:
+    start = time.monotonic()
+    worst = worst_member(system, box, band, seed=seed)
+    axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
+
+    def bounds(upper: float, status: str) -> Bounds:
+        proof = axis.finished(upper) if axis is not None and np.isfinite(upper) else None
+        left = axis.uncovered() if axis is not None and proof is None and status == "out_of_time" else ()
+        point = {p.name: float(v) for p, v in zip(system.parameters, worst.point)}
+        return Bounds(worst.gain, upper, point, worst.frequency, proof, status, left)
+
+    if axis is None:
+        return bounds(np.inf, "unstable")
+    while True:
+        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, SMALLEST)
+        if worst.gain >= target:
+            return bounds(np.inf, "violated")
+        closed = axis.prove(target, start + FIRST * wall_limit, seed)
+        if axis.worst is None or axis.worst.gain <= worst.gain:
+            break
+        worst, before = _improved(system, box, band, axis.worst, worst), worst
+        if np.isinf(worst.gain):
+            return bounds(np.inf, "unstable")
+        if closed or worst.gain <= before.gain * (1.0 + 1e-6) or time.monotonic() - start > FIRST * wall_limit:
+            break
+    if level is not None and worst.gain >= level:
+        return bounds(np.inf, "violated")
+    upper = target
+    for factor in () if closed else RAISED:
+        upper = factor * max(target, worst.gain)
+        now = time.monotonic()
+        if axis.prove(upper, now + 0.5 * (start + wall_limit - now), seed):
+            break
+    if axis.pieces:
+        return bounds(np.inf, "out_of_time")
+    done = upper <= (1.0 + gap) * worst.gain if level is None else upper <= level
+    return bounds(upper, "closed" if done else "out_of_time")
+
+
+def _improved(system: UncertainSystem, box: list[Interval], band: Interval, met: Member, worst: Member) -> Member:
+    """The better of the worst member and one that was met in a proof, climbed."""
+    member = member_gain(system, met.point, band)
+    if not np.isinf(member.gain):
+        member = climbed(system, box, band, member)
+    return member if member.gain > worst.gain else worst
+
+
+def axis_stability(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    largest: float = 10.0,
+    gap: float = 0.05,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
+
+    As :func:`lftkit.proofs.state_space.robust_stability`, for more states and parameters.
+
+    Parameters
+    ----------
+    system, box, largest, gap, wall_limit, seed, progress
+        As there.
+
+    Raises
+    ------
+    ValueError
+        As there; also a box without the nominal values, or a nominal member whose poles can't be separated.
+    """
+    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
+        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
+    chosen = system.select(inputs=(), outputs=()).sorted_channels()
+    ends = intervals_of(chosen, box)
+    with one_thread(), Progress("robust stability", progress):
+        return _stability_bounds(chosen, ends, largest, gap, time.monotonic() + wall_limit, seed)
+
+
+def _stability_bounds(
+    system: UncertainSystem, box: list[Interval], largest: float, gap: float, until: float, seed: int
+) -> Bounds:
+    nominal = np.array([p.nominal for p in system.parameters])
+
+    def named(point: FloatArray) -> dict[str, float]:
+        return {p.name: float(v) for p, v in zip(system.parameters, point)}
+
+    first = member_gain(system, nominal, WHOLE, gain=False)
+    if np.isinf(first.gain):
+        return Bounds(0.0, 0.0, named(nominal), first.frequency, None, "unstable")
+    factor, point, frequency = smallest_unstable_factor(system, box, largest, seed=seed)
+    aim = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
+    left: tuple[Cell, ...] = ()
+    for number, part in enumerate(LOWERED):
+        axis = _Axis.of(system, "stability", scaled_box(system, box, part * aim), WHOLE)
+        now = time.monotonic()
+        share = FIRST if number == 0 else 0.5
+        if axis.prove(1.0, now + share * (until - now), seed):
+            lower = part * aim
+            closed = (np.isinf(factor) and part == 1.0) or factor <= (1.0 + gap) * lower
+            status = "closed" if closed else "out_of_time"
+            return Bounds(lower, factor, named(point), frequency, axis.finished(None), status)
+        left = axis.uncovered()
+    return Bounds(0.0, factor, named(point), frequency, None, "out_of_time", left)
+
+
+def _widened(ends: Interval, width: float) -> Interval:
+    """Deviations that contain those given, wide enough for scalings."""
+    least = NARROW * max(width, 1e-300)
+    return (min(ends[0], -least), max(ends[1], least)) if ends[1] - ends[0] < least else ends

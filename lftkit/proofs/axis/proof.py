@@ -1,0 +1,154 @@
+"""Proofs over the frequency axis as files: the system, what is claimed, and strips of scalings."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.axis.model import AxisModel
+from lftkit.proofs.sampled_loop.proof import Interval, Strip, packed, unpacked
+from lftkit.proofs.verdict import ProofError
+
+FORMAT = "lftkit axis proof 1"
+ARRAYS = ("A", "B", "C", "D", "poles", "T", "X")
+SIDES = ("below", "above")
+
+
+@dataclass(frozen=True)
+class AxisProof:
+    """What a file claims and the strips that prove it.
+
+    Parameters
+    ----------
+    kind : str
+        ``gain`` or ``stability``.
+    level : float or None
+        The gain from all inputs to all outputs is below it; None for stability.
+    names : tuple of str
+        Of the parameters.
+    nominal : tuple of float
+        Their nominal values.
+    box : tuple of (low, high)
+        Their intervals, physical values.
+    band : (low, high)
+        Frequencies [rad/s]; high may be infinite.
+    A, B, C, D : ndarray
+        The system with ``w = (value - nominal) z`` for each channel, channels first; without inputs and outputs for
+        stability.
+    poles, T, X : ndarray, complex
+        As of :class:`~lftkit.proofs.axis.model.AxisModel`.
+    groups : tuple of tuple of int
+        Channels of each parameter.
+    border : float
+        Power of two: frequency [rad/s] from which strips are over the inverse of the frequency.
+    below, above : tuple of Strip
+        Boxes are deviations from the nominal values.
+    """
+
+    kind: str
+    level: float | None
+    names: tuple[str, ...]
+    nominal: tuple[float, ...]
+    box: tuple[Interval, ...]
+    band: Interval
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    poles: ComplexArray
+    T: ComplexArray
+    X: ComplexArray
+    groups: tuple[tuple[int, ...], ...]
+    border: float
+    below: tuple[Strip, ...] = field(default=())
+    above: tuple[Strip, ...] = field(default=())
+
+    @property
+    def cells(self) -> int:
+        """Number of strips."""
+        return len(self.below) + len(self.above)
+
+    def model(self, beyond: bool) -> AxisModel:
+        """Responses over the frequencies below or beyond the border."""
+        return AxisModel(self.A, self.B, self.C, self.D, self.poles, self.T, self.X, self.groups, beyond)
+
+    @property
+    def deviations(self) -> tuple[Interval, ...]:
+        """Intervals of the deviations from the nominal values, rounded outwards."""
+        return deviations_of(self.box, self.nominal)
+
+    def to_file(self, path: Path) -> None:
+        """Write the proof as a compressed ``.npz``."""
+        header = {
+            "format": FORMAT,
+            "kind": self.kind,
+            "level": self.level,
+            "names": self.names,
+            "nominal": self.nominal,
+            "box": self.box,
+            "band": [self.band[0], None if math.isinf(self.band[1]) else self.band[1]],
+            "groups": self.groups,
+            "border": self.border,
+        }
+        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
+        for side in SIDES:
+            strips = packed(getattr(self, side), len(self.names))
+            arrays |= {f"{side}_{name}": array for name, array in strips.items()}
+        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def from_file(cls, path: Path) -> AxisProof:
+        """Read a proof.
+
+        Raises
+        ------
+        ProofError
+            No such file, or not a proof.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+            header = json.loads(bytes(arrays["header"]).decode())
+            if header["format"] != FORMAT:
+                raise ProofError(f"format must be {FORMAT!r}, got {header['format']!r}")
+            box = tuple((float(a), float(b)) for a, b in header["box"])
+            low, high = header["band"]
+            below, above = (_strips(arrays, side, len(box)) for side in SIDES)
+            return cls(
+                kind=str(header["kind"]),
+                level=None if header["level"] is None else float(header["level"]),
+                names=tuple(map(str, header["names"])),
+                nominal=tuple(map(float, header["nominal"])),
+                box=box,
+                band=(float(low), math.inf if high is None else float(high)),
+                groups=tuple(tuple(map(int, group)) for group in header["groups"]),
+                border=float(header["border"]),
+                below=below,
+                above=above,
+                **{name: arrays[name] for name in ARRAYS},
+            )
+        except Exception as error:  # of a damaged file numpy raises a dozen kinds
+            known = isinstance(error, ProofError)
+            raise ProofError(str(error) if known else f"the file must be a proof, got {type(error).__name__}") from None
+
+
+def _strips(arrays: dict[str, Any], side: str, parameters: int) -> tuple[Strip, ...]:
+    prefix = f"{side}_"
+    return unpacked({name[len(prefix) :]: a for name, a in arrays.items() if name.startswith(prefix)}, parameters)
+
+
+def deviations_of(box: tuple[Interval, ...], nominal: tuple[float, ...]) -> tuple[Interval, ...]:
+    """Intervals of ``value - nominal``, rounded outwards."""
+
+    def away(value: float, middle: float, towards: float) -> float:
+        return 0.0 if value == middle else math.nextafter(value - middle, towards)
+
+    return tuple((away(low, at, -math.inf), away(high, at, math.inf)) for (low, high), at in zip(box, nominal))

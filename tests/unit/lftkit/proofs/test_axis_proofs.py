@@ -1,0 +1,196 @@
+"""Bounds over the frequency axis: enclosures hold, proofs pass the check, altered ones are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston_safonov, transport_aircraft
+
+from lftkit import Port, RealParameter, UncertainSystem
+from lftkit.analysis.frequency_response import refined_response
+from lftkit.proofs.axis import AxisProof, axis_gain, axis_stability, check_axis_proof
+from lftkit.proofs.axis.model import AxisModel, modal_form
+from lftkit.proofs.state_space import worst_case_gain
+from lftkit.proofs.verdict import ProofError
+
+LONG = 3600.0
+
+
+def random_system(seed: int) -> UncertainSystem:
+    """Five states, three parameters of which one occurs twice, with feedthrough everywhere."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(5, 5))
+    A -= (linalg.eigvals(A).real.max() + 0.3) * np.eye(5)
+    D = 0.2 * rng.normal(size=(6, 5))
+    parameters = tuple(
+        RealParameter(f"p{i}", 1.0, 1.0 - rng.uniform(0.1, 0.3), 1.0 + rng.uniform(0.1, 0.3)) for i in range(3)
+    )
+    B, C = 0.5 * rng.normal(size=(5, 5)), 0.5 * rng.normal(size=(6, 5))
+    return UncertainSystem(A, B, C, D, (Port("u", 1),), (Port("y", 2),), ("p0", "p1", "p2", "p1"), parameters)
+
+
+@pytest.fixture(scope="module")
+def proof() -> AxisProof:
+    bounds = axis_gain(chain_of_masses(3, 0.2), wall_limit=LONG)
+    assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof)
+    return bounds.proof
+
+
+def test_windows_contain_the_responses_of_the_given_matrices() -> None:
+    """At 400 points of random windows, on both sides of the border, to 1e-9 of the response where windows are short."""
+    rng = np.random.default_rng(1)
+    for seed in range(4):
+        system = random_system(seed)
+        for beyond in (False, True):
+            model = AxisModel(
+                system.A, system.B, system.C, system.D, *modal_form(system.A), ((0,), (1, 3), (2,)), beyond
+            )
+            assert model.nominal_stable()
+            V = rng.normal(size=(5, 4)) + 1j * rng.normal(size=(5, 4))
+            for width in (1e-6, 0.02):
+                middle = rng.uniform(0.1, 1.5)
+                parts = model.responses(middle, width, V)
+                for t in (-1.0, *rng.uniform(-1.0, 1.0, 5), 1.0):
+                    x = middle + width * t
+                    exact = refined_response(system.A, system.B, system.C, system.D, 1.0 / x if beyond else x) @ V
+                    for part, rows in zip(parts, (exact[:4], exact[4:])):
+                        value = sum(c * t**k for k, c in enumerate(part.c))
+                        assert np.all(np.abs(value - rows) <= part.rad + 1e-13)
+                        assert np.all(part.rad < 1e-9 if width < 1e-3 else 1.0)
+
+
+def test_an_inexact_basis_of_eigenvectors_is_within_the_bound() -> None:
+    """T and X come from a file: any will do, their error is part of the remainder."""
+    system, rng = random_system(2), np.random.default_rng(0)
+    poles, T, X = modal_form(system.A)
+    for size, passes in ((1e-6, True), (1e-3, True), (3.0, False)):
+        wrong = X + size * rng.normal(size=X.shape) * np.abs(X)
+        model = AxisModel(system.A, system.B, system.C, system.D, poles, T, wrong, ((0,), (1, 3), (2,)), False)
+        if not passes:
+            with pytest.raises(ArithmeticError):
+                model.responses(0.7, 1e-3, np.eye(5, dtype=complex))
+            assert not model.nominal_stable()
+            continue
+        z, e = model.responses(0.7, 1e-3, np.eye(5, dtype=complex))
+        exact = refined_response(system.A, system.B, system.C, system.D, 0.7)
+        assert np.all(np.abs(z.c[0] - exact[:4]) <= z.rad) and np.all(np.abs(e.c[0] - exact[4:]) <= e.rad)
+
+
+def test_a_proof_passes_from_its_file(proof: AxisProof, tmp_path: Path) -> None:
+    path = tmp_path / "proof.npz"
+    proof.to_file(path)
+    checked = check_axis_proof(path)
+    assert checked.stable and checked.kind == "gain" and checked.level == proof.level
+    assert checked.band == (0.0, np.inf) and checked.box["k1"] == (0.8, 1.2)
+
+
+def _without(name: str) -> Callable[[AxisProof], dict[str, Any]]:
+    return lambda p: {name: getattr(p, name)[1:]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: {"level": 0.93 * p.level},  # the gain that was found is 0.957 of it
+        lambda p: {"level": np.inf},
+        lambda p: {"kind": "stability"},
+        _without("below"),
+        _without("above"),
+        lambda p: {"box": ((0.8, 1.2), (0.8, 1.2 + 1e-9), (0.8, 1.2))},
+        lambda p: {"nominal": (1.0, 1.0 + 1e-9, 1.0)},
+        lambda p: {"A": p.A + 0.02 * np.eye(6)},  # less damping
+        lambda p: {"A": p.A * np.nan},
+        lambda p: {"B": 1.1 * p.B},
+        lambda p: {"X": 0.0 * p.X},
+        lambda p: {"poles": -p.poles},
+        lambda p: {"border": 0.5 * p.border},
+        lambda p: {"border": 1.1 * p.border},
+        lambda p: {"groups": ((0,), (1,), (1,))},
+        lambda p: {"below": tuple(replace(s, factor=-s.factor) for s in p.below)},
+        lambda p: {"below": tuple(replace(s, D=tuple(0.0 * d for d in s.D)) for s in p.below)},
+        lambda p: {"below": tuple(replace(s, D=tuple(-d for d in s.D)) for s in p.below)},
+        lambda p: {"above": tuple(replace(s, nodes=0.5 * s.nodes) for s in p.above)},
+    ],
+)
+def test_what_is_altered_is_refused(proof: AxisProof, change: Callable[[AxisProof], dict[str, Any]]) -> None:
+    with pytest.raises(ProofError):
+        check_axis_proof(replace(proof, **change(proof)))
+
+
+def test_a_proof_of_a_smaller_box_or_a_higher_level_passes_too(proof: AxisProof) -> None:
+    """What follows from a claim is no forgery."""
+    assert proof.level is not None
+    check_axis_proof(replace(proof, level=2.0 * proof.level))
+    check_axis_proof(replace(proof, box=((0.9, 1.1), (0.8, 1.2), (0.85, 1.2))))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bounds_are_those_of_the_other_prover(seed: int) -> None:
+    system = random_system(seed)
+    here, there = axis_gain(system, wall_limit=LONG), worst_case_gain(system, wall_limit=LONG)
+    assert here.status == there.status
+    if here.status == "unstable":
+        return
+    assert here.lower == pytest.approx(there.lower, rel=1e-6)
+    assert here.lower <= here.upper <= 1.05 * here.lower and there.lower <= here.upper
+    assert check_axis_proof(here.proof).stable
+
+
+def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
+    bounds = axis_stability(de_gaston_safonov(), wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.lower < 3.41740 <= 1.05 * bounds.lower
+    assert bounds.upper == pytest.approx(3.41740, abs=1e-5) and check_axis_proof(bounds.proof).stable
+
+
+def test_bands_levels_and_boxes() -> None:
+    system = aligned_modes(2, damping=0.05)
+    for band in ((0.5, 3.0), (2.0, np.inf), (0.0, 0.5), (300.0, 400.0)):
+        bounds = axis_gain(system, band=band, wall_limit=LONG)
+        assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
+        checked = check_axis_proof(bounds.proof)
+        assert checked.band == band and not checked.stable
+    assert axis_gain(system, level=19.0, wall_limit=LONG).status == "violated"  # 20 is reached
+    assert axis_gain(system, level=21.0, wall_limit=LONG).upper == 21.0
+    fixed = axis_gain(system, {"k0": (1.0, 1.0)}, wall_limit=LONG)
+    assert fixed.status == "closed" and check_axis_proof(fixed.proof).box["k0"] == (1.0, 1.0)
+    late = axis_gain(system, wall_limit=1e-9)
+    assert late.upper == np.inf and late.status == "out_of_time" and late.uncovered
+    with pytest.raises(ValueError, match="nominal member must be in the box"):
+        axis_gain(system, {"k0": (1.5, 2.0)})
+
+
+def test_an_unstable_member_is_named() -> None:
+    system = chain_of_masses(8, 1.5, damping=0.1)
+    bounds = axis_gain(system, wall_limit=LONG)
+    assert bounds.status == "unstable" and bounds.proof is None
+    assert linalg.eigvals(system.data_at(bounds.point).A).real.max() >= 0.0
+    margin = axis_stability(system, gap=0.2, wall_limit=LONG)  # a spring without stiffness: 1 / 1.5
+    assert margin.upper == pytest.approx(2.0 / 3.0, rel=1e-5) and margin.upper <= 1.2 * margin.lower
+
+
+def test_the_aircraft_in_a_box_four_times_as_large() -> None:
+    """14 parameters: 4.0 of 5.428 needs no bisection."""
+    bounds = axis_stability(transport_aircraft(), gap=0.4, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.lower > 3.9 and bounds.upper == pytest.approx(5.4281, abs=2e-4)
+    assert check_axis_proof(bounds.proof).stable
+
+
+@pytest.mark.slow
+def test_the_margin_of_the_aircraft_to_ten_percent() -> None:
+    bounds = axis_stability(transport_aircraft(), gap=0.1, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper <= 1.1 * bounds.lower
+    assert check_axis_proof(bounds.proof).stable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [12, 16])
+def test_chains_of_many_uncertain_springs(count: int) -> None:
+    bounds = axis_gain(chain_of_masses(count, 0.2, damping=0.03), wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
+    assert check_axis_proof(bounds.proof).stable
