@@ -1,8 +1,9 @@
 """Runs the starts of a tuning run, in this process or in parallel ones, with the same result.
 
 Given starts run first, then batches of random ones: all of a batch are screened in short rounds and the best carried
-on. Batches follow until one finds nothing better. What is done depends on the work only, never on the clock: the
-deadline is a cap, and :attr:`StartSearch.complete` says whether it was reached.
+on. Batches follow until one finds nothing better, or until most of the starts of one end at the same value (Boender and
+Rinnooy Kan 1987: many descents that end at one minimum make another one unlikely). What is done depends on the work
+only, never on the clock: the deadline is a cap, and :attr:`StartSearch.complete` says whether it was reached.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -37,6 +38,8 @@ MAX_BATCHES = 20
 VANISHING = 10.0  # times the value that counts as zero: below it the infimum is zero, and only approached
 PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of the best point
 BETTER = 1e-4  # relative decrease that counts as something better
+FIRST = 8  # starts of the first batch that are screened before the others
+AGREED = 0.5, 4  # part of the screened random starts, or number of those carried on, whose ends make further ones idle
 SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
 
 
@@ -85,24 +88,25 @@ def run_starts(
     runner.run(direct_polish if direct and batch(0) else _full, given)
     for number in range(batches):
         starts = batch(number)
-        if not starts or not runner.going_on:
+        if not starts or not runner.going_on or (direct and _vanished(runner)):
             break
         before = min((r.rank for r in runner.results), default=(3, np.inf))
-        few = len(starts) <= CARRIED
+        few, agreed = len(starts) <= CARRIED, False
         if few:
             runner.run(_full, starts)
         elif direct:
-            _run_batch(runner, _with_perturbed(starts, runner.results), direct_screen, direct_polish)
+            mixed = _with_perturbed(starts, runner.results)
+            agreed = _run_batch(runner, mixed, direct_screen, direct_polish, FIRST if not number else len(mixed))
             if runner.best.rank[0] != 2:
                 runner.run(direct_restarts, [Start(starts[0].seed, runner.best.x)])
         else:
-            _run_batch(runner, starts, _screened, _full)
+            agreed = _run_batch(runner, starts, _screened, _full, FIRST if not number else len(starts))
         after = min((r.rank for r in runner.results), default=(3, np.inf))
         fruitless = after[0] == before[0] and not after[1] < before[1] - BETTER * abs(before[1])
-        if few or (number and fruitless):
+        if few or agreed or (number and fruitless):
             break
     unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
-    if unfinished and batches > 1 and runner.best.soft > VANISHING * negligible_value(problem):
+    if unfinished and batches > 1 and runner.best.soft > VANISHING * runner.floor:
         runner.run(_full, [Start(0, runner.best.x)])
     return StartSearch(tuple(runner.results), runner.complete)
 
@@ -122,11 +126,16 @@ def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> 
     return changed
 
 
-def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Work) -> None:
-    """All starts by the work `first`, the best that differ carried on by `second`."""
-    screened = runner.run(first, starts)
+def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Work, portion: int) -> bool:
+    """Starts by the work `first`, the best that differ carried on by `second`; whether most end at the best value.
+
+    Those after the first `portion` only if these do not agree.
+    """
+    screened = runner.run(first, starts[:portion])
+    if not _most_agree(runner, starts, screened):
+        screened += runner.run(first, starts[portion:])
     if not runner.going_on:
-        return
+        return False
     carried: list[Start] = []
     ranks: list[tuple[int, float]] = []
     for k in sorted(range(len(screened)), key=lambda k: (screened[k].rank, k)):
@@ -136,7 +145,26 @@ def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Wo
         ):
             ranks.append((kind, value))
             carried.append(Start(starts[k].seed, screened[k].x))
-    runner.run(second, carried)
+    ends = runner.run(second, carried)
+    return _most_agree(runner, starts, screened) or _agreeing(runner, ends) >= AGREED[1]
+
+
+def _most_agree(runner: _Runner, starts: Sequence[Start], screened: Sequence[StartResult]) -> bool:
+    """Most of the random starts ended at the best value so far."""
+    random = [result for start, result in zip(starts, screened) if start.x is None]
+    return len(random) >= AGREED[1] and _agreeing(runner, random) >= max(AGREED[0] * len(random), AGREED[1])
+
+
+def _agreeing(runner: _Runner, results: Sequence[StartResult]) -> int:
+    """Number of results that have the best value so far and meet all hard requirements."""
+    best = min((r.soft for r in runner.results if r.rank[0] == 0), default=-np.inf)
+    level = best + SAME * abs(best) if np.isfinite(best) else best
+    return sum(r.rank[0] == 0 and r.soft <= level for r in results)
+
+
+def _vanished(runner: _Runner) -> bool:
+    """The best value so far counts as zero: no start finds a lower one."""
+    return any(r.rank[0] == 0 and r.soft <= runner.floor for r in runner.results)
 
 
 class _Runner:
@@ -147,6 +175,11 @@ class _Runner:
         self._workers, self._progress = workers, progress
         self.results: list[StartResult] = []
         self.complete = True
+
+    @cached_property
+    def floor(self) -> float:
+        """Value that counts as zero."""
+        return negligible_value(self._problem)
 
     @property
     def going_on(self) -> bool:
