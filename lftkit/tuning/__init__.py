@@ -5,8 +5,20 @@ It works on :class:`lftkit.StateSpace` models with named ports and knows nothing
 compares it with systune.
 """
 
+from lftkit.tuning.bounds import Bounds
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.decentralised import Decentralised
+from lftkit.tuning.goals import (
+    Goal,
+    LoopShape,
+    Margins,
+    MaxLoopGain,
+    MinLoopGain,
+    Overshoot,
+    Sensitivity,
+    StepTracking,
+    Tracking,
+)
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 from lftkit.tuning.robust import RobustResult, tune_robust
 from lftkit.tuning.stable_state_space import StableStateSpace
@@ -17,16 +29,26 @@ from lftkit.tuning.worst_case import WorstCase, WorstCaseOptions, worst_case
 
 __all__ = [
     "AffineStructure",
+    "Bounds",
     "Certificate",
     "ClosedLoopPoles",
     "ControllerPoles",
     "Decentralised",
+    "Goal",
     "H2Gain",
     "HinfGain",
+    "LoopShape",
+    "Margins",
+    "MaxLoopGain",
+    "MinLoopGain",
+    "Overshoot",
     "Requirement",
     "RobustResult",
+    "Sensitivity",
     "StableStateSpace",
+    "StepTracking",
     "Structure",
+    "Tracking",
     "TuningOptions",
     "TuningResult",
     "TuningStatus",

@@ -20,6 +20,7 @@ from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
+from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.structures import Structure
@@ -74,7 +75,7 @@ class RobustResult:
 def tune_robust(
     build: Build,
     box: Box,
-    requirements: Sequence[Requirement],
+    requirements: Sequence[Requirement | Goal],
     structure: Structure,
     *,
     nominal: Mapping[str, float] | None = None,
@@ -114,7 +115,8 @@ def tune_robust(
     start_time = time.monotonic()
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
-    state = _Rounds(build, box, tuple(requirements), structure, loop_delay, options, search, start_time)
+    ready, needs = resolved_build(build, requirements, chosen[0])
+    state = _Rounds(ready, box, needs, structure, loop_delay, options, search, start_time)
     return state.run(chosen, [start_checked(x, structure) for x in initial], slack, max_rounds)
 
 

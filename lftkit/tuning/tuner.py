@@ -26,6 +26,7 @@ from lftkit.tuning.descent.starts import given_starts, random_starts, start_chec
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.exact_value import ExactValue
+from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
@@ -154,7 +155,7 @@ class TuningResult:
 
 def tune(
     models: Sequence[StateSpace],
-    requirements: Sequence[Requirement],
+    requirements: Sequence[Requirement | Goal],
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
@@ -169,7 +170,8 @@ def tune(
     models : sequence of Model
         Active models, for instance one plant at several parameter values.
     requirements : sequence
-        :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles`, soft or hard.
+        :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles` and the goals of
+        :mod:`lftkit.tuning.goals`, soft or hard.
     structure : Structure
     initial : sequence of array_like, shape (size,)
         Given starts, taken before the random ones.
@@ -208,7 +210,8 @@ def tune(
     given = [start_checked(x, structure) for x in initial]
     if not given and not options.starts:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
-    problem = Problem(models, requirements, structure, loop_delay=loop_delay, min_decay=min_decay)
+    ready, needs = resolved(models, requirements)
+    problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:

@@ -20,6 +20,7 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.state_space import StateSpace
 from lftkit.tuning.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from lftkit.tuning.gains.controller_response import controller_response
+from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.requirements import HinfGain, Requirement
 from lftkit.tuning.structures import gain_matrix_of
 
@@ -101,7 +102,7 @@ def worst_case(
     build: Build,
     box: Box,
     controller: StateSpace,
-    requirements: Sequence[Requirement],
+    requirements: Sequence[Requirement | Goal],
     *,
     loop_delay: float = 0.0,
     options: WorstCaseOptions | None = None,
@@ -142,7 +143,9 @@ def worst_case(
     (14.15, {'m': 2.0, 'c': 0.1})
     """
     options = options or WorstCaseOptions()
-    search = _Search(build, box, controller, tuple(requirements), loop_delay, options)
+    middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
+    ready, needs = resolved_build(build, requirements, middle)
+    search = _Search(ready, box, controller, needs, loop_delay, options)
     with one_thread():
         return search.run()
 

@@ -1,0 +1,80 @@
+"""What a goal is: requirements on a model with further ports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning.requirements import Requirement
+
+
+@runtime_checkable
+class Goal(Protocol):
+    """What becomes requirements on a model with further ports."""
+
+    def prepared(self, model: StateSpace) -> StateSpace:
+        """The model with the ports that the requirements name."""
+        ...
+
+    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+        """Requirements on the prepared model."""
+        ...
+
+
+def resolved(
+    models: Sequence[StateSpace], goals: Sequence[Requirement | Goal]
+) -> tuple[tuple[StateSpace, ...], tuple[Requirement, ...]]:
+    """Models with the ports of all goals, and the requirements that the goals are."""
+    if not models:
+        raise ValueError("a design needs at least one model, got none")
+    ready = tuple(_prepared(model, goals) for model in models)
+    requirements: list[Requirement] = []
+    for goal in goals:
+        requirements += goal.requirements_on(ready[0]) if isinstance(goal, Goal) else (goal,)
+    return ready, tuple(requirements)
+
+
+def resolved_build(
+    build: Callable[[Mapping[str, float]], StateSpace],
+    goals: Sequence[Requirement | Goal],
+    example: Mapping[str, float],
+) -> tuple[Callable[[Mapping[str, float]], StateSpace], tuple[Requirement, ...]]:
+    """As :func:`resolved` for models that are built from parameter values, `example` being some."""
+    own = tuple(goal for goal in goals if isinstance(goal, Goal))
+    if not own:
+        return build, tuple(goal for goal in goals if not isinstance(goal, Goal))
+    return PreparedBuild(build, own), resolved([build(example)], goals)[1]
+
+
+@dataclass(frozen=True)
+class PreparedBuild:
+    """Builds models with the ports of goals."""
+
+    build: Callable[[Mapping[str, float]], StateSpace]
+    goals: tuple[Goal, ...]
+
+    def __call__(self, values: Mapping[str, float]) -> StateSpace:
+        """Model at parameter values."""
+        return _prepared(self.build(values), self.goals)
+
+
+def _prepared(model: StateSpace, goals: Sequence[Requirement | Goal]) -> StateSpace:
+    for goal in goals:
+        model = goal.prepared(model) if isinstance(goal, Goal) else model
+    return model
+
+
+def with_output(model: StateSpace, name: str, C: FloatArray, D: FloatArray) -> StateSpace:
+    """The model with one more output; as it is if there is one of this name."""
+    if any(p.name == name for p in model.outputs):
+        return model
+    outputs = (*model.outputs, Port(name, len(C)))
+    return StateSpace(
+        model.A, model.B, np.vstack([model.C, C]), np.vstack([model.D, D]), model.inputs, outputs, model.name
+    )

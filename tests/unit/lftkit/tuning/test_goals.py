@@ -1,0 +1,177 @@
+"""Goals for loops against closed forms, evaluated by the certificate on known loops."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lftkit.systems.filters import transfer
+from lftkit.systems.state_space import StateSpace
+from lftkit.tuning import (
+    ClosedLoopPoles,
+    Goal,
+    HinfGain,
+    LoopShape,
+    Margins,
+    MaxLoopGain,
+    MinLoopGain,
+    Overshoot,
+    Sensitivity,
+    StepTracking,
+    Tracking,
+    TuningOptions,
+    WorstCaseOptions,
+    certify,
+    gain,
+    tune,
+    tune_robust,
+    worst_case,
+)
+from lftkit.tuning.goals import resolved
+
+
+def plant(numerator: Any, denominator: Any) -> StateSpace:
+    """Reference r, command u -> output z, error e = r - z, the controller's measurement."""
+    G = transfer(numerator, denominator)
+    assert not G.D.any()
+    B = np.hstack([np.zeros_like(G.B), G.B])
+    C = np.vstack([G.C, -G.C])
+    D = np.array([[0.0, 0.0], [1.0, 0.0]])
+    return StateSpace(G.A, B, C, D, [("r", 1), ("u", 1)], [("z", 1), ("e", 1)])
+
+
+def feedback(k: float) -> StateSpace:
+    return StateSpace.static([[k]], [("e", 1)], [("u", 1)])
+
+
+def value(goal: Goal, model: StateSpace, controller: StateSpace) -> float:
+    (ready,), needs = resolved([model], [goal])
+    certificate = certify([ready], controller, needs, rtol=1e-9)
+    assert certificate.stable
+    return float(certificate.values.item())
+
+
+INTEGRATOR = plant([1.0], [1.0, 0.0])
+
+
+@pytest.mark.parametrize("at", ["u", "e"])
+@pytest.mark.parametrize("crossover", [0.5, 3.0])
+def test_loop_shape_is_one_for_the_integrator_of_its_crossover(at: str, crossover: float) -> None:
+    """L = k / s with k = crossover: |S|^2 (k/w)^2 + |T|^2 (w/k)^2 = 1 at every frequency."""
+    assert value(LoopShape(at, crossover), INTEGRATOR, feedback(crossover)) == pytest.approx(1.0, abs=2e-4)
+
+
+@pytest.mark.parametrize(("goal", "k"), [(MinLoopGain, 0.5), (MaxLoopGain, 2.0)])
+def test_loop_gain_that_is_half_or_twice_what_is_asked_has_the_value_two(goal: Any, k: float) -> None:
+    """L = k / s with a crossover of 1: (1/s) S = 1 / (s + k), largest 1 / k; s T = k s / (s + k), largest k."""
+    assert value(goal("u", crossover=1.0), INTEGRATOR, feedback(k)) == pytest.approx(2.0, rel=1e-3)
+    assert value(goal("u", crossover=1.0), INTEGRATOR, feedback(1.0 / k)) == pytest.approx(0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("at", ["u", "e"])
+def test_disk_margin_of_the_published_loop(at: str) -> None:
+    """25 / (s^3 + 10 s^2 + 10 s + 10): size 0.4581, gains 0.6273 to 1.5942, phases 25.8017 deg at 1.9474 rad/s."""
+    model = plant([25.0], [1.0, 10.0, 10.0, 10.0])
+    for goal in (Margins(at, gain_margin=1.5942), Margins(at, phase_margin=25.8017)):
+        assert value(goal, model, feedback(1.0)) == pytest.approx(1.0, rel=1e-4)
+        assert goal.size == pytest.approx(0.4581, abs=1e-4)
+
+
+def test_sensitivities_of_a_lag() -> None:
+    """L = k / (s + 1): S has 1 at high frequency, T = k / (s + 1 + k)."""
+    model = plant([1.0], [1.0, 1.0])
+    assert value(Sensitivity("u"), model, feedback(3.0)) == pytest.approx(1.0)
+    assert value(Sensitivity("u", bound=0.5, complementary=True), model, feedback(3.0)) == pytest.approx(0.75 / 0.5)
+    low = transfer([1.0], [1.0, 1.0])  # S / (s + 1) = 1 / (s + 4)
+    assert value(Sensitivity("e", weight=low), model, feedback(3.0)) == pytest.approx(0.25)
+
+
+def test_loops_of_two_commands_are_looked_at_together() -> None:
+    """Two integrators with gains 2 and 5, one goal: the worse of them."""
+    B = np.hstack([np.zeros((2, 1)), np.eye(2)])
+    model = StateSpace(
+        np.zeros((2, 2)), B, np.eye(2), np.zeros((2, 3)), [("w", 1), ("a", 1), ("b", 1)], [("x", 1), ("y", 1)]
+    )
+    K = StateSpace.static(np.diag([-2.0, -5.0]), [("x", 1), ("y", 1)], [("a", 1), ("b", 1)])
+    assert value(MinLoopGain(("a", "b"), crossover=4.0), model, K) == pytest.approx(2.0, rel=1e-3)
+    assert value(MaxLoopGain(("x", "y"), crossover=4.0), model, K) == pytest.approx(1.25, rel=1e-3)
+
+
+@pytest.mark.parametrize("tau", [0.5, 2.0])
+def test_tracking_of_a_lag_that_is_as_fast_as_asked(tau: float) -> None:
+    """T = 1 / (tau s + 1): error tau s / (tau s + 1), the profile with w = 1 / tau but for its error at 0."""
+    goal = Tracking("r", "z", response_time=2.0 * tau, dc_error=1e-6)
+    assert value(goal, INTEGRATOR, feedback(1.0 / tau)) == pytest.approx(1.0, abs=1e-5)
+    assert value(goal, INTEGRATOR, feedback(0.5 / tau)) == pytest.approx(2.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(("model", "own"), [(1.0, 1.0), (1.0, 3.0), (2.0, 0.7)])
+def test_step_of_a_lag_against_that_of_another(model: float, own: float) -> None:
+    """Steps 1 - exp(-t / a) and 1 - exp(-t / b) differ by the root of a/2 + b/2 - 2 a b / (a + b) in the H2 norm."""
+    goal = StepTracking("r", "z", time_constant=model, relative_gap=0.1)
+    distance = np.sqrt(0.5 * own + 0.5 * model - 2.0 * own * model / (own + model))
+    expected = distance / (0.1 * np.sqrt(0.5 * model))
+    assert value(goal, INTEGRATOR, feedback(1.0 / own)) == pytest.approx(expected, rel=5e-3, abs=1e-6)
+
+
+def test_overshoot_is_that_of_a_second_order_system() -> None:
+    """1 / (s^2 + 2 z s + 1) with z = 0.4 overshoots by exp(-pi z / sqrt(1 - z^2)) = 25.38 %."""
+    z = 0.4
+    model = plant([1.0], [1.0, 2.0 * z, 0.0])
+    percent = 100.0 * np.exp(-np.pi * z / np.sqrt(1.0 - z * z))
+    assert value(Overshoot("r", "z", percent=percent), model, feedback(1.0)) == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Margins("u"), "gain_margin or phase_margin must ask for something, got 1 and 0"),
+        (lambda: Margins("u", gain_margin=0.5), "gain_margin must be at least 1"),
+        (lambda: Sensitivity(()), "location must name at least one command or measurement of the controller"),
+        (lambda: MinLoopGain("u", crossover=-1.0), r"crossover must be positive \[rad/s\], got -1"),
+        (lambda: Tracking("r", "z", response_time=0.0), "response_time must be positive, got 0"),
+        (lambda: Overshoot("r", "z", percent=0.0), "percent must be between 0 and 100, got 0"),
+        (lambda: resolved([INTEGRATOR], [Sensitivity("v")]), "location must be an input or an output of .*; got 'v'"),
+        (lambda: resolved([], [Sensitivity("u")]), "a design needs at least one model, got none"),
+    ],
+)
+def test_wrong_goals_are_refused(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_goals_are_tuned_beside_requirements() -> None:
+    """Fastest tracking with |T| <= 1 and a sensitivity of at most 1.2 in spite of a lag of 0.1 s in the loop."""
+    model = plant([10.0], [1.0, 10.0, 0.0])
+    goals = [
+        Tracking("r", "z", response_time=0.1, name="tracking"),
+        Sensitivity("u", bound=1.2, hard=True),
+        ClosedLoopPoles(min_damping=0.5),
+    ]
+    structure = gain([("e", 1)], [("u", 1)])
+    result = tune([model], goals, structure, initial=[[1.0]], options=TuningOptions(starts=0))
+    assert result.status == "converged"
+    assert result.requirement_names == ("tracking", "Sensitivity u", "ClosedLoopPoles")
+    k = float(result.x[0])
+    w = np.geomspace(1e-2, 1e3, 20001)
+    S = 1.0 / (1.0 + k * 10.0 / ((1j * w) ** 2 + 10.0j * w))
+    assert np.abs(S).max() == pytest.approx(1.2, rel=1e-3)
+    assert result.certificate is not None and result.hard <= 1.0 + 1e-6
+
+
+def build(values: Any) -> StateSpace:
+    return plant([values["gain"]], [1.0, 2.0, 0.0])
+
+
+def test_goals_hold_over_a_box_of_parameters() -> None:
+    """The sensitivity of g / (s (s + 2)) grows with g."""
+    goals = [HinfGain("r", "e", weight_out=transfer([1.0], [1.0, 1e-3])), Sensitivity("u", bound=1.3, hard=True)]
+    options, box = TuningOptions(starts=0), {"gain": (0.5, 2.0)}
+    search = WorstCaseOptions(samples=20)
+    structure = gain([("e", 1)], [("u", 1)])
+    result = tune_robust(build, box, goals, structure, initial=[[0.5]], options=options, search=search)
+    worst = worst_case(build, box, result.controller, goals, options=search)
+    assert worst[1].value == pytest.approx(1.0, abs=0.02)
+    assert worst[1].parameters["gain"] == pytest.approx(2.0)
