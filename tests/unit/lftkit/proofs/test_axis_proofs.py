@@ -12,7 +12,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston_safonov, transport_aircraft
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.proofs.axis import AxisProof, axis_gain, axis_stability, check_axis_proof
 from lftkit.proofs.axis.model import AxisModel, modal_form
@@ -22,7 +22,7 @@ from lftkit.proofs.verdict import ProofError
 LONG = 3600.0
 
 
-def random_system(seed: int) -> UncertainSystem:
+def random_system(seed: int) -> System:
     """Five states, three parameters of which one occurs twice, with feedthrough everywhere."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(5, 5))
@@ -32,7 +32,7 @@ def random_system(seed: int) -> UncertainSystem:
         RealParameter(f"p{i}", 1.0, 1.0 - rng.uniform(0.1, 0.3), 1.0 + rng.uniform(0.1, 0.3)) for i in range(3)
     )
     B, C = 0.5 * rng.normal(size=(5, 5)), 0.5 * rng.normal(size=(6, 5))
-    return UncertainSystem(A, B, C, D, (Port("u", 1),), (Port("y", 2),), ("p0", "p1", "p2", "p1"), parameters)
+    return System(A, B, C, D, [("u", 1)], [("y", 2)], channels=("p0", "p1", "p2", "p1"), elements=parameters)
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_an_unstable_member_is_named() -> None:
     system = chain_of_masses(8, 1.5, damping=0.1)
     bounds = axis_gain(system, wall_limit=LONG)
     assert bounds.status == "unstable" and bounds.proof is None
-    assert linalg.eigvals(system.data_at(bounds.point).A).real.max() >= 0.0
+    assert linalg.eigvals(system.at(bounds.point).A).real.max() >= 0.0
     margin = axis_stability(system, gap=0.2, wall_limit=LONG)  # a spring without stiffness: 1 / 1.5
     assert margin.upper == pytest.approx(2.0 / 3.0, rel=1e-5) and margin.upper <= 1.2 * margin.lower
 
