@@ -18,6 +18,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra import spectra
 
@@ -25,9 +26,6 @@ BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
 
 PARTS = ("noise", "slow", "fast", "total")
-METADATA = "rpe_budget_mas"
-"""Key of the allowances in the metadata of a bag: an object with these parts, and with :data:`EDGE`."""
-EDGE = "band_edge_rad_s"
 
 
 def _short(value: float) -> str:
@@ -93,9 +91,9 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     """
     tones = run.parameters.get("tones_rad_s", [])
     omegas = np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)
-    given = run.parameters.get(METADATA)
+    given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
-    edge = allowances.pop(EDGE, BAND_EDGE)
+    edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
     found = spectra.lines(series.values, series.dt, omegas, window)
     rest = spectra.without_lines(series.values, series.dt, omegas)
     power = metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2

@@ -21,12 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lftkit import Port, System, cascade, state_space
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.weights import relative_error_weight
+
+if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
+    from lftkit import System
 
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
@@ -160,6 +162,9 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
 
 def band_error_weight(parameters: Parameters, band: str) -> System:
     """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
+    from lftkit import cascade
+    from titop_plant.telescope.weights import relative_error_weight
+
     relative = relative_error_weight(parameters["weights"]["rpe_window"]).at({})
     return cascade(relative, band_weight(band).at({}), f"W_RPE, {band}")
 
@@ -178,6 +183,8 @@ def band_weight(band: str, size: int = 2) -> System:
     if band not in ("slow", "fast"):
         raise ValueError(f"band must be slow or fast, got {band!r}")
     from scipy import signal
+
+    from lftkit import Port, state_space
 
     denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
     A = np.diag(np.full(BAND_ORDER - 1, BAND_EDGE), -1)

@@ -15,9 +15,10 @@ from los_testbed.factories import RunParts
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
-from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
+from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
+from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import Parameters, differences
 from titop_plant.telescope.sensors import noise_of_samples
@@ -68,8 +69,6 @@ def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
 
 def _budget(parameters: Parameters, loop: str) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
-    from pointing_analysis.budget.tone_budget import EDGE
-    from pointing_analysis.indices.errors import RAD_PER_MAS
     from titop_plant.telescope.budget import BAND_EDGE, error_budget
 
     budget = error_budget(parameters)
@@ -78,7 +77,7 @@ def _budget(parameters: Parameters, loop: str) -> dict[str, float]:
         shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
     if loop in FORCE_STAGES:
         shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
-    return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, EDGE: BAND_EDGE}
+    return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, BUDGET_EDGE: BAND_EDGE}
 
 
 def final_metadata(
@@ -89,7 +88,7 @@ def final_metadata(
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.budget.tone_budget`).
     """
     budget = _budget(parts.parameters, parts.config.loop)
-    record = {**run_metadata(parts, start), "rpe_budget_mas": json.dumps(budget)}
+    record = {**run_metadata(parts, start), BUDGET: json.dumps(budget)}
     plant = dict(statistics.get("plant", {}))
     for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
