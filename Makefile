@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz attacks faults lint stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
+.PHONY: help run test test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -45,10 +45,17 @@ run: $(READY)
 	$(BIN)/los-testbed run --domain free
 
 lint: $(READY)
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target types types-of-tests style
+
+style: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
+
+types: $(READY)
 	$(BIN)/mypy
+
+types-of-tests: $(READY)
 	$(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests tests
 
 test: lint
