@@ -80,7 +80,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
     f"{ROS_PACKAGE}/los_testbed/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
     f"{ROS_PACKAGE}/los_testbed/campaign/verdict.py": ("tests/unit/los_testbed/test_campaign_verdict.py",),
-    f"{ROS_PACKAGE}/los_testbed/run/summary.py": ("tests/unit/los_testbed/test_requirement_outputs.py",),
+    f"{ROS_PACKAGE}/los_testbed/run/summary.py": (
+        "tests/unit/los_testbed/test_summary_on_screen.py",
+        "tests/unit/los_testbed/test_requirement_outputs.py",
+    ),
     f"{ROS_PACKAGE}/los_testbed/bags/repair.py": (
         "tests/unit/los_testbed/test_bag_repair_records.py",
         "tests/unit/los_testbed/test_bag_repair.py",
