@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
-from lftkit.arrays import FloatArray
-from lftkit.proofs.axis.model import AxisModel, modal_form
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.bounds import prove_level
 from lftkit.proofs.sampled_loop.proof import Interval, Strip
@@ -165,10 +166,10 @@ def axis_gain(
     chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
     ends = intervals_of(chosen, box)
     with one_thread(), Progress("worst-case gain", progress):
-        return _gain_bounds(chosen, ends, band, level, gap, wall_limit, seed)
+        return gain_of_intervals(chosen, ends, band, level, gap, wall_limit, seed)
 
 
-def _gain_bounds(
+def gain_of_intervals(
     system: UncertainSystem,
     box: list[Interval],
     band: Interval,
@@ -177,6 +178,7 @@ def _gain_bounds(
     wall_limit: float,
     seed: int,
 ) -> Bounds:
+    """As :func:`axis_gain` for intervals in the order of the parameters, which may leave their ranges."""
     start = time.monotonic()
     worst = worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
@@ -280,6 +282,25 @@ def _stability_bounds(
             return Bounds(lower, factor, named(point), frequency, axis.finished(None), status)
         left = axis.uncovered()
     return Bounds(0.0, factor, named(point), frequency, None, "out_of_time", left)
+
+
+def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Poles of A, its eigenvectors as columns and their inverse, as far as they are separate.
+
+    Raises
+    ------
+    ValueError
+        A has no basis of eigenvectors in double precision.
+    """
+    if not len(A):
+        return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex)
+    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    poles, T = linalg.eig(balanced)
+    factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
+    inverse, singular = linalg.lapack.zgetri(factors, pivots)
+    if singular or not np.all(np.isfinite(inverse)):
+        raise ValueError("the nominal member must have a basis of eigenvectors, got none")
+    return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
 
 
 def _widened(ends: Interval, width: float) -> Interval:

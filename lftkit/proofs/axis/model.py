@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.polynomials import INFLATE, TINY, UNIT, Polynomial, constant, reciprocal, weighted_share
@@ -160,22 +159,3 @@ def neumann(share: FloatArray) -> FloatArray:
     if not radius < 0.9:
         raise ArithmeticError("the nominal member may have a pole in the window")
     return np.asarray(INFLATE * (share + radius**2 / (1.0 - radius) * size[:, None] / size) + TINY)
-
-
-def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles of A, its eigenvectors as columns and their inverse, as far as they are separate.
-
-    Raises
-    ------
-    ValueError
-        A has no basis of eigenvectors in double precision.
-    """
-    if not len(A):
-        return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex)
-    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
-    poles, T = linalg.eig(balanced)
-    factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
-    inverse, singular = linalg.lapack.zgetri(factors, pivots)
-    if singular or not np.all(np.isfinite(inverse)):
-        raise ValueError("the nominal member must have a basis of eigenvectors, got none")
-    return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)

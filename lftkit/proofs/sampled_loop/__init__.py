@@ -1,10 +1,15 @@
 """Guaranteed worst case of sampled loops of any order, by scalings at frequencies, with a proof and its checker."""
 
-from lftkit.proofs.sampled_loop.bounds import LoopBounds, prove_level
-from lftkit.proofs.sampled_loop.build import box_of, loop_model
-from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
-from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.sampled_loop.proof import LoopProof, Strip
+from typing import TYPE_CHECKING
+
+from lftkit.support.on_demand import names_on_demand
+
+if TYPE_CHECKING:
+    from lftkit.proofs.sampled_loop.bounds import LoopBounds, prove_level
+    from lftkit.proofs.sampled_loop.build import box_of, loop_model
+    from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
+    from lftkit.proofs.sampled_loop.model import LoopModel
+    from lftkit.proofs.sampled_loop.proof import LoopProof, Strip
 
 __all__ = [
     "CheckedLoop",
@@ -17,3 +22,14 @@ __all__ = [
     "loop_model",
     "prove_level",
 ]
+
+__getattr__ = names_on_demand(
+    __name__,
+    {
+        "bounds": ("LoopBounds", "prove_level"),
+        "build": ("box_of", "loop_model"),
+        "checker": ("CheckedLoop", "check_loop_proof"),
+        "model": ("LoopModel",),
+        "proof": ("LoopProof", "Strip"),
+    },
+)

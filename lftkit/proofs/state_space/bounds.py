@@ -388,7 +388,7 @@ def _stability_bounds(
             left = tuple(cell for *_, cell in cover.open)
             if found:
                 worst = found[0]
-                factor = _factor_of(system, box, worst.point)
+                factor = factor_of(system, box, worst.point)
                 target = factor / (1.0 + SHARE * gap)
                 continue
             stable = stable_member(system, claim, nominal) if closed else None
@@ -400,14 +400,14 @@ def _stability_bounds(
     return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, () if proof else left)
 
 
-def _factor_of(system: UncertainSystem, box: list[tuple[float, float]], point: FloatArray) -> float:
+def factor_of(system: UncertainSystem, box: list[tuple[float, float]], point: FloatArray) -> float:
     """Factor of the scaled box on whose surface the point is."""
     factors = [0.0]
     for parameter, (low, high), value in zip(system.parameters, box, point):
         offset = value - parameter.nominal
         side = (low if offset < 0.0 else high) - parameter.nominal
         factors.append(offset / side if offset else 0.0)
-    return max(factors)
+    return float(max(factors))
 
 
 def _named(system: UncertainSystem, member: Member) -> dict[str, float]:

@@ -31,6 +31,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.proofs.verdict import CheckedProof, ProofError, uncovered
 
+FORMAT = "los-testbed proof 1"
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
 
@@ -240,8 +241,8 @@ def _band(ends: Any) -> tuple[float, float]:
 
 
 def _checked(proof: dict[str, Any]) -> CheckedProof:
-    if proof["format"] != "los-testbed proof 1" or proof["kind"] not in ("gain", "stability"):
-        raise ProofError(f"format must be 'los-testbed proof 1' of a gain or of stability, got {proof['format']!r}")
+    if proof["format"] != FORMAT or proof["kind"] not in ("gain", "stability"):
+        raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
     if proof["sha256"] != digest(proof):
         raise ProofError("the content must match its SHA-256, got another: the file was altered")
     inequality, band = Inequality(proof), _band(proof["band"])

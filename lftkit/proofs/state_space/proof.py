@@ -13,10 +13,8 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
-from lftkit.proofs.state_space.checker import Inequality, digest
+from lftkit.proofs.state_space.checker import FORMAT, Inequality, digest
 from lftkit.systems.uncertain_system import UncertainSystem
-
-FORMAT = "los-testbed proof 1"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston
 from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.proofs.axis import AxisProof, axis_gain, axis_stability, check_axis_proof
-from lftkit.proofs.axis.model import AxisModel, modal_form
+from lftkit.proofs.axis.bounds import modal_form
+from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.state_space import worst_case_gain
 from lftkit.proofs.verdict import ProofError
 

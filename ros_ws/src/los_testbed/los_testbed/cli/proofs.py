@@ -226,8 +226,10 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    from lftkit.proofs.state_space.checker import check_proof as check
-    from lftkit.proofs.verdict import ProofError
+    from lftkit.proofs import CheckedProof, ProofError
+    from lftkit.proofs import check_proof as check
+    from lftkit.proofs.checking import proof_format
+    from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
     from lftkit.support.threads import one_thread
 
     count = processes(workers)
@@ -236,11 +238,13 @@ def check_proof(
     if of is not None and file.suffix != ".npz":
         raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
     try:
-        if file.suffix == ".npz":
+        if proof_format(file) == LOOP:
             _check_loop(file, count, of, json_)
             return
         with one_thread():
             checked = check(file)
+        if not isinstance(checked, CheckedProof):
+            raise ProofError(f"the file must be a proof of a system, got one of {type(checked).__name__}")
     except ProofError as error:
         sys.stderr.write(f"refused: {error}\n")
         raise typer.Exit(1) from None
@@ -255,7 +259,7 @@ def check_proof(
     if checked.stable:
         sys.stdout.write("proven: stable\n")
     sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
-    sys.stdout.write(f"{checked.cells} cells; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
+    sys.stdout.write(f"{checked.cells} parts; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
 
 
 def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:

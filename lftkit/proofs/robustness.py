@@ -1,0 +1,250 @@
+"""Robust stability, worst-case gain and robust performance of uncertain systems: the method follows from the size."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from lftkit.proofs.axis.bounds import axis_gain, axis_stability, gain_of_intervals
+from lftkit.proofs.state_space import bounds as cells
+from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, checked_band, factor_of, intervals_of
+from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
+from lftkit.support.threads import one_thread
+from lftkit.systems.uncertain_system import UncertainSystem
+
+FEW_STATES = 6
+"""Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
+STEPS = 12
+"""Most factors of the box that are tried for robust performance."""
+BELOW, LESS = 0.999, 0.75
+"""Part of the smallest factor that reaches the level at which the next is looked for; of one not proven in time."""
+
+
+def worst_case_gain(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    band: tuple[float, float] = WHOLE,
+    level: float | None = None,
+    gap: float = 0.05,
+    *,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
+
+    Up to :data:`FEW_STATES` states it is proven by :func:`lftkit.proofs.state_space.worst_case_gain`, beyond by
+    :func:`lftkit.proofs.axis.axis_gain`, as far as the nominal member is stable and in the box.
+
+    Parameters
+    ----------
+    system, box, inputs, outputs, band, level, gap, wall_limit, seed, progress
+        As there.
+
+    Returns
+    -------
+    Bounds
+        `lower` is reached at `point` and `frequency`; `upper` is proven: ``check_proof(bounds.proof)``.
+
+    Raises
+    ------
+    ValueError
+        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense.
+
+    Examples
+    --------
+    A resonance of damping ratio 0.05 with an uncertain stiffness; its peak is 1 / (2 zeta sqrt(1 - zeta^2) k):
+
+    >>> from lftkit import Port, RealParameter
+    >>> from lftkit.proofs import check_proof
+    >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
+    >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
+    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("stiffness",), (k,))
+    >>> bounds = worst_case_gain(mode)
+    >>> check_proof(bounds.proof).level == bounds.upper
+    True
+    """
+    checked_band(band, level, gap, wall_limit)
+    chosen = system.select(inputs=inputs, outputs=outputs)
+    if system.order > FEW_STATES and _posed(chosen, intervals_of(chosen, box)):
+        return axis_gain(
+            chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
+        )
+    return cells.worst_case_gain(
+        chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
+    )
+
+
+def robust_stability(
+    system: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    largest: float = 10.0,
+    gap: float = 0.05,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+    progress: bool = False,
+) -> Bounds:
+    """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
+
+    Above 1 the box itself is stable. Factors up to `largest` are looked at: `upper` is infinite if no unstable member
+    was found there.
+
+    Parameters
+    ----------
+    system, box, largest, gap, wall_limit, seed, progress
+        As for :func:`lftkit.proofs.state_space.robust_stability`, which is used up to :data:`FEW_STATES` states;
+        beyond it is :func:`lftkit.proofs.axis.axis_stability`.
+
+    Returns
+    -------
+    Bounds
+        `lower` is proven, ``check_proof(bounds.proof)``; the member at `point`, on the surface of the box `upper`
+        times as large, is unstable.
+
+    Raises
+    ------
+    ValueError
+        Unknown names; intervals outside the ranges; numbers that make no sense.
+
+    Examples
+    --------
+    ``x' = (-1 + p) x`` with p in [-0.5, 0.5] is stable up to p = 1, twice the box:
+
+    >>> from lftkit import RealParameter
+    >>> p = RealParameter("p", 0.0, -0.5, 0.5)
+    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> bounds = robust_stability(lag)
+    >>> bounds.lower <= 2.0, round(bounds.upper, 6)
+    (True, 2.0)
+    """
+    chosen = system.select(inputs=(), outputs=())
+    posed = system.order > FEW_STATES and _posed(chosen, intervals_of(chosen, box))
+    method = axis_stability if posed else cells.robust_stability
+    return method(chosen, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress)
+
+
+def robust_performance(
+    system: UncertainSystem,
+    level: float = 1.0,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    largest: float = 10.0,
+    gap: float = 0.05,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+) -> Bounds:
+    """Largest factor by which the box, scaled about the nominal values, keeps the worst-case gain below a level.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        Gain from all inputs to all outputs, over all frequencies.
+    level : float
+    box : mapping of str to (lowest, highest), optional
+        It contains the nominal values.
+    largest : float
+        Largest factor that is looked at.
+    gap, wall_limit, seed
+        As for :func:`worst_case_gain`; the gap is that of the factors.
+
+    Returns
+    -------
+    Bounds
+        `lower` is a factor for which the level is proven; the member at `point`, on the surface of the box `upper`
+        times as large, exceeds the level at `frequency` or is unstable. Status ``violated``: the nominal member does.
+
+    Raises
+    ------
+    ValueError
+        As for :func:`worst_case_gain`; also a nominal member that is outside of the box, or not stable.
+
+    Examples
+    --------
+    The gain of ``1 / (s + 1 - p)`` with p in [-0.5, 0.5] is ``1 / (1 - p)``: 2 is reached at the end of the box.
+
+    >>> from lftkit import Port, RealParameter
+    >>> p, u, y = RealParameter("p", 0.0, -0.5, 0.5), (Port("u", 1),), (Port("y", 1),)
+    >>> lag = UncertainSystem([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), u, y, ("p",), (p,))
+    >>> bounds = robust_performance(lag, level=2.0)
+    >>> bounds.lower <= 1.0 <= bounds.upper <= 1.05 * bounds.lower
+    True
+    """
+    checked_band(WHOLE, level, gap, wall_limit)
+    if not largest > 0.0:
+        raise ValueError(f"largest must be positive, got {largest}")
+    chosen = system.sorted_channels()
+    ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
+    with one_thread():
+        worst = _too_large(chosen, ends, level, largest, seed)
+        lower, proof = 0.0, None
+        aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)
+        for _ in range(STEPS):
+            left = until - time.monotonic()
+            if left <= 0.0 or aim <= 0.0:
+                break
+            found = gain_of_intervals(chosen, scaled_box(chosen, ends, aim), WHOLE, level, gap, 0.6 * left, seed)
+            if found.status == "closed":
+                lower, proof = aim, found.proof
+                break
+            if found.status == "out_of_time":
+                aim *= LESS
+                continue
+            point = np.array([found.point[p.name] for p in chosen.parameters])
+            worst = _crossing(chosen, ends, level, point)
+            aim = worst[0] / (1.0 + SHARE * gap)
+    upper, member = (np.inf, None) if worst is None else worst
+    closed = proof is not None and (upper <= (1.0 + gap) * lower or (worst is None and lower >= largest))
+    status = "violated" if upper == 0.0 else "closed" if closed else "out_of_time"
+    point_of = {} if member is None else {p.name: float(v) for p, v in zip(chosen.parameters, member.point)}
+    return Bounds(lower, upper, point_of, 0.0 if member is None else member.frequency, proof, status)
+
+
+def _too_large(
+    system: UncertainSystem, ends: list[tuple[float, float]], level: float, largest: float, seed: int
+) -> tuple[float, Member] | None:
+    """A member that reaches the level and its factor of the box: the smallest that searches find, or None."""
+    worst, factor = None, min(1.0, largest)
+    for _ in range(STEPS):
+        member = worst_member(system, scaled_box(system, ends, factor), WHOLE, seed=seed)
+        if member.gain >= level:
+            worst = _crossing(system, ends, level, member.point)
+            factor = worst[0] * BELOW
+        elif worst is not None or factor >= largest:
+            break
+        else:
+            factor = min(2.0 * factor, largest)
+        if factor <= 0.0:
+            break
+    return worst
+
+
+def _crossing(
+    system: UncertainSystem, ends: list[tuple[float, float]], level: float, point: FloatArray
+) -> tuple[float, Member]:
+    """First member on the way from the nominal one to a point that reaches the level, to 1e-6, and its factor."""
+    nominal = np.array([p.nominal for p in system.parameters])
+    low, high, reached = 0.0, 1.0, member_gain(system, point, WHOLE)
+    if member_gain(system, nominal, WHOLE).gain >= level:
+        return 0.0, member_gain(system, nominal, WHOLE)
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        member = member_gain(system, nominal + middle * (point - nominal), WHOLE)
+        if member.gain >= level:
+            high, reached = middle, member
+        else:
+            low = middle
+    return factor_of(system, ends, reached.point), reached
+
+
+def _posed(system: UncertainSystem, box: Sequence[tuple[float, float]]) -> bool:
+    """Whether the nominal member is in the box and stable, as the method for many states needs it."""
+    inside = all(low <= p.nominal <= high for p, (low, high) in zip(system.parameters, box))
+    poles = np.asarray(linalg.eigvals(system.A), complex)
+    return inside and bool(np.all(poles.real < 0.0))

@@ -1,0 +1,124 @@
+"""One check for proofs of every kind, which loads nothing of what finds them; the method follows from the size."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.stored_proofs import FOLDER, SUFFIX, unpack
+from support.uncertain_examples import aligned_modes, chain_of_masses
+
+from lftkit import proofs
+from lftkit.proofs import ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
+from lftkit.proofs.axis import AxisProof
+from lftkit.proofs.checking import FORMATS, proof_format
+from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
+from lftkit.proofs.sampled_loop.checker import windows_of
+from lftkit.proofs.sampled_loop.proof import FORMAT
+from lftkit.proofs.state_space import Proof
+
+LONG = 3600.0
+PROVERS = (
+    "axis.bounds",
+    "robustness",
+    "sampled_loop.bounds",
+    "sampled_loop.branching",
+    "sampled_loop.build",
+    "sampled_loop.scalings",
+    "state_space.barrier",
+    "state_space.bounds",
+    "state_space.cells",
+    "state_space.corners",
+    "state_space.proof",
+    "state_space.scalar_barrier",
+    "state_space.search",
+)
+
+
+def test_a_check_loads_nothing_of_what_finds_proofs() -> None:
+    code = (
+        "import sys, lftkit.proofs.checking\n"
+        "print(*sorted(m[len('lftkit.proofs.'):] for m in sys.modules if m.startswith('lftkit.proofs.')))\n"
+        "print(any(m.startswith(('scipy.optimize', 'lftkit.analysis', 'lftkit.tuning')) for m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    loaded, others = done.stdout.splitlines()
+    assert not set(loaded.split()) & set(PROVERS) and "axis.checker" in loaded.split()
+    assert others == "False"
+    folder = Path(proofs.__file__).parent
+    existing = {".".join(path.relative_to(folder).with_suffix("").parts) for path in folder.rglob("*.py")}
+    assert set(PROVERS) <= existing, "a prover has another name now"
+
+
+def test_the_proof_of_bounds_passes_as_object_content_and_file(tmp_path: Path) -> None:
+    few, many = aligned_modes(1, damping=0.05), chain_of_masses(4, 0.1)
+    cells, strips = (worst_case_gain(system, wall_limit=LONG) for system in (few, many))
+    assert isinstance(cells.proof, Proof) and isinstance(strips.proof, AxisProof)
+    for number, bounds in enumerate((cells, strips)):
+        path = tmp_path / f"{number}.proof"
+        bounds.proof.to_file(path)
+        for what in (bounds.proof, path, str(path)):
+            assert check_proof(what).level == bounds.upper
+        assert proof_format(path) in FORMATS
+    assert check_proof(cells.proof.content).stable
+
+
+def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
+    system = aligned_modes(1, damping=0.1)
+    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
+    found = prove_level(model, box, band, 6.0)
+    proof = LoopProof(model, ("k0",), box, band, 6.0, tuple(found.strips))
+    path = tmp_path / "loop"
+    with path.open("wb"):
+        proof.to_file(path)
+    for what in (proof, path):
+        checked = check_proof(what)
+        assert isinstance(checked, CheckedLoop) and checked.level == 6.0
+
+
+def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
+    path = unpack(FOLDER / f"fsm+pma-APE{SUFFIX}", tmp_path / "APE.npz")
+    assert proof_format(path) == FORMAT
+    proof = LoopProof.from_file(path)
+    strip = max(proof.strips, key=lambda s: s.nodes[-1] / s.nodes[0] if s.nodes[0] else 0.0)
+    assert windows_of(proof.model, strip, 0, proof.level)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]"])
+def test_what_is_no_proof_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "proof"
+    path.write_bytes(content)
+    with pytest.raises(ProofError):
+        check_proof(path)
+
+
+@pytest.mark.parametrize("what", [None, 3, Path("/nowhere/proof.json"), {}, {"format": "other"}])
+def test_other_objects_are_refused(what: object) -> None:
+    with pytest.raises(ProofError):
+        check_proof(what)
+
+
+def test_stability_by_size() -> None:
+    few, many = robust_stability(aligned_modes(1, 0.05)), robust_stability(chain_of_masses(4, 0.3, damping=0.2))
+    assert isinstance(few.proof, Proof) and isinstance(many.proof, AxisProof)
+    assert many.upper == pytest.approx(1.0 / 0.3, rel=1e-4) and many.upper <= 1.05 * many.lower
+    for bounds in (few, many):
+        assert check_proof(bounds.proof).stable
+
+
+def test_robust_performance_of_a_spring_by_hand() -> None:
+    """Velocity over force at the resonance is 1 / (2 damping) whatever the stiffness; position has 1 / (2 zeta w^2)."""
+    system = chain_of_masses(1, 0.2, damping=0.1)  # peak 1 / (c sqrt(k - c^2 / 4))
+    stiffness = 0.0025 + (1.0 / (0.1 * 11.0)) ** 2  # where the peak is 11
+    bounds = robust_performance(system, level=11.0, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper == pytest.approx((1.0 - stiffness) / 0.2, rel=1e-4)
+    assert bounds.lower <= bounds.upper <= 1.05 * bounds.lower
+    checked = check_proof(bounds.proof)
+    assert checked.level == 11.0 and checked.box["k0"][0] == pytest.approx(1.0 - 0.2 * bounds.lower)
+    free = robust_performance(system, level=30.0, largest=1.5, wall_limit=LONG)
+    assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf
+    nominal = robust_performance(system, level=9.0, wall_limit=LONG)
+    assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
