@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
     from lftkit.systems.delay import pade_delay
+    from lftkit.systems.expressions import Expression, complex_gain, dynamic, matrix, real, s, z
     from lftkit.systems.feedback import cascade, close_loop
     from lftkit.systems.filters import high_pass, transfer
     from lftkit.systems.interconnection import (
@@ -43,6 +44,7 @@ __all__ = [
     "ComplexParameter",
     "Connection",
     "DynamicElement",
+    "Expression",
     "HInfNorm",
     "Port",
     "RealParameter",
@@ -55,8 +57,10 @@ __all__ = [
     "cascade",
     "close",
     "close_loop",
+    "complex_gain",
     "connect",
     "discretise",
+    "dynamic",
     "feedback",
     "from_control",
     "h2_norm",
@@ -64,10 +68,13 @@ __all__ = [
     "hinf_norm",
     "hinf_norms",
     "invert",
+    "matrix",
     "minimal_realisation",
     "pade_delay",
     "parallel",
     "pole_map",
+    "real",
+    "s",
     "sampled",
     "series",
     "sigma_plot",
@@ -77,12 +84,14 @@ __all__ = [
     "static_gain",
     "transfer",
     "transform",
+    "z",
 ]
 
 _MODULES = {
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "systems.delay": ("pade_delay",),
+    "systems.expressions": ("Expression", "complex_gain", "dynamic", "matrix", "real", "s", "z"),
     "systems.feedback": ("cascade", "close_loop"),
     "systems.filters": ("high_pass", "transfer"),
     "systems.interconnection": (

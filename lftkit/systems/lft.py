@@ -12,19 +12,40 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 
 
 def solve_loop(matrix: FloatArray, right: FloatArray, requirement: str) -> FloatArray:
-    """Solve; a singular matrix is a ValueError that begins with `requirement`."""
+    """Solve; a singular matrix is a ValueError that begins with `requirement`.
+
+    A matrix that looks singular is judged once more after scaling of its rows and columns.
+    """
     if matrix.size == 0:
         return np.zeros_like(right)
+    found = _solution(matrix, right)
+    if found is None:
+        rows = _powers(np.abs(matrix).max(axis=1))
+        columns = _powers(np.abs(matrix * rows[:, None]).max(axis=0))
+        found = _solution(matrix * rows[:, None] * columns, right * rows[:, None])
+        if found is None:
+            raise ValueError(f"{requirement}, got a singular algebraic loop")
+        found = found * columns[:, None]
+    return found
+
+
+def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
+    """Solution; None where a pivot is small beside the largest entry."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the pivots are checked below
         lu, pivots = linalg.lu_factor(matrix, check_finite=False)
         smallest = np.min(np.abs(np.diag(lu)))
     if not smallest > 1e-14 * np.max(np.abs(matrix)):
-        raise ValueError(f"{requirement}, got a singular algebraic loop")
+        return None
     x = linalg.lu_solve((lu, pivots), right, check_finite=False)
     # One step of iterative refinement makes the solution accurate row by row when the rows differ in scale (Skeel
     # 1980). Slow motion of a free spacecraft needs it: the net force is a small difference of large forces.
     return np.asarray(x + linalg.lu_solve((lu, pivots), right - matrix @ x, check_finite=False))
+
+
+def _powers(sizes: FloatArray) -> FloatArray:
+    """Reciprocals of sizes, rounded to powers of two: scaling by them changes no digit."""
+    return np.asarray(np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)))))
 
 
 def at_deviations(M: Matrices, delta: FloatArray, requirement: str) -> Matrices:

@@ -1,10 +1,11 @@
 """Exact minimal realisation of an uncertain system: fewest states, fewest occurrences.
 
-The states and the channels of each parameter are treated alike: a repeated scalar (1/s, or delta_i) closed around
+The states and the channels of each element are treated alike: a repeated scalar (1/s, or delta_i) closed around
 a block of the LFT matrix. For one block the others count as inputs and outputs; the part that is not controllable
 from them, or not observable from them, is removed by an orthogonal change of coordinates of that block (staircase).
-The pass over all blocks is repeated until nothing more is removed. The response at every parameter value is
-unchanged; nothing is approximated.
+Then the parts of all blocks that the inputs reach together are kept: the smallest family of subspaces V_i that
+contains what the inputs enter and with M_ij V_j in V_i; likewise for the outputs. The passes are repeated until
+nothing more is removed. The response at every value is unchanged; nothing is approximated.
 
 Assumption: parameters and 1/s are treated as non-commuting, which never removes too much. Source: Beck,
 Doyle and Glover, IEEE TAC 41 (1996), "Model reduction of multidimensional and uncertain systems"; D'Andrea and
@@ -86,6 +87,8 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
             if not fixed[i]:
                 M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance)
         if sizes == before:
+            M, sizes = _jointly_reduced(M, sizes, fixed, tolerance)
+        if sizes == before:
             break
     n = sizes[0]
     channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
@@ -99,8 +102,54 @@ def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float) -> tu
     if size == 0:
         return M, 0
     M, size = _keep_reachable(M, start, size, tolerance)
+    if size == 0:
+        return M, 0
     turned, size = _keep_reachable(M.T, start, size, tolerance)
     return turned.T, size
+
+
+def _jointly_reduced(
+    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float
+) -> tuple[FloatArray, list[int]]:
+    """Reduce all blocks to what the inputs reach, and then to what the outputs see, through all blocks together."""
+    M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance)
+    turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance)
+    return turned.T, sizes
+
+
+def _keep_jointly_reachable(
+    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float
+) -> tuple[FloatArray, list[int]]:
+    k = sum(sizes)
+    if k == 0:
+        return M, sizes
+    scaled, (scale, _) = linalg.matrix_balance(M[:k, :k], permute=False, separate=True)
+    entering = M[:k, k:] / scale[:, None]
+    ends = np.cumsum(sizes)
+    blocks = [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes)]
+    allowed = tolerance * max(1.0, float(linalg.norm(scaled, 2)))
+    bases = [np.eye(size)[:, : size if keep else 0] for size, keep in zip(sizes, fixed)]
+    fresh = []
+    for i, block in enumerate(blocks):
+        part = entering[block]
+        lengths = np.sqrt(np.sum(part**2, axis=0))
+        new = _orthonormal(part[:, lengths > 0] / lengths[lengths > 0], bases[i], tolerance)
+        fresh.append(bases[i] if fixed[i] else new)
+        bases[i] = bases[i] if fixed[i] else new
+    while any(f.shape[1] for f in fresh):
+        onward = []
+        for i, block in enumerate(blocks):
+            columns = np.hstack([scaled[block, other] @ f for other, f in zip(blocks, fresh)])
+            onward.append(_orthonormal(columns, bases[i], allowed))
+        bases = [np.hstack([Q, new]) for Q, new in zip(bases, onward)]
+        fresh = onward
+    kept = [Q.shape[1] for Q in bases]
+    if kept == sizes:
+        return M, sizes
+    Q = np.asarray(linalg.block_diag(*bases)).reshape(k, sum(kept))
+    lift, drop = scale[:, None] * Q, Q.T / scale
+    M = np.vstack([drop @ M[:k], M[k:]])
+    return np.hstack([M[:, :k] @ lift, M[:, k:]]), kept
 
 
 def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float) -> tuple[FloatArray, int]:

@@ -174,3 +174,11 @@ def test_uncertainty_is_never_lost_in_silence() -> None:
         frequency_response(Z, [1.0])
     with pytest.raises(ValueError, match="elements must be real, got the complex element 'c'"):
         robust_stability(G)
+
+
+def test_a_large_feedthrough_makes_no_loop_singular() -> None:
+    """A controller with three zeros and fast poles has a direct gain of 1e11, which costs seven digits."""
+    lead = (100 * ((lk.s + 1) / (0.001 * lk.s + 1)) ** 3).system()
+    plant = (1 / lk.s**2).system()
+    for made in (plant @ lead, lk.series(lead, plant, {"y": "u"})):
+        assert made(1j) == pytest.approx(-100 * ((1 + 1j) / (1 + 0.001j)) ** 3, rel=1e-6)
