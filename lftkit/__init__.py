@@ -15,6 +15,17 @@ if TYPE_CHECKING:
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
     from lftkit.systems.delay import pade_delay
+    from lftkit.systems.exchange import (
+        as_system,
+        from_json,
+        from_scipy,
+        read_mat,
+        read_system,
+        to_json,
+        to_scipy,
+        write_mat,
+        write_system,
+    )
     from lftkit.systems.expressions import Expression, complex_gain, dynamic, matrix, real, s, z
     from lftkit.systems.feedback import cascade, close_loop
     from lftkit.systems.filters import high_pass, transfer
@@ -53,6 +64,7 @@ __all__ = [
     "System",
     "UncertainSystem",
     "append",
+    "as_system",
     "bode_band",
     "cascade",
     "close",
@@ -63,6 +75,8 @@ __all__ = [
     "dynamic",
     "feedback",
     "from_control",
+    "from_json",
+    "from_scipy",
     "h2_norm",
     "high_pass",
     "hinf_norm",
@@ -73,6 +87,8 @@ __all__ = [
     "pade_delay",
     "parallel",
     "pole_map",
+    "read_mat",
+    "read_system",
     "real",
     "s",
     "sampled",
@@ -82,8 +98,12 @@ __all__ = [
     "star",
     "state_space",
     "static_gain",
+    "to_json",
+    "to_scipy",
     "transfer",
     "transform",
+    "write_mat",
+    "write_system",
     "z",
 ]
 
@@ -91,6 +111,17 @@ _MODULES = {
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "systems.delay": ("pade_delay",),
+    "systems.exchange": (
+        "as_system",
+        "from_json",
+        "from_scipy",
+        "read_mat",
+        "read_system",
+        "to_json",
+        "to_scipy",
+        "write_mat",
+        "write_system",
+    ),
     "systems.expressions": ("Expression", "complex_gain", "dynamic", "matrix", "real", "s", "z"),
     "systems.feedback": ("cascade", "close_loop"),
     "systems.filters": ("high_pass", "transfer"),

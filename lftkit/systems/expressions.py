@@ -146,7 +146,7 @@ class Expression:
             self.dynamics,
             self.inner,
         )
-        made = realised(affine, self.elements, _ports(inputs, columns), _ports(outputs, rows), self.dt)
+        made = realised(affine, self.elements, ports_for(inputs, columns), ports_for(outputs, rows), self.dt)
         return made.named(name)
 
     def at(self, values: Mapping[str, Value] | None = None, **named: Value) -> System:
@@ -390,7 +390,8 @@ def _size(e: Expression) -> str:
     return f"{e.shape[0]} x {e.shape[1]}"
 
 
-def _ports(given: Any, size: int) -> tuple[Port, ...]:
+def ports_for(given: Any, size: int) -> tuple[Port, ...]:
+    """Ports of `size` signals in all from one name, or from names, pairs and ports."""
     if isinstance(given, str):
         return (Port(given, size),)
     ports = tuple(p if isinstance(p, Port) else Port(p, 1) if isinstance(p, str) else Port(*p) for p in given)

@@ -1,0 +1,283 @@
+"""Systems from and to other programs: scipy.signal, .mat files, JSON; and anything of these as a :class:`System`."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import io, signal
+
+from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.systems.expressions import as_expression, ports_for
+from lftkit.systems.ports import Port, total_size
+from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels
+from lftkit.systems.system import System
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
+from lftkit.uncertainty.parameters import RealParameter
+
+FORMAT = "lftkit/system"
+VERSION = 1
+_KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
+
+
+def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
+    """Anything that is a linear system as a :class:`System`.
+
+    Parameters
+    ----------
+    value : System, SampledSystem, Expression, number, matrix, or a system of python-control or scipy.signal
+    inputs, outputs : str, or sequence of Port, (name, size) or str, optional
+        Ports by position; otherwise those of the value, ``u`` and ``y`` where it has none.
+
+    Raises
+    ------
+    ValueError
+        Another type, or ports of other sizes.
+
+    Examples
+    --------
+    >>> from scipy import signal
+    >>> as_system(signal.TransferFunction([1.0], [1.0, 2.0])).poles().real.tolist()
+    [-2.0]
+    """
+    if isinstance(value, SampledSystem):
+        value = System(value.A, value.B, value.C, value.D, value.inputs, value.outputs, value.name, value.dt)
+    elif isinstance(value, signal.lti | signal.dlti):
+        value = from_scipy(value)
+    elif type(value).__module__.partition(".")[0] == "control":
+        value = System.from_control(value)
+    elif not isinstance(value, System):
+        expression = as_expression(value)
+        if expression is None:
+            raise ValueError(
+                "system must be a System, SampledSystem, Expression, number, matrix, or a system of python-control "
+                f"or scipy.signal, got {type(value).__name__}"
+            )
+        value = expression.system()
+    sides: list[tuple[Port, ...]] = [
+        own if given is None else ports_for(given, total_size(own))
+        for given, own in ((inputs, value.inputs), (outputs, value.outputs))
+    ]
+    made: System = value.with_lft(value.lft, inputs=sides[0], outputs=sides[1])
+    return made
+
+
+def from_scipy(system: Any) -> System:
+    """A `scipy.signal.lti` or `dlti` (any of its forms), with its period; ports ``u`` and ``y``.
+
+    Raises
+    ------
+    ValueError
+        Another type, or a discrete system without a period in seconds.
+    """
+    if not isinstance(system, signal.lti | signal.dlti):
+        raise ValueError(f"system must be a scipy.signal lti or dlti, got {type(system).__name__}")
+    if system.dt is True:
+        raise ValueError("system must have a sampling period in seconds, got dt True")
+    ss = system.to_ss()
+    A, B, C, D = (np.atleast_2d(np.asarray(M, dtype=float)) for M in (ss.A, ss.B, ss.C, ss.D))
+    if not np.any(B) and not np.any(C) and not np.any(A):  # how scipy writes a gain
+        A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0))
+    ports = (Port("u", D.shape[1]),), (Port("y", D.shape[0]),)
+    return System(A, B, C, D, *ports, dt=float(system.dt or 0.0))
+
+
+def to_scipy(system: System) -> Any:
+    """`scipy.signal.StateSpace` of a certain system, which has no names.
+
+    Raises
+    ------
+    ValueError
+        An uncertain system.
+    """
+    return signal.StateSpace(*system.matrices, **({"dt": system.dt} if system.dt else {}))
+
+
+def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
+    """Write certain systems to a .mat file, each as a struct: ``write_mat("plants.mat", P=plant)``.
+
+    In MATLAB: ``load plants; P = ss(P.A, P.B, P.C, P.D, P.Ts, 'InputName', P.InputName, 'OutputName', P.OutputName)``.
+    Names of signals are those of MATLAB: ``w(1)``, ``w(2)`` for a port ``w`` of two signals.
+
+    Raises
+    ------
+    ValueError
+        No system, an uncertain one, or a port with the name of a signal.
+    """
+    if not systems:
+        raise ValueError("systems must be given by keyword, got none")
+    content = {}
+    for name, system in systems.items():
+        A, B, C, D = system.matrices
+        names = [_cells([_one_based(x) for x in labels_of_ports(side)]) for side in (system.inputs, system.outputs)]
+        units = [_cells([p.unit for p in side for _ in p.signals]) for side in (system.inputs, system.outputs)]
+        content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
+        content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
+    io.savemat(path, content)
+
+
+def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
+    """Read a system from a .mat file (version 7.2 or older): matrices A, B, C, D or a struct with these fields.
+
+    MATLAB: ``save('plant.mat', 'A', 'B', 'C', 'D')``, or ``P = struct('A', G.A, 'B', G.B, 'C', G.C, 'D', G.D, 'Ts',
+    G.Ts, 'InputName', {G.InputName}, 'OutputName', {G.OutputName}); save('plant.mat', 'P')``. Fields may be lower case,
+    all but A, B, C, D may be missing.
+
+    Parameters
+    ----------
+    path : str or path
+    name : str, optional
+        Variable with the struct; needed where the file has several.
+
+    Raises
+    ------
+    ValueError
+        A file that cannot be read, no system or several, an `ss` object that was saved as such (only MATLAB reads it),
+        or matrices that do not fit.
+    """
+    try:
+        content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
+    except (OSError, ValueError, NotImplementedError, TypeError, io.matlab.MatReadError) as error:
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{path} must be a .mat file of version 7.2 or older, got: {text}") from None
+    opaque = content.get("__function_workspace__") is not None
+    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    structs = {k: v for k, v in variables.items() if getattr(v.dtype, "names", None) and _matrices_of(_fields(v))}
+    if name is None and _matrices_of(variables):
+        return _from_fields(variables, Path(path).stem, path)
+    if name is None and len(structs) == 1:
+        name = next(iter(structs))
+    if name not in structs:
+        advice = " (an ss object must be saved as a struct: see read_mat)" if opaque else ""
+        found = ", ".join(structs) or "none"
+        raise ValueError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
+    return _from_fields(_fields(structs[name]), name, path)
+
+
+def _fields(struct: Any) -> dict[str, Any]:
+    return {key: struct[key].flat[0] for key in struct.dtype.names} if struct.size else {}
+
+
+def _matrices_of(fields: Mapping[str, Any]) -> bool:
+    return {"a", "b", "c", "d"} <= {key.lower() for key in fields}
+
+
+def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
+    lower = {key.lower(): value for key, value in fields.items()}
+    try:
+        A, B, C, D = (np.asarray(getattr(lower[key], "todense", lambda key=key: lower[key])()) for key in "abcd")
+        m, p = (B.shape[1] if B.size else D.shape[1]), (C.shape[0] if C.size else D.shape[0])
+        sides = []
+        for kind, count, default in (("input", m, "u"), ("output", p, "y")):
+            labels = _texts(lower.get(f"{kind}name"))
+            units = _texts(lower.get(f"{kind}unit"))
+            if not any(labels):
+                labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
+            ports, order = ports_of_labels([_zero_based(x) for x in labels], None, kind)
+            unit = dict(zip((_zero_based(x).partition("[")[0] for x in labels), units))
+            sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
+        (inputs, columns), (outputs, rows) = sides
+        dt = float(np.asarray(lower.get("ts", 0.0)).flat[0])
+        title = "".join(_texts(lower.get("name"))) or name
+        return System(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], inputs, outputs, title, dt)
+    except (IndexError, TypeError) as error:
+        raise ValueError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _texts(value: Any) -> list[str]:
+    """Strings of a cell array or a char array."""
+    if value is None:
+        return []
+    return [str(np.asarray(x).flat[0]) if np.size(x) else "" for x in np.asarray(value).flat]
+
+
+def _cells(texts: Sequence[str]) -> Any:
+    cells = np.empty((len(texts), 1), dtype=object)
+    cells[:, 0] = texts
+    return cells
+
+
+def _one_based(label: str) -> str:
+    return re.sub(r"\[(\d+)\]$", lambda m: f"({int(m[1]) + 1})", label)
+
+
+def _zero_based(label: str) -> str:
+    return re.sub(r"\((\d+)\)$", lambda m: f"[{int(m[1]) - 1}]", label)
+
+
+def to_json(system: System) -> str:
+    """Text with everything of a system, its elements too, to the last bit: :func:`from_json` reads it."""
+    kinds = {cls: kind for kind, cls in _KINDS.items()}
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": system.name,
+        "dt": system.dt,
+        "inputs": [asdict(p) for p in system.inputs],
+        "outputs": [asdict(p) for p in system.outputs],
+        "channels": list(system.channels),
+        "elements": [{"kind": kinds[type(e)], **asdict(e)} for e in system.elements],
+        **{key: getattr(system, key).tolist() for key in "ABCD"},
+    }
+    return json.dumps(content, indent=1, allow_nan=False)
+
+
+def from_json(text: str) -> System:
+    """System of the text that :func:`to_json` made.
+
+    Raises
+    ------
+    ValueError
+        Another text.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ValueError("text must be JSON of a system, got another") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
+        raise ValueError(f'text must have "format": "{FORMAT}" and "version": {VERSION}, got another')
+    try:
+        sides = [tuple(Port(**p) for p in content[key]) for key in ("inputs", "outputs")]
+        elements = tuple(_element(dict(e)) for e in content["elements"])
+        A, B, C, D = (content[key] for key in "ABCD")
+        period, channels = float(content["dt"]), tuple(content["channels"])
+        return System(A, B, C, D, sides[0], sides[1], content["name"], period, channels, elements)
+    except KeyError as error:
+        raise ValueError(f"text must have the keys of a system, {error} is missing") from None
+    except (TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"text must describe a system, got: {error}") from None
+
+
+def _element(content: dict[str, Any]) -> Element:
+    kind = content.pop("kind", None)
+    if kind not in _KINDS:
+        raise ValueError(f"kind of an element must be one of {', '.join(_KINDS)}, got {kind!r}")
+    made: Element = _KINDS[kind](**content)
+    return made
+
+
+def write_system(path: str | os.PathLike[str], system: System) -> None:
+    """Write a JSON file, whole or not at all."""
+    target = Path(path)
+    partial = target.with_name(target.name + ".partial")
+    partial.write_text(to_json(system) + "\n", encoding="utf-8")
+    partial.replace(target)
+
+
+def read_system(path: str | os.PathLike[str]) -> System:
+    """Read the file that :func:`write_system` wrote; a ValueError says what is wrong with it."""
+    try:
+        return from_json(read_ordinary_file(path))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

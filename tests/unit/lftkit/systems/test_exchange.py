@@ -1,0 +1,150 @@
+"""Systems go to other programs and files and come back without loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy import io, signal
+
+import lftkit as lk
+from lftkit import ComplexParameter, DynamicElement, Port, RealParameter, SampledSystem, System
+
+
+def system(dt: float = 0.0, order: int = 3) -> System:
+    rng = np.random.default_rng(7)
+    ports = [Port("w", 2, "N"), Port("u", 1)], [Port("y", 1, "m"), Port("z", 2, "rad")]
+    M = [rng.standard_normal(shape) for shape in ((order, order), (order, 3), (3, order), (3, 3))]
+    return System(*M, *ports, "plant", dt)
+
+
+def same(a: System, b: System, names: bool = True) -> None:
+    assert all(np.array_equal(x, y) and x.shape == y.shape for x, y in zip(a.lft, b.lft))
+    assert (a.dt, a.channels, a.elements) == (b.dt, b.channels, b.elements)
+    if names:
+        assert (a.inputs, a.outputs, a.name) == (b.inputs, b.outputs, b.name)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.25])
+@pytest.mark.parametrize("order", [0, 3])
+def test_round_trips_lose_nothing(dt: float, order: int, tmp_path: Path) -> None:
+    made = system(dt, order)
+    lk.write_mat(tmp_path / "a.mat", P=made, Q=2 * made)
+    same(lk.read_mat(tmp_path / "a.mat", "P"), made)
+    same(lk.read_mat(tmp_path / "a.mat", "Q"), 2 * made)
+    same(lk.from_json(lk.to_json(made)), made)
+    lk.write_system(tmp_path / "a.json", made)
+    same(lk.read_system(tmp_path / "a.json"), made)
+    if order:
+        same(lk.from_scipy(lk.to_scipy(made)), made, names=False)
+    again = System.from_control(made.to_control(), {p.name: p.unit for p in made.inputs + made.outputs})
+    if order or dt:
+        same(again, made)
+
+
+def test_json_keeps_elements_of_every_kind_to_the_last_bit() -> None:
+    elements = (
+        RealParameter("k", 1 / 3, 0.1, 0.7, "N/m", "a"),
+        ComplexParameter("c", 0.1, 0.2),
+        DynamicElement("f", 1, 2),
+    )
+    rng = np.random.default_rng(0)
+    made = System(
+        rng.standard_normal((2, 2)) / 3,
+        rng.standard_normal((2, 6)),
+        rng.standard_normal((6, 2)),
+        rng.standard_normal((6, 6)),
+        [("u", 1)],
+        [("y", 1)],
+        "s",
+        0.1,
+        ("k", "f", "f", "c", "k"),
+        elements,
+    )
+    same(lk.from_json(lk.to_json(made)), made)
+
+
+def test_files_of_matlab_are_read(tmp_path: Path) -> None:
+    """As MATLAB writes them: four matrices, or a struct with names of signals in its way."""
+    made = system()
+    A, B, C, D = made.matrices
+    io.savemat(tmp_path / "plain.mat", {"A": A, "B": B, "C": C, "D": D})
+    plain = lk.read_mat(tmp_path / "plain.mat")
+    same(plain, made, names=False)
+    assert [p.name for p in plain.inputs] == ["u"] and plain.name == "plain" and plain.inputs[0].size == 3
+    names = np.array([["w(2)"], ["u"], ["w(1)"]], dtype=object)
+    struct = {"a": A, "b": B[:, [1, 2, 0]], "c": C, "d": D[:, [1, 2, 0]], "Ts": 0.5, "InputName": names}
+    io.savemat(tmp_path / "struct.mat", {"G": struct, "unrelated": np.eye(2)})
+    read = lk.read_mat(tmp_path / "struct.mat")
+    assert read.dt == 0.5 and [(p.name, p.size) for p in read.inputs] == [("w", 2), ("u", 1)]
+    np.testing.assert_array_equal(read.B, B)
+    np.testing.assert_array_equal(read.D, D)
+    assert read.outputs == (Port("y", 3),)
+
+
+@pytest.mark.parametrize(
+    "theirs",
+    [
+        signal.TransferFunction([1.0, 2.0], [1.0, 3.0, 5.0]),
+        signal.ZerosPolesGain([-1.0], [-2.0, -3.0], 4.0),
+        signal.StateSpace([[0.5]], [[1.0]], [[2.0]], [[0.0]], dt=0.1),
+        signal.TransferFunction([0.5], [1.0, -0.5], dt=0.2),
+    ],
+)
+def test_systems_of_scipy_keep_response_and_period(theirs: Any) -> None:
+    ours = lk.as_system(theirs)
+    w, expected = theirs.freqresp([0.3, 1.1]) if not theirs.dt else (None, None)
+    assert ours.dt == (theirs.dt or 0.0)
+    if w is None:
+        _, expected = signal.dfreqresp(theirs, np.array([0.3, 1.1]))
+        w = np.array([0.3, 1.1]) / theirs.dt
+    np.testing.assert_allclose(ours.response(w)[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_anything_that_is_a_system_becomes_one() -> None:
+    sampled = SampledSystem([[0.5]], [[1.0]], [[1.0]], [[0.0]], (Port("a", 1),), (Port("b", 1),), 0.1, "law")
+    assert lk.as_system(sampled).dt == 0.1 and lk.as_system(sampled).name == "law"
+    assert lk.as_system(3.0).D.tolist() == [[3.0]] and lk.as_system([[1, 2]]).inputs == (Port("u", 2),)
+    assert lk.as_system(1 / (lk.s + 1), ["force"], ["speed"]).inputs == (Port("force", 1),)
+    theirs = control.tf([1], [1, 1], inputs=["force"], outputs=["speed"])
+    assert lk.as_system(theirs).outputs == (Port("speed", 1),)
+    assert lk.as_system(system()) is not None and lk.as_system(system(), [Port("all", 3)]).inputs[0].size == 3
+    with pytest.raises(ValueError, match=r"system must be a System, .* got str"):
+        lk.as_system("plant")
+    with pytest.raises(ValueError, match="got FrequencyResponseData"):
+        lk.as_system(control.frd([1.0, 2.0], [1.0, 2.0]))
+
+
+def test_what_cannot_be_exchanged_is_refused(tmp_path: Path) -> None:
+    uncertain = (lk.real("k", 1.0, percent=10) / (lk.s + 1)).system()
+    (tmp_path / "text.mat").write_text("no")
+    (tmp_path / "text.json").write_text("[1]")
+    io.savemat(
+        tmp_path / "two.mat", {"P": {"A": 1.0, "B": 1.0, "C": 1.0, "D": 0.0}, "Q": {"a": 1, "b": 1, "c": 1, "d": 1}}
+    )
+    io.savemat(tmp_path / "none.mat", {"x": 1.0})
+    io.savemat(tmp_path / "odd.mat", {"P": {"A": np.eye(2), "B": np.eye(3), "C": np.eye(2), "D": 0.0}})
+    io.savemat(tmp_path / "bad.mat", {"A": np.eye(2), "B": np.eye(2), "C": np.eye(2), "D": np.full((2, 2), np.nan)})
+    for call, message in (
+        (lambda: lk.write_mat(tmp_path / "a.mat", P=uncertain), "system must be certain"),
+        (lambda: lk.to_scipy(uncertain), "system must be certain"),
+        (lambda: lk.write_mat(tmp_path / "a.mat"), "systems must be given by keyword"),
+        (lambda: lk.read_mat(tmp_path / "missing.mat"), "must be a .mat file"),
+        (lambda: lk.read_mat(tmp_path / "text.mat"), "must be a .mat file"),
+        (lambda: lk.read_mat(tmp_path / "two.mat"), "name must be one of its structs, got P, Q"),
+        (lambda: lk.read_mat(tmp_path / "none.mat"), "name must be one of its structs, got none"),
+        (lambda: lk.read_mat(tmp_path / "odd.mat"), "odd.mat"),
+        (lambda: lk.read_mat(tmp_path / "bad.mat"), "matrix D must be finite"),
+        (lambda: lk.read_system(tmp_path / "text.json"), 'text must have "format"'),
+        (lambda: lk.read_system(tmp_path / "missing.json"), "cannot read"),
+        (lambda: lk.from_json("{"), "text must be JSON"),
+        (lambda: lk.from_json('{"format": "lftkit/system", "version": 1}'), "'inputs' is missing"),
+        (lambda: lk.from_scipy(1.0), "must be a scipy.signal lti or dlti, got float"),
+        (lambda: lk.from_scipy(signal.TransferFunction([1.0], [1.0, 0.5], dt=True)), "sampling period in seconds"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
