@@ -69,7 +69,7 @@ MIRROR_STAGES = STAGES[2:]
 FORCE_STAGES = STAGES[3:]
 """Stages with the loop of the proof-mass actuators closed, by the controller K_PMA."""
 
-SCENARIOS = ("worst_case", "design", "imbalance", "ramp")
+SCENARIOS = ("worst_case", "unit_norm", "design", "imbalance", "ramp")
 """Disturbances: the tone of unit norm that is worst for the loop that runs; tones of unit norm at the worst frequencies
 of the telescope on its isolator; imbalance of the wheels and micro-steps of the drives; the same while wheel speeds and
 array angle follow a profile."""

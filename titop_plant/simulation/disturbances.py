@@ -4,11 +4,12 @@ A disturbance is a set of tones on the 22 disturbance inputs (wheel imbalance 20
 
     d(t) = sum_k Im( a_k exp(i phase_k(t)) ),   phase_k' = frequency_k
 
-Radial forces and torques of a wheel turn with it (x leads y by a quarter turn), so each is a complex
-pair. Three scenarios: ``imbalance``, physical amplitudes proportional to the square of the speed; ``design``, tones of
-unit norm at the frequencies where the telescope on its isolator alone is worst; ``worst_case``, the tone of unit norm
-that is worst for the loop that runs (:mod:`los_loop.worst_tone`). A tone has unit norm if its amplitudes over the
-synthesis weights have norm 1: **the H-infinity norm of a design bounds the response to it.**
+Radial forces and torques of a wheel turn with it (x leads y by a quarter turn), so each is a complex pair. Scenarios
+(:mod:`titop_plant.simulation.scenarios`): ``imbalance``, physical amplitudes proportional to the square of the speed;
+``unit_norm``, tones at the frequencies where the telescope on its isolator alone is worst, whose norms add up to 1;
+``design``, the same with norm 1 each; ``worst_case``, the tone of unit norm that is worst for the loop that runs
+(:mod:`los_loop.worst_tone`). A tone has unit norm if its amplitudes over the synthesis weights have norm 1: **the
+H-infinity norm of a design bounds the response to it.**
 
 Source: the paper (weights W_rws and W_sa); harmonic ratios of a measured small wheel.
 """

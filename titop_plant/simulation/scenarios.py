@@ -2,7 +2,8 @@
 
 ==============  ========================================================================================
 ``worst_case``  the tone that the run was given: the one of unit norm that is worst for its loop
-``design``      tones of unit norm at the worst frequencies of the telescope on its isolator
+``unit_norm``   tones at the worst frequencies of the telescope on its isolator; their norms add up to 1
+``design``      the same tones with norm 1 each, all at once: more than a design for norm 1 allows, a stress case
 ``imbalance``   imbalance of the wheels and micro-steps of the drives
 ``ramp``        the same while wheel speeds and array angle follow a profile
 ==============  ========================================================================================
@@ -11,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -56,8 +57,20 @@ def worst_case(now: Circumstances) -> Tones:
 
 
 def design(now: Circumstances) -> Tones:
-    """Tones of unit norm where the telescope on its isolator is worst."""
+    """Tones of unit norm each where the telescope on its isolator is worst."""
     return now.isolator_tones()
+
+
+def unit_norm(now: Circumstances) -> Tones:
+    """The tones of :func:`design` with shares that add up to 1, drawn at random (uniform on the simplex).
+
+    An H-infinity norm bounds the response to one tone of norm 1 and, by the triangle inequality, that to these tones
+    together, at every instant and in every window. With squares that add up to 1 it bounds the root mean square over
+    all times only, and single windows are larger where the tones beat.
+    """
+    tones = now.isolator_tones()
+    shares = now.rng.spawn(1)[0].exponential(size=tones.frequency.size)
+    return replace(tones, amplitude=tones.amplitude * (shares / shares.sum()))
 
 
 def imbalance(now: Circumstances) -> Tones:
@@ -69,6 +82,7 @@ def imbalance(now: Circumstances) -> Tones:
 TONES: Mapping[str, Scenario] = MappingProxyType(
     {
         "worst_case": worst_case,
+        "unit_norm": unit_norm,
         "design": design,
         "imbalance": imbalance,
         "ramp": imbalance,

@@ -141,6 +141,23 @@ def test_design_tones_have_unit_norm_within_the_band() -> None:
         assert (not normalised[:20].any()) or (not normalised[20:].any())
 
 
+@pytest.mark.parametrize("seed", [0, 1, 7])
+def test_unit_norm_shares_a_norm_of_one_among_the_design_tones(seed: int) -> None:
+    """Frequencies, directions and phases of the scenario design; other shares with each seed."""
+    parameters = load_parameters()
+    from titop_plant.simulation.build import _tones
+
+    config = PlantConfig(scenario="unit_norm", seed=seed)
+    values = parameter_values(config, parameters)
+    shared, single = _tones(config, parameters, values), _tones(replace(config, scenario="design"), parameters, values)
+    np.testing.assert_array_equal(shared.frequency, single.frequency)
+    shares = np.linalg.norm(shared.amplitude, axis=0) / np.linalg.norm(single.amplitude, axis=0)
+    np.testing.assert_allclose(shared.amplitude, single.amplitude * shares, rtol=1e-14)
+    assert np.ptp(shares) > 0.1
+    normalised = shared.amplitude / weight_amplitudes(parameters, shared.frequency).T
+    assert np.linalg.norm(normalised, axis=0).sum() == pytest.approx(1.0, rel=1e-12)
+
+
 def test_design_tones_are_kept_for_the_same_telescope_table_and_seed_alone() -> None:
     """Those that are kept cannot be changed; another seed turns each tone as a whole."""
     from titop_plant.simulation.build import _tones
@@ -212,7 +229,7 @@ def test_sampling_without_tones_is_the_matrix_exponential() -> None:
     [
         ({"camera_rate": 300.0}, r"camera_rate must divide 1000 Hz \(50, 40, 25, \.\.\.\), got 300 Hz"),
         ({"camera_rate": 0.0}, "camera_rate must be between 1 and 1000 Hz, got 0"),
-        ({"scenario": "quiet"}, "scenario must be one of worst_case, design, imbalance, ramp, got 'quiet'"),
+        ({"scenario": "quiet"}, "scenario must be one of worst_case, unit_norm, design, imbalance, ramp, got 'quiet'"),
         ({"camera_dropout": 1.5}, "camera_dropout must be between 0 and 1, got 1.5"),
         ({"wheel_speed": (1.0, 2.0)}, "wheel_speed must hold 4 numbers, got 2"),
         ({"seed": -1}, "seed must be between 0 and .*, got -1"),

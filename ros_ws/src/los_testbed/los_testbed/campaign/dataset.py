@@ -81,7 +81,7 @@ class Campaign:
         if depth not in DEPTHS:
             raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
         if base.scenario == "ramp":
-            raise ValueError("scenario must be design, imbalance or worst_case in a campaign, got ramp")
+            raise ValueError("scenario must be unit_norm, design, imbalance or worst_case in a campaign, got ramp")
         if depth == "model" and base.frame_ticks != FRAME_TICKS:
             raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
         if depth == "time" and base.duration < WINDOW:

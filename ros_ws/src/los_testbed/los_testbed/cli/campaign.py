@@ -51,7 +51,7 @@ def campaign(
         str, typer.Option(help="uniform, lhs, corners, adversarial, or a CSV file of members.")
     ] = "uniform",
     depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
-    scenario: Annotated[str, typer.Option(help="design, imbalance or worst_case.")] = "design",
+    scenario: Annotated[str, typer.Option(help="unit_norm, design, imbalance or worst_case.")] = "unit_norm",
     loop: Annotated[str | None, option("loop")] = None,
     duration: Annotated[float | None, option("duration")] = None,
     k_fsm: ObserverFile = None,

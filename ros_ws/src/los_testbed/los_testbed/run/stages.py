@@ -38,7 +38,7 @@ PARTS = {"all": (True, True), "disturbance": (False, True), "noise": (True, Fals
 
 MOVING = "ramp"
 
-COMPARED = tuple(name for name in SCENARIOS if name not in ("design", MOVING))
+COMPARED = tuple(name for name in SCENARIOS if name not in ("unit_norm", "design", MOVING))
 """Scenarios of a comparison, where none is named."""
 
 REPORTED = "fast"
