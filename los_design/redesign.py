@@ -7,7 +7,6 @@ in its descent or after its last search (``rounds.json``).
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from los_design.search.worst_points import (
     worst_of,
 )
 from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.provenance import digest
 from los_design.synthesis.synthesis import design_pair
 from los_design.verification.verification import (
     ImplementedCheck,
@@ -188,12 +188,6 @@ def adversarial_points(
     points = [dict(p.parameters) for stage in MIRROR_STAGES for table in found[stage].values() for p in table]
     points += [dict(values) for system in pair for values in system.provenance.get("active_models", []) if values]
     return list({tuple(values.items()): values for values in points}.values())
-
-
-def digest(system: SampledSystem) -> str:
-    """Twelve hexadecimal digits that name the matrices of a controller."""
-    content = b"".join(np.ascontiguousarray(getattr(system, key)).tobytes() for key in "ABCD")
-    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def _key(parameters: Parameters, seed: int, effort: str) -> dict[str, Any]:

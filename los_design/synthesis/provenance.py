@@ -1,9 +1,14 @@
-"""Which source a result was made with."""
+"""Which source a result was made with, and names of controllers by their content."""
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 from pathlib import Path
+
+import numpy as np
+
+from lftkit.systems.sampled_system import SampledSystem
 
 
 def commit() -> str:
@@ -14,3 +19,9 @@ def commit() -> str:
     except (OSError, subprocess.SubprocessError):
         return "unknown"
     return result.stdout.strip()
+
+
+def digest(system: SampledSystem) -> str:
+    """Twelve hexadecimal digits that name the matrices of a controller."""
+    content = b"".join(np.ascontiguousarray(getattr(system, key)).tobytes() for key in "ABCD")
+    return hashlib.sha256(content).hexdigest()[:12]

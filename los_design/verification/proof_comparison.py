@@ -1,14 +1,15 @@
-"""Whether a proof is of given controllers, telescope, stage and figure: its model is made again and compared.
+"""Whether a proof is of given controllers, telescope, stage and figure: its model is made again.
 
-The words in a proof file are for people and prove nothing. What counts is its model: here that of a loop is made anew,
-and every entry that is not a matrix must be the same. The matrices are in modal coordinates, which differ from machine
-to machine: their poles and their responses are compared, at each resonance and between them. **This comparison is a
-numerical one**: a difference below the tolerance is not part of the proof.
+The words in a proof file are for people and prove nothing, and its matrices need not be those of the loop that it
+names. So the model of that loop is made anew (:func:`proof_of_loop`), and what is checked are the scalings of the file
+**with that model**: nothing of the file's own matrices is used. :func:`compare_proof` says, before that work, what of a
+file is another one: every entry that is not a matrix must be the same. The matrices are in modal coordinates, which
+differ from machine to machine: their poles and their responses are compared, at each resonance and between them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
 from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.verdict import ProofError
 from los_design.verification.certify import box_of, figures_of, telescope_model
-from los_loop.implemented_loop import ImplementedLoop
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 
 SAME = 1e-6
 """Largest difference of responses, of the largest entry at their frequency, and of poles, of their modulus."""
@@ -68,12 +70,7 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
         return ProofComparison((f"stage {loop.stage} has no figure {figure}",))
     model = telescope_model(loop, metric)
     found = [name for name in EXACT if not _equal(getattr(model, name), getattr(proof.model, name))]
-    if proof.names != tuple(p.name for p in loop.system.parameters):
-        found.append("names of the parameters")
-    elif not all(map(_covers, proof.box, box_of(loop))):
-        found.append("box of the parameters")
-    if not _covers(proof.band, metric.band):
-        found.append("band of frequencies")
+    found += _claim_mismatches(proof, loop, metric)
     for name, where in POLES.items():
         if not _same_poles(getattr(proof.model, name), getattr(model, name)):
             found.append(f"poles of the {where}")
@@ -84,6 +81,42 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
     worst = int(np.argmax(differences))
     wrong = () if differences[worst] <= SAME else ("responses of telescope or controllers",)
     return ProofComparison(wrong, float(differences[worst]), float(omega[worst]))
+
+
+def proof_of_loop(proof: LoopProof, loop: ImplementedLoop, figure: str) -> LoopProof:
+    """The proof of a file as one of a loop: box, band, level and scalings are of the file, the model is made anew.
+
+    Parameters
+    ----------
+    proof : LoopProof
+    loop : ImplementedLoop
+    figure : str
+
+    Raises
+    ------
+    ProofError
+        The loop has no such figure, or the file claims less than its whole box and band.
+    """
+    metric = figures_of(loop.parameters, loop.stage).get(figure)
+    if metric is None:
+        raise ProofError(f"stage {loop.stage} has no figure {figure}")
+    missing = _claim_mismatches(proof, loop, metric)
+    if missing:
+        raise ProofError(f"{loop.stage}, {figure}: the proof must be of the whole loop, got other {', '.join(missing)}")
+    about = {"stage": loop.stage, "figure": figure, "limit": metric.limit}
+    return replace(proof, model=telescope_model(loop, metric), about=about)
+
+
+def _claim_mismatches(proof: LoopProof, loop: ImplementedLoop, metric: LoopMetric) -> list[str]:
+    """What the claim of a proof leaves out of a figure of a loop: parameters, parts of the box, of the band."""
+    found = []
+    if proof.names != tuple(p.name for p in loop.system.parameters):
+        found.append("names of the parameters")
+    elif not all(map(_covers, proof.box, box_of(loop))):
+        found.append("box of the parameters")
+    if not _covers(proof.band, metric.band):
+        found.append("band of frequencies")
+    return found
 
 
 def _equal(one: Any, other: Any) -> bool:

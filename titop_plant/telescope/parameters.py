@@ -28,7 +28,8 @@ else:
 Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
-_OWN_BODIES = ("body", "payload")
+OWN_BODIES = ("body", "payload")
+"""Bodies whose modal data may be a file of the user."""
 
 
 def load_parameters(path: str | Path = REFERENCE) -> Parameters:
@@ -58,7 +59,7 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     file = ParameterFile(str(path), text)
     limits = take_limits(own, file)
     merged = with_limits(file.merged(reference, own), own, limits, file)
-    for name in _OWN_BODIES:
+    for name in OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
             merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
@@ -128,7 +129,7 @@ def parameters_hash(parameters: Parameters) -> str:
     Of the requirements only the limits in ``weights`` count: nothing else of them is in a plant or a design.
     """
     content = {key: value for key, value in parameters.items() if key != "requirement"}
-    for name in _OWN_BODIES:
+    for name in OWN_BODIES:
         file = content[name].get("modal_data", "")
         if file:
             digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()

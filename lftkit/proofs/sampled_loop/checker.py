@@ -261,7 +261,9 @@ def check_strip(item: tuple[Responses, Strip, float]) -> int | str:
     return windows
 
 
-def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int | str]] = map) -> CheckedLoop:
+def check_loop_proof(
+    proof: LoopProof | Path, each: Callable[..., Iterable[int | str]] = map, stability: bool = True
+) -> CheckedLoop:
     """Verify a proof of a loop; a ProofError says why it is refused.
 
     Parameters
@@ -269,16 +271,18 @@ def check_loop_proof(proof: LoopProof | Path, each: Callable[..., Iterable[int |
     proof : LoopProof or Path
     each : callable
         Maps a function over the strips; they may be checked in several processes.
+    stability : bool
+        Whether stability is looked at, too; without it the result says that nothing was proven of it.
     """
     proof = LoopProof.from_file(proof) if isinstance(proof, Path) else proof
     try:
-        return _checked(proof, each)
+        return _checked(proof, each, stability)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof of a loop, got {error!r}") from None
 
 
-def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]]) -> CheckedLoop:
+def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:
     model, band = proof.model, proof.band
     require_premises(proof)
     covered(proof)
@@ -287,7 +291,7 @@ def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]]) -> Chec
         if isinstance(outcome, str):
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
-    below = stable_below(model, band, proof.box)
+    below = stable_below(model, band, proof.box) if stability else 0.0
     about, stable = dict(proof.about), math.isinf(below)
     return CheckedLoop(proof.level, proof.names, proof.box, band, len(proof.strips), windows, about, stable, below)
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from los_design import redesign
-from los_design.redesign import design_all, digest
+from los_design.redesign import design_all
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import load_adversarial, load_worst_points
+from los_design.synthesis.provenance import digest
 from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
 from los_loop.implemented_loop import ImplementedLoop

@@ -19,8 +19,8 @@ from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADA
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.parameters import Parameters, differences
+from titop_plant.interface import FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, RATE
+from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
 from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -35,6 +35,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
     differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
     ``sensors`` are topic, unit, rate and noise of each sensor.
+    ``proof`` says what is proven of the controllers that fly, with fine control.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user.
     """
@@ -49,12 +50,33 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **({} if start.states is None else {"transient_s": "0"}),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
+        **proof_of(parts),
         **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
         "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def proof_of(parts: RunParts) -> dict[str, str]:
+    """What is proven of the loop of a run: one line under ``proof``; nothing for a stage without fine control.
+
+    Code of the user, and a camera at another rate than the telescope's, are no part of any proof.
+    """
+    config = parts.config
+    if config.loop not in MIRROR_STAGES:
+        return {}
+    from los_design.verification.statements import NO_PROOF, Subject, statement_of
+
+    found = None
+    if not (parts.code or config.plant) and config.frame_ticks == FRAME_TICKS:
+        folders = {path.parent for path in parts.files.values()}
+        folder = folders.pop() if len(folders) == 1 else None
+        found = statement_of(
+            Subject.of(**parts.models, telescope=parameters_hash(parts.parameters)), config.loop, folder
+        )
+    return {"proof": NO_PROOF if found is None else found.text}
 
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:

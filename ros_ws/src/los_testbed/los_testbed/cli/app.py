@@ -21,11 +21,12 @@ from los_testbed.cli.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAM
 from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
 from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
+from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
 from los_testbed.cli.keys import KEYS_EXAMPLES, keys
 from los_testbed.cli.plant import plant_app
-from los_testbed.cli.proofs import CERTIFY_EXAMPLES, CHECK_PROOF_EXAMPLES, certify, check_proof
+from los_testbed.cli.proofs import CERTIFY_EXAMPLES, certify
 from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
 from los_testbed.cli.report import REPORT_EXAMPLES, report
 from los_testbed.cli.run import RUN_EXAMPLES, SUPERVISED, run, with_lone_options

@@ -1,4 +1,4 @@
-"""Commands ``los-testbed design certify`` and ``design check-proof``."""
+"""Command ``los-testbed design certify``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,15 +32,14 @@ from titop_plant.interface import (
 )
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop import CheckedLoop
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
-    from los_design.verification.proof_comparison import ProofComparison
     from los_loop.implemented_loop import ImplementedLoop
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
-Writes a proof STAGE-FIGURE.npz for each figure that is proven, and bounds.json. Parts that are proven are kept: the
+Writes a proof STAGE-FIGURE.npz for each figure that is proven, bounds.json, and bundle.zip: the proofs with controllers
+and telescope, for `design check-proof`. Parts that are proven are kept: the
 same command goes on after an interruption, and another level begins with what holds of them. The exit code is 1 if a
 figure is violated or not proven to its end.
 
@@ -50,22 +50,6 @@ figure is violated or not proven to its end.
     los-testbed design certify designs/soft --output soft-proofs
 
     los-testbed design certify --output proofs --stage fsm+pma --figure slow --gap 0.05
-"""
-
-CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
-
-The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
-`lftkit/proofs/sampled_loop/checker.py` and what it imports): it optimises nothing. Exit code 1 if the
-proof is refused.
-
-The words in a file prove nothing of whom it is about: a proof of `design certify` is compared with the shipped
-controllers and telescope, or with those of `--of FOLDER`, and refused if it is not of these.
-
-**Examples**
-
-    los-testbed design check-proof proof.json
-
-    los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --of designs/soft
 """
 
 SUMMARY = "bounds.json"
@@ -106,7 +90,7 @@ def certify(
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + wall_limit
-    loops, known = _loops(folder, list(dict.fromkeys(s for s, _ in chosen)))
+    loops, known = loops_of(folder, list(MIRROR_STAGES))
     found: list[FigureBounds] = []
     with ExitStack() as stack:
         pool = stack.enter_context(Workers(count))
@@ -120,12 +104,14 @@ def certify(
                 )
             _keep(output / SUMMARY, found)
             sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
+    if any(bounds.status == "proven" for bounds in found):
+        _bundle(output, loops)
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
         raise typer.Exit(1)
 
 
-def _loops(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
+def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
     """The implemented loops, and the worst points that are known of them."""
     from lftkit import SampledSystem
     from los_design.search.worst_points import load_worst_points
@@ -190,6 +176,22 @@ def _keep(path: Path, found: list[FigureBounds]) -> None:
         temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
 
 
+def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
+    """Put all proofs of the folder that are of these loops into one file, with controllers and telescope."""
+    from lftkit.proofs.sampled_loop import LoopProof
+    from los_design.verification.bundle import write_bundle
+    from los_design.verification.proof_comparison import compare_proof
+    from los_design.verification.statements import BUNDLE
+
+    proofs = {}
+    for entry in _bounds_of(output / SUMMARY):
+        stage, figure, file = entry["stage"], entry["figure"], output / str(entry.get("proof"))
+        if stage in loops and file.is_file() and compare_proof(LoopProof.from_file(file), loops[stage], figure).same:
+            proofs[stage, figure] = file
+    loop = next(iter(loops.values()))
+    write_bundle(output / BUNDLE, loop.parameters, loop.pair, proofs)
+
+
 def _show(found: list[FigureBounds], json_: bool) -> None:
     if json_:
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
@@ -215,106 +217,3 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
             sys.stderr.write(
                 f"{b.stage}, {b.figure}: {len(b.uncovered)} parts not covered, first {low:.6g} to {high:.6g} rad/s\n"
             )
-
-
-def check_proof(
-    file: Annotated[Path, typer.Argument(help="Proof file (.json, or .npz of `design certify`).")],
-    of: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
-    ] = None,
-    workers: WorkersOption = 0,
-    json_: Json = False,
-) -> None:
-    """See CHECK_PROOF_EXAMPLES."""
-    from lftkit.proofs import CheckedProof, ProofError
-    from lftkit.proofs import check_proof as check
-    from lftkit.proofs.checking import proof_format
-    from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
-    from lftkit.support.threads import one_thread
-
-    count = processes(workers)
-    if not file.exists():
-        raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
-    if of is not None and file.suffix != ".npz":
-        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
-    try:
-        if proof_format(file) == LOOP:
-            _check_loop(file, count, of, json_)
-            return
-        with one_thread():
-            checked = check(file)
-        if not isinstance(checked, CheckedProof):
-            raise ProofError(f"the file must be a proof of a system, got one of {type(checked).__name__}")
-    except ProofError as error:
-        sys.stderr.write(f"refused: {error}\n")
-        raise typer.Exit(1) from None
-    band = [checked.band[0], None if math.isinf(checked.band[1]) else checked.band[1]]
-    if json_:
-        print_json({**vars(checked), "band": band, "margin": min(checked.margin, 1e300)})
-        return
-    box = ", ".join(f"{name} in [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
-    frequencies = f"from {checked.band[0]:g} rad/s " + ("on" if band[1] is None else f"to {band[1]:g} rad/s")
-    if checked.kind == "gain":
-        sys.stdout.write(f"proven: gain below {checked.level:.6g} at all frequencies {frequencies}\n")
-    if checked.stable:
-        sys.stdout.write("proven: stable\n")
-    sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
-    sys.stdout.write(f"{checked.cells} parts; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
-
-
-def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
-    """Check a proof of a sampled loop, and of which loop it is."""
-    from lftkit.proofs.sampled_loop import check_loop_proof
-    from lftkit.proofs.verdict import ProofError
-    from lftkit.support.threads import one_thread
-    from lftkit.support.workers import Workers
-
-    whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
-    compared = _compared(file, of)
-    if of is not None and not compared.same:
-        raise ProofError(f"it is not of {whose}: other {', '.join(compared.mismatches)}")
-    with one_thread(), Workers(count) as pool:
-        checked = check_loop_proof(file, pool.each)
-    if json_:
-        below = checked.stable_below if math.isfinite(checked.stable_below) else None
-        mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
-        print_json({**vars(checked), "stable_below": below, **mismatches})
-        return
-    if compared.same:
-        close = f"to {compared.difference:.1g} of the responses, compared and not proven"
-        sys.stdout.write(f"of {whose} ({close})\n")
-    else:
-        other = ", ".join(compared.mismatches)
-        sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
-    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
-    about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
-    sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
-    sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
-    sys.stdout.write(f"{_stability(checked)}\n")
-    sys.stdout.write(f"for all deviations from the nominal values {box} (of an angle [rad])\n")
-    sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
-
-
-def _compared(file: Path, of: Path | None) -> ProofComparison:
-    """Of which loop a proof is: that of the stage and figure that it names."""
-    from lftkit.proofs.sampled_loop import LoopProof
-    from los_design.verification.proof_comparison import ProofComparison, compare_proof
-
-    proof = LoopProof.from_file(file)
-    stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
-    if stage not in MIRROR_STAGES:
-        return ProofComparison((f"stage, got {stage}",))
-    loops, _ = _loops(of, [stage])
-    return compare_proof(proof, loops[stage], figure)
-
-
-def _stability(checked: CheckedLoop) -> str:
-    """What a proof of a loop says about stability, with its condition."""
-    if checked.stable:
-        return "proven: stable, as a loop without the sidebands that sampling makes of uncertain parameters and frames"
-    if checked.stable_below:
-        return (
-            f"proven: stable nominal loop, and no pole crosses the axis up to {checked.stable_below:.6g} rad/s; "
-            "not proven: stable, as poles may cross above"
-        )
-    return "not proven: stable; the level is that of the frequency response"

@@ -101,8 +101,8 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
     from los_testbed.run.control_effect import control_effect
 
     effect = control_effect(run, summary)
-    note = run.parameters.get("start_note", "")
-    return tuple(text for text in (effect.remark if effect else "", str(note), *requested(run)) if text)
+    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof"))
+    return tuple(text for text in (effect.remark if effect else "", *notes, *requested(run)) if text)
 
 
 def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:

@@ -1,0 +1,381 @@
+"""Proofs with all that they are about in one file: controllers, telescope, requirements, versions, a hash of each.
+
+A bundle is a zip file:
+
+==========================  ========================================================================================
+member                      content
+==========================  ========================================================================================
+``manifest.json``           format, versions, SHA-256 of every other member
+``telescope.json``          all values of the telescope's parameters, its requirements among them
+``modal_data/BODY.*``       modal data of a body of the user, where the telescope has one
+``k_fsm.json``              sampled controllers, as :class:`lftkit.SampledSystem` stores them
+``k_pma.json``
+``proofs/STAGE-FIGURE.npz`` of :class:`lftkit.proofs.sampled_loop.LoopProof`
+==========================  ========================================================================================
+
+The hashes find damage; they are no defence against somebody who makes new ones. What counts is what
+:func:`check_bundle` does: it makes the model of every figure anew from the telescope and the controllers of the bundle,
+and checks the scalings of the proofs with it. So a statement is always about the controllers and the telescope that are
+in the bundle, whose names (:class:`Subject`) it prints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import scipy
+
+from lftkit import SampledSystem
+from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
+from lftkit.proofs.sampled_loop.nominal import whole_axis
+from lftkit.proofs.verdict import ProofError
+from los_design.synthesis.provenance import commit
+from los_design.verification.certify import figures_of
+from los_design.verification.proof_comparison import proof_of_loop
+from los_design.verification.statements import Subject
+from los_loop.figures_of_merit import FIGURES
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from los_loop.spec import LINE_OF_SIGHT
+from pointing_analysis.files.atomic_output import atomic_file
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
+from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash
+
+FORMAT = "los-testbed proof bundle 1"
+MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
+PROOFS, MODAL_DATA = "proofs", "modal_data"
+MOST_MEMBERS, LARGEST = 40, 2_000_000_000
+"""Of a bundle that is read: members, and their bytes together."""
+SYNTAX_ERRORS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, OSError)
+
+
+@dataclass(frozen=True)
+class ProvenFigure:
+    """What was proven of one figure.
+
+    Parameters
+    ----------
+    stage, figure : str
+    level : float
+        Over the limit.
+    limit : float
+        [rad], or [N] of forces.
+    band : (float, float)
+        Frequencies of the tones [rad/s].
+    strips, windows : int
+    """
+
+    stage: str
+    figure: str
+    level: float
+    limit: float
+    band: tuple[float, float]
+    strips: int
+    windows: int
+
+    @property
+    def text(self) -> str:
+        """With bound and limit in the unit that people use."""
+        return bound_text(self.figure, self.level, self.limit)
+
+
+@dataclass(frozen=True)
+class CheckedBundle:
+    """What a bundle that passed guarantees.
+
+    Parameters
+    ----------
+    subject : Subject
+    figures : tuple of ProvenFigure
+    stable : mapping of str to float
+        Of each stage the frequency [rad/s] up to which no pole of a member crosses the axis, the nominal loop stable:
+        infinite where all members are, zero where nothing was proven.
+    box : mapping of str to (float, float)
+        Deviations of the parameters from their nominal values; of the angle [rad].
+    requirements : tuple of str
+        Of the telescope in the bundle.
+    sha256 : str
+        Of the manifest.
+    """
+
+    subject: Subject
+    figures: tuple[ProvenFigure, ...]
+    stable: Mapping[str, float]
+    box: Mapping[str, tuple[float, float]]
+    requirements: tuple[str, ...]
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Content of a bundle whose hashes are right.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its members are as files.
+    names : frozenset of str
+        Of the members.
+    sha256 : str
+        Of the manifest.
+    parameters : mapping
+        Of the telescope.
+    k_fsm, k_pma : SampledSystem
+    """
+
+    folder: Path
+    names: frozenset[str]
+    sha256: str
+    parameters: Parameters
+    k_fsm: SampledSystem
+    k_pma: SampledSystem
+
+    @cached_property
+    def subject(self) -> Subject:
+        """Names of its controllers and its telescope."""
+        return Subject.of(self.k_fsm, self.k_pma, parameters_hash(self.parameters))
+
+    @property
+    def figures(self) -> tuple[tuple[str, str], ...]:
+        """Stage and figure of each proof, in the order of stages and figures."""
+        names = {name for name in self.names if name.startswith(PROOFS + "/")}
+        known = [(stage, figure) for stage in MIRROR_STAGES for figure in figures_of(self.parameters, stage)]
+        found = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
+        if len(found) != len(names) or not names:
+            raise ProofError(f"a bundle must hold proofs of figures of {', '.join(MIRROR_STAGES)}, got {sorted(names)}")
+        return found
+
+    def proof(self, stage: str, figure: str) -> LoopProof:
+        """The proof of a figure as its file has it."""
+        return LoopProof.from_file(self.folder / member_of(stage, figure))
+
+
+def member_of(stage: str, figure: str) -> str:
+    """Name of a proof in a bundle."""
+    return f"{PROOFS}/{stage}-{figure}.npz"
+
+
+def write_bundle(
+    path: Path,
+    parameters: Parameters,
+    controllers: tuple[SampledSystem, SampledSystem],
+    proofs: Mapping[tuple[str, str], Path],
+) -> str:
+    """Write a bundle; returns the SHA-256 of its manifest.
+
+    Parameters
+    ----------
+    path : Path
+    parameters : mapping
+        Of the telescope.
+    controllers : (SampledSystem, SampledSystem)
+        K_FSM and K_PMA.
+    proofs : mapping of (stage, figure) to Path
+        Files of ``design certify``.
+    """
+    members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
+    content = {key: dict(value) if isinstance(value, Mapping) else value for key, value in parameters.items()}
+    for body in OWN_BODIES:
+        file = content[body].get("modal_data", "")
+        if file:
+            name = f"{MODAL_DATA}/{body}{Path(file).suffix}"
+            members[name] = Path(file).read_bytes()
+            content[body] = {**content[body], "modal_data": name}
+    members[TELESCOPE] = json.dumps(content, indent=1).encode()
+    with tempfile.TemporaryDirectory() as folder:
+        for name, system in zip((K_FSM, K_PMA), controllers):
+            system.to_file(Path(folder) / name)
+            members[name] = (Path(folder) / name).read_bytes()
+    manifest = {
+        "format": FORMAT,
+        "versions": {"numpy": np.__version__, "scipy": scipy.__version__, "python": platform.python_version()},
+        "commit": commit(),
+        "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(members.items())},
+    }
+    text = json.dumps(manifest, indent=1).encode()
+    with atomic_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in {MANIFEST: text, **members}.items():
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    return hashlib.sha256(text).hexdigest()
+
+
+@contextmanager
+def open_bundle(path: Path) -> Iterator[Bundle]:
+    """Read a bundle; its members are files of a temporary folder as long as it is open.
+
+    Raises
+    ------
+    ProofError
+        Not a bundle, a member is damaged, missing or not named by the manifest, or controllers and telescope are none.
+    """
+    members = _members(path)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            bundle = _read(members, Path(folder))
+            _ = bundle.subject, bundle.figures
+        except SYNTAX_ERRORS as error:
+            raise _refused(error) from None
+        yield bundle
+
+
+def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
+    text = members[MANIFEST]
+    _check_hashes(json.loads(text), {name: data for name, data in members.items() if name != MANIFEST})
+    for name, data in members.items():
+        if PurePosixPath(name).parts[:-1] not in ((), (PROOFS,), (MODAL_DATA,)) or name[-1] in "/.":
+            raise ProofError(f"a member must be a file of {PROOFS} or {MODAL_DATA}, got {name!r}")
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(data)
+    parameters = _telescope(folder, frozenset(members))
+    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
+    k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+    k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    return Bundle(folder, frozenset(members), hashlib.sha256(text).hexdigest(), parameters, k_fsm, k_pma)
+
+
+def _refused(error: BaseException) -> ProofError:
+    known = isinstance(error, ProofError)
+    return ProofError(str(error) if known else f"the file must be a bundle of proofs, got {error!r}"[:300])
+
+
+def _members(path: Path) -> dict[str, bytes]:
+    """All members of a zip file, whose number and size are limited before they are unpacked."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            infos = archive.infolist()
+            names = [info.filename for info in infos]
+            if len(infos) > MOST_MEMBERS or sum(info.file_size for info in infos) > LARGEST:
+                raise ProofError(f"a bundle must have at most {MOST_MEMBERS} members and {LARGEST} bytes, got more")
+            if len(set(names)) != len(names) or MANIFEST not in names:
+                raise ProofError(f"a bundle must have {MANIFEST} and no member twice, got {sorted(names)}")
+            return {info.filename: archive.read(info) for info in infos}
+    except (zipfile.BadZipFile, NotImplementedError, EOFError, RuntimeError, *SYNTAX_ERRORS) as error:
+        raise _refused(error) from None
+    except Exception as error:  # of damaged streams the decompressors raise errors of their own
+        raise _refused(error) from None
+
+
+def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
+    if manifest["format"] != FORMAT:
+        raise ProofError(f"format must be {FORMAT!r}, got {str(manifest['format'])[:60]!r}")
+    hashes = manifest["sha256"]
+    if set(hashes) != set(members):
+        raise ProofError(f"members must be those of the manifest, got other {sorted(set(hashes) ^ set(members))}")
+    for name, data in members.items():
+        if hashlib.sha256(data).hexdigest() != hashes[name]:
+            raise ProofError(f"{name} must have the SHA-256 of the manifest, got another one")
+
+
+def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
+    """Parameters of the telescope; modal data are members."""
+    content = json.loads((folder / TELESCOPE).read_bytes())
+    for body in OWN_BODIES:
+        name = content[body].get("modal_data", "")
+        if name:
+            if name not in names or PurePosixPath(name).parent != PurePosixPath(MODAL_DATA):
+                raise ProofError(f"modal data of {body} must be a member in {MODAL_DATA}, got {name!r}")
+            content[body] = {**content[body], "modal_data": str(folder / name)}
+    return MappingProxyType(content)
+
+
+def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
+    """Each figure of a stage with its bound and its limit, as a bundle says without a check."""
+    limits = figures_of(bundle.parameters, stage)
+    return tuple(
+        bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
+        for where, figure in bundle.figures
+        if where == stage
+    )
+
+
+def bound_text(figure: str, level: float, limit: float) -> str:
+    """A figure of merit with its bound and its limit in the unit that people use for it.
+
+    Examples
+    --------
+    >>> bound_text("slow", 0.4991, 1.9392547e-7)
+    'slow 19.96 of 40 mas'
+    >>> bound_text("APE", 0.9958, 4.8481368e-5), bound_text("force", 0.2097, 0.1)
+    ('APE 9.958 of 10 arcsec', 'force 0.02097 of 0.1 N')
+    """
+    row = next(row for row in FIGURES if row.name == figure)
+    unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"
+    if row.output == COMMANDED[-1]:
+        unit, name = 1.0, "N"
+    elif row.relative:
+        unit, name = RAD_PER_MAS, "mas"
+    return f"{figure} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
+
+
+def check_bundle(
+    bundle: Bundle,
+    each: Callable[..., Iterable[int | str]] = map,
+    report: Callable[[int, int], None] = lambda done, of: None,
+) -> CheckedBundle:
+    """Verify all proofs of a bundle with models made anew of its telescope and controllers.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    each : callable
+        Maps a function over the strips of a proof; they may be checked in several processes.
+    report : callable
+        Told how many proofs are checked, and of how many.
+
+    Raises
+    ------
+    ProofError
+        A proof is refused.
+    """
+    try:
+        parameters = bundle.parameters
+        open_loop = OpenLoop(control_loop_plant(build_telescope(parameters), parameters), parameters)
+        loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s, _ in bundle.figures}
+        found, stable, box = [], dict.fromkeys(loops, 0.0), {}
+        for number, (stage, figure) in enumerate(bundle.figures):
+            report(number, len(bundle.figures))
+            proof = proof_of_loop(bundle.proof(stage, figure), loops[stage], figure)
+            first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
+            checked = _checked(proof, each, first)
+            stable[stage] = max(stable[stage], checked.stable_below)
+            box = dict(zip(proof.names, proof.box))
+            limit = figures_of(parameters, stage)[figure].limit
+            found.append(
+                ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
+            )
+    except SYNTAX_ERRORS as error:
+        raise _refused(error) from None
+    requirements = tuple(str(entry["text"]) for entry in bundle.parameters["requirement"])
+    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.sha256)
+
+
+def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:
+    try:
+        return check_loop_proof(proof, each, stability)
+    except ProofError as error:
+        raise ProofError(f"{proof.about['stage']}, {proof.about['figure']}: {error}") from None
+
+
+def as_mapping(checked: CheckedBundle) -> dict[str, Any]:
+    """For JSON; an infinite frequency is null."""
+    return {
+        **asdict(replace(checked, stable={})),
+        "figures": [{**asdict(figure), "text": figure.text} for figure in checked.figures],
+        "stable_below": {stage: at if math.isfinite(at) else None for stage, at in checked.stable.items()},
+    }

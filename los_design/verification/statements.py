@@ -1,0 +1,100 @@
+"""What is proven of the controllers that fly: by the bundle of the shipped pair, or by one beside a user's controllers.
+
+``statements.json`` is what ``los-testbed design check-proof BUNDLE --json`` says of the bundle of the shipped pair. A
+bundle of a user is read and not checked here: that takes minutes.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from lftkit.systems.sampled_system import SampledSystem
+from los_design.synthesis.provenance import digest
+from titop_plant.interface import FORCE_STAGES
+
+SHIPPED = Path(__file__).with_name("statements.json")
+BUNDLE = "bundle.zip"
+"""Name of a bundle beside controllers."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Names of what a statement is about: digests of both controllers' matrices and of the telescope's values."""
+
+    k_fsm: str
+    k_pma: str
+    telescope: str
+
+    @classmethod
+    def of(cls, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: str) -> Subject:
+        """Of controllers and the :func:`titop_plant.telescope.parameters.parameters_hash` of their telescope."""
+        return cls(digest(k_fsm), digest(k_pma), telescope)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What was proven of a stage, for all members of the telescope's family.
+
+    Parameters
+    ----------
+    sha256 : str
+        Of the bundle's manifest.
+    figures : tuple of str
+        Each with its bound and its limit.
+    checked : bool
+        Whether the check of the bundle was seen to pass; else the bundle says so and nobody looked.
+    """
+
+    sha256: str
+    figures: tuple[str, ...]
+    checked: bool
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        which = f"bundle {self.sha256[:12]}" + ("" if self.checked else ", not checked here")
+        return (
+            f"proven for every telescope of the family and tones of norm 1 in all: {', '.join(self.figures)} ({which})"
+        )
+
+
+NO_PROOF = "no proof of these controllers on this telescope is at hand"
+"""What is said where no bundle fits."""
+
+
+def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement | None:
+    """What is proven of controllers on a telescope.
+
+    Parameters
+    ----------
+    subject : Subject
+    stage : str
+        With fine control.
+    folder : Path or None
+        Of a user's controllers, where a bundle may be.
+    """
+    shipped = json.loads(SHIPPED.read_text("utf-8"))
+    if _fits(Subject(**shipped["subject"]), subject, stage):
+        found = tuple(str(row["text"]) for row in shipped["figures"] if row["stage"] == stage)
+        return Statement(shipped["sha256"], found, True) if found else None
+    if folder is None or not (folder / BUNDLE).is_file():
+        return None
+    from lftkit.proofs.verdict import ProofError
+    from los_design.verification.bundle import figures_proven, open_bundle
+
+    try:
+        with open_bundle(folder / BUNDLE) as bundle:
+            if not _fits(bundle.subject, subject, stage):
+                return None
+            figures = figures_proven(bundle, stage)
+            return Statement(bundle.sha256, figures, False) if figures else None
+    except ProofError:
+        return None
+
+
+def _fits(proven: Subject, flown: Subject, stage: str) -> bool:
+    """Whether a statement is about these controllers; without proof-mass actuators K_PMA does not count."""
+    same = proven.k_fsm == flown.k_fsm and proven.telescope == flown.telescope
+    return same and (stage not in FORCE_STAGES or proven.k_pma == flown.k_pma)

@@ -1,0 +1,287 @@
+"""Bundles of proofs: what is read, what is refused; statements are of the controllers and the telescope inside."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from support.stored_proofs import FOLDER, SUFFIX, unpack
+
+from lftkit.proofs.sampled_loop import LoopProof
+from lftkit.proofs.verdict import ProofError
+from los_design.synthesis.store import load_designs
+from los_design.verification import statements
+from los_design.verification.bundle import (
+    K_FSM,
+    K_PMA,
+    MANIFEST,
+    TELESCOPE,
+    Bundle,
+    check_bundle,
+    member_of,
+    open_bundle,
+    write_bundle,
+)
+from los_design.verification.certify import box_of, figures_of, telescope_model
+from los_design.verification.proof_comparison import proof_of_loop
+from los_design.verification.statements import BUNDLE, Statement, Subject, statement_of
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+STAGE, FIGURE = "fsm+pma", "slow"
+Mutation = Callable[[dict[str, bytes]], None]
+
+
+@pytest.fixture(scope="module")
+def loop() -> ImplementedLoop:
+    parameters = load_parameters()
+    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    return ImplementedLoop(open_loop, *load_designs("implemented"), STAGE)
+
+
+@pytest.fixture(scope="module")
+def proof(loop: ImplementedLoop) -> LoopProof:
+    """Without strips: all but the scalings is there."""
+    metric = figures_of(loop.parameters, STAGE)[FIGURE]
+    names = tuple(p.name for p in loop.system.parameters)
+    about = {"stage": STAGE, "figure": FIGURE, "limit": metric.limit}
+    return LoopProof(telescope_model(loop, metric), names, box_of(loop), metric.band, 0.9, (), about)
+
+
+@pytest.fixture(scope="module")
+def written(loop: ImplementedLoop, proof: LoopProof, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bundle")
+    proof.to_file(folder / "proof.npz")
+    write_bundle(folder / BUNDLE, loop.parameters, loop.pair, {(STAGE, FIGURE): folder / "proof.npz"})
+    return folder / BUNDLE
+
+
+def changed(source: Path, target: Path, mutation: Mutation) -> Path:
+    """The bundle with other members and a manifest that has their hashes."""
+    with zipfile.ZipFile(source) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    manifest = json.loads(members.pop(MANIFEST))
+    mutation(members)
+    manifest["sha256"] = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in {MANIFEST: json.dumps(manifest).encode(), **members}.items():
+            archive.writestr(name, data)
+    return target
+
+
+def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: ImplementedLoop) -> None:
+    with open_bundle(written) as bundle:
+        assert bundle.subject == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
+        assert bundle.figures == ((STAGE, FIGURE),) and bundle.proof(STAGE, FIGURE).level == 0.9
+        assert dict(bundle.parameters) == dict(loop.parameters)
+        kept = bundle.folder
+    assert not kept.exists()
+
+
+def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("any content\n")
+    body = {**loop.parameters["body"], "modal_data": str(tmp_path / "mine.csv")}
+    own = {**loop.parameters, "body": body}
+    with open_bundle(written) as bundle:
+        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
+        write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
+    name = parameters_hash(own)
+    (tmp_path / "mine.csv").unlink()
+    with open_bundle(tmp_path / BUNDLE) as bundle:
+        assert parameters_hash(bundle.parameters) == name
+        assert Path(bundle.parameters["body"]["modal_data"]).read_text() == "any content\n"
+
+
+def members_of(bundle: Bundle) -> dict[str, bytes]:
+    return {name: (bundle.folder / name).read_bytes() for name in bundle.names}
+
+
+def damaged_bytes(written: Path, tmp_path: Path, seed: int, count: int) -> int:
+    """Bytes changed at random: refused, or nothing that is inside is another one; returns how many were refused."""
+    chance, data, refused = random.Random(seed), written.read_bytes(), 0
+    with open_bundle(written) as bundle:
+        whole = members_of(bundle)
+    for _ in range(count):
+        other = bytearray(data)
+        for _ in range(chance.choice((1, 1, 2, 8))):
+            other[chance.randrange(len(other))] = chance.randrange(256)
+        (tmp_path / "damaged.zip").write_bytes(bytes(other))
+        try:
+            with open_bundle(tmp_path / "damaged.zip") as bundle:
+                assert members_of(bundle) == whole
+        except ProofError:
+            refused += 1
+    return refused
+
+
+def test_changed_bytes_are_refused(written: Path, tmp_path: Path) -> None:
+    assert damaged_bytes(written, tmp_path, seed=1, count=60) >= 50
+
+
+@pytest.mark.slow
+def test_2000_changes_of_bytes_are_refused(written: Path, tmp_path: Path) -> None:
+    assert damaged_bytes(written, tmp_path, seed=2, count=2000) >= 1700
+
+
+def numbers_in(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths of all numbers of a JSON value."""
+    if isinstance(value, dict):
+        return [found for key, item in value.items() for found in numbers_in(item, (*path, key))]
+    if isinstance(value, list):
+        return [found for key, item in enumerate(value) for found in numbers_in(item, (*path, key))]
+    return [path] if isinstance(value, (int, float)) and not isinstance(value, bool) else []
+
+
+def with_another_number(text: bytes, chance: random.Random, ignored: set[str]) -> bytes:
+    """JSON with one number changed in its last digits, or scaled."""
+    content = json.loads(text)
+    *way, last = chance.choice([path for path in numbers_in(content) if path[0] not in ignored])
+    place = content
+    for key in way:
+        place = place[key]
+    old = float(place[last])
+    place[last] = chance.choice((np.nextafter(old, np.inf), old * 1.01 + 1e-9, -old - 1.0))
+    return json.dumps(content).encode()
+
+
+@pytest.mark.parametrize("member", [TELESCOPE, K_FSM, K_PMA])
+def test_any_other_number_is_another_subject_or_refused(member: str, written: Path, tmp_path: Path) -> None:
+    """With right hashes: a statement names another telescope or other controllers then."""
+    chance = random.Random(member)
+    ignored = {"provenance", "design_basis", "version", "requirement"}
+    with open_bundle(written) as bundle:
+        own = bundle.subject
+    for _ in range(40):
+        target = changed(
+            written,
+            tmp_path / "other.zip",
+            lambda members: members.update({member: with_another_number(members[member], chance, ignored)}),
+        )
+        try:
+            with open_bundle(target) as bundle:
+                assert bundle.subject != own
+        except ProofError:
+            pass
+
+
+def renamed(members: dict[str, bytes]) -> None:
+    members[member_of(STAGE, "fast")] = members.pop(member_of(STAGE, FIGURE))
+
+
+def relabelled(members: dict[str, bytes]) -> None:
+    members["proofs/fsm-none.npz"] = members.pop(member_of(STAGE, FIGURE))
+
+
+def outside(members: dict[str, bytes]) -> None:
+    members["../k_fsm.json"] = members[K_FSM]
+
+
+def without_k_pma(members: dict[str, bytes]) -> None:
+    del members[K_PMA]
+
+
+def swapped(members: dict[str, bytes]) -> None:
+    members[K_FSM], members[K_PMA] = members[K_PMA], members[K_FSM]
+
+
+def no_telescope(members: dict[str, bytes]) -> None:
+    members[TELESCOPE] = b"[1, 2]"
+
+
+def file_of_the_machine(members: dict[str, bytes]) -> None:
+    content = json.loads(members[TELESCOPE])
+    content["body"]["modal_data"] = "/etc/passwd"
+    members[TELESCOPE] = json.dumps(content).encode()
+
+
+MUTATIONS = [relabelled, outside, without_k_pma, swapped, no_telescope, file_of_the_machine]
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.__name__)
+def test_what_is_no_bundle_is_refused(mutation: Mutation, written: Path, tmp_path: Path) -> None:
+    target = changed(written, tmp_path / "other.zip", mutation)
+    with pytest.raises(ProofError) as refused, open_bundle(target):
+        pass
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "k_fsm.json").exists() and not (tmp_path.parent / "k_fsm.json").exists()
+
+
+def test_a_proof_with_the_name_of_another_figure_is_refused(written: Path, tmp_path: Path) -> None:
+    """The slow proof as the fast one: its band is not that of the fast tones."""
+    with (
+        open_bundle(changed(written, tmp_path / "other.zip", renamed)) as bundle,
+        pytest.raises(ProofError, match=r"fsm\+pma, fast: .*band of frequencies"),
+    ):
+        check_bundle(bundle)
+
+
+def test_the_matrices_of_the_file_are_not_used(loop: ImplementedLoop, proof: LoopProof) -> None:
+    """Weaker disturbances, other rows, a larger limit: the model is that of telescope and controllers all the same."""
+    forged = replace(proof.model, weights=0.8 * proof.model.weights, rows=proof.model.rows[:1], scale=2.0)
+    used = proof_of_loop(replace(proof, model=forged, about={"stage": "fsm", "figure": "fast"}), loop, FIGURE)
+    np.testing.assert_array_equal(used.model.weights, proof.model.weights)
+    assert (used.model.rows, used.model.scale) == (proof.model.rows, proof.model.scale)
+    assert used.about == {"stage": STAGE, "figure": FIGURE, "limit": proof.model.scale}
+    low, high = proof.box[0]
+    with pytest.raises(ProofError, match="box of the parameters"):
+        proof_of_loop(replace(proof, box=((0.5 * low, high), *proof.box[1:])), loop, FIGURE)
+
+
+def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedLoop, tmp_path: Path) -> None:
+    """And not all of them for 20 % stronger disturbances, at the frequency of the worst case."""
+    from lftkit.proofs.sampled_loop.checker import check_strip
+
+    stored = LoopProof.from_file(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
+    rebuilt = proof_of_loop(stored, loop, "APE")
+    strips = [strip for strip in rebuilt.strips if strip.nodes[0] <= 0.07507 <= strip.nodes[-1]]
+    assert strips and all(isinstance(check_strip((rebuilt.model, strip, rebuilt.level)), int) for strip in strips)
+    stronger = replace(rebuilt.model, weights=rebuilt.model.weights * [1.2, 1.0, 1.0])
+    assert any(isinstance(check_strip((stronger, strip, rebuilt.level)), str) for strip in strips)
+
+
+def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.zip").write_text("no bundle")
+    for file, expected in ((written, "the strips must cover the box"), (tmp_path / "text.zip", "must be a bundle")):
+        with pytest.raises(SystemExit) as ended:
+            main(["design", "check-proof", str(file)])
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert ended.value.code == 1 and line.startswith("refused: ") and expected in line
+
+
+def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
+    """Of the shipped pair what the shipped statements say; of others what the bundle beside them says, or nothing."""
+    k_fsm, k_pma = loop.pair
+    telescope_name = parameters_hash(loop.parameters)
+    shipped = statement_of(Subject.of(k_fsm, k_pma, telescope_name), STAGE, None)
+    assert shipped is not None and shipped.checked and shipped.text.startswith("proven for every telescope")
+    other = replace(k_pma, C=1.001 * k_pma.C)
+    assert statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, written.parent) is None
+    assert statement_of(Subject.of(replace(k_fsm, C=1.001 * k_fsm.C), k_pma, telescope_name), "fsm", None) is None
+    assert statement_of(Subject.of(k_fsm, k_pma, "another"), STAGE, None) is None
+    with open_bundle(written) as bundle:
+        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
+        write_bundle(tmp_path / BUNDLE, loop.parameters, (k_fsm, other), proofs)
+    found = statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, tmp_path)
+    assert found is not None
+    assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.sha256[:12]}, not checked here)")
+    assert statement_of(Subject.of(k_fsm, other, telescope_name), "fsm", tmp_path) is None
+
+
+def test_shipped_statements_are_of_the_shipped_pair() -> None:
+    content = json.loads(statements.SHIPPED.read_text("utf-8"))
+    assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
+    for row in content["figures"]:
+        limit = figures_of(load_parameters(), row["stage"])[row["figure"]].limit
+        assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
+    assert Statement("0", (), True).text.endswith(" (bundle 0)")
