@@ -10,7 +10,9 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from pointing_analysis.arrays import FloatArray
@@ -71,6 +73,18 @@ class Picture:
     svg: bytes
 
 
+class LaidOutFigure(Figure):
+    """A figure that is drawn once: to lay it out, matplotlib would draw all of it a first time into nothing."""
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Lay the figure out where it has yet to be done, else draw it."""
+        engine = self.get_layout_engine()
+        if isinstance(engine, ConstrainedLayoutEngine):  # while it is saved it has none, once it is laid out
+            engine.execute(self)
+        else:
+            super().draw(renderer)
+
+
 def _svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
@@ -81,7 +95,7 @@ def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figu
     """Draw one picture in the style of the report."""
     settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
     with mpl.rc_context(settings):
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = LaidOutFigure(figsize=(WIDTH, height), layout="constrained")
         draw(figure)
         return Picture(name, title, alt, _svg(figure))
 

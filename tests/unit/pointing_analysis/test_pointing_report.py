@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.figures import LaidOutFigure
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
@@ -120,6 +122,11 @@ def test_same_bag_same_bytes(stages, page, page_of_one, tmp_path) -> None:
     assert again.read_bytes() == page.read_bytes()
     moved = shutil.copytree(stages[3], tmp_path / stages[3].name)
     assert render([Run.open(moved)]) == page_of_one
+
+
+def test_pictures_are_those_that_matplotlib_draws_in_two_goes(stages, page_of_one, monkeypatch) -> None:
+    monkeypatch.setattr(LaidOutFigure, "draw", Figure.draw)
+    assert render([Run.open(stages[3])]) == page_of_one
 
 
 def test_nothing_comes_from_outside(page) -> None:
