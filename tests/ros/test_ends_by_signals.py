@@ -39,7 +39,8 @@ def until_replaced(name):
 
 @pytest.mark.parametrize("name", ["controller", pytest.param("estimator", marks=pytest.mark.slow)])
 def test_a_follower_that_is_told_to_end_by_a_stranger_is_replaced(tmp_path, name):
-    results = run_with_fault(tmp_path, 400, until_replaced(name), after=2500)  # for the new node to find the recorder, too
+    # long enough for the new node to find the recorder, too
+    results = run_with_fault(tmp_path, 400, until_replaced(name), after=2500)
     (failure,) = results.failures
     assert failure == f"{name} ended unexpectedly (signal 15); it was started again"
     run = Run.open(results.bag)

@@ -86,6 +86,7 @@ def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
     assert results.warnings[-1] == "the server for viewers ended unexpectedly: code -9"
 
 
+@pytest.mark.slow
 def test_a_viewer_gets_only_the_topics_that_the_run_names(tmp_path):
     clients = []
     live = Live(port=0, tell=lambda foxglove, page: clients.append(FoxgloveClient(foxglove)), topics=("truth/los",))

@@ -53,6 +53,7 @@ def test_a_ramp_in_lockstep_has_the_bytes_of_the_ramp_in_one_process(profile: st
     assert motions[0] == motions[1]
 
 
+@pytest.mark.slow
 def test_a_ramp_in_real_time_is_recorded_and_names_its_motion(tmp_path: Path) -> None:
     config = config_for(tmp_path, scenario="ramp", duration=1.2, start="steady", **THROUGH_REST)
     run = Run.open(Runner(config, lambda ticks: None).run().bag)

@@ -47,6 +47,7 @@ def test_a_node_outside_the_family_says_so_and_ends(
     assert all(word in last for word in words), last
 
 
+@pytest.mark.slow
 def test_a_random_member_in_lockstep_is_the_one_in_one_process(tmp_path: Path) -> None:
     """Same bytes on every topic: the parameters reach the node whole."""
     config = config_for(tmp_path, mode="lockstep", duration=0.5, start="steady", **random_member(5))

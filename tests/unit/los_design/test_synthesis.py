@@ -48,7 +48,7 @@ def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path, 
     assert continuous(again).order == 4
 
 
-SMALL = SearchOptions(frequencies=12, points=4, ascents=2, iterations=2, patience=1, confirmed=0.8)
+SMALL = SearchOptions(frequencies=8, points=2, ascents=1, iterations=1, patience=1, confirmed=0.8)
 TINY = Effort(rounds=1, points=0, first=6, iterations=0, target=0.0, searches=(SMALL,))
 
 
