@@ -153,7 +153,9 @@ class LoopModel:
         felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
-        u = linalg.solve(np.eye(len(K)) - K @ seen[:y], K @ own[q : q + y])
+        returned = np.eye(len(K)) - K @ seen[:y]
+        scale = 1.0 / np.abs(returned).max(axis=1)[:, None]  # angles beside forces: else the angles lose six digits
+        u = linalg.solve(scale * returned, scale * (K @ own[q : q + y]))
         hold = (1.0 - 1.0 / z) / (s * self.dt)
         outputs = u if self.commands else own[q + y :] + seen[y:] @ u
         return own[:q] + hold * felt @ u, np.asarray(outputs[list(self.rows)])
