@@ -1,8 +1,8 @@
 """Budget of the relative error: slow tones, fast tones and sensor noise share its limit.
 
-The limit is asked of 99.7 % of the windows of 20 ms, whatever made the error. A tone of amplitude a along one axis and
-Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a random phase of the tone outside of a circle of
-radius L with the probability
+The limit is asked of a part of the windows of 20 ms, whatever made the error; the requirement says of which part, here
+99.7 %. A tone of amplitude a along one axis and Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a
+random phase of the tone outside of a circle of radius L with the probability
 
     P = mean over phi of Q(L; a |sin phi|, r / sqrt 2),   Q: upper tail of the Rice distribution
 
@@ -25,16 +25,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.parameters import FIRST_PROBABILITY, Parameters
+from titop_plant.telescope.requirements import telescope_requirements, window_probability
 
 if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
     from lftkit import System
 
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
-
-CONFIDENCE = 0.997
-"""Part of the windows that must keep the limit."""
 
 NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.5, 1.9, 0.485
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
@@ -58,8 +56,8 @@ BAND_ORDER = 4
 PHASES = 400
 
 
-def combined_level(tone: float, noise: float) -> float:
-    """Radius that 99.7 % of the windows keep with a tone and noise together.
+def combined_level(tone: float, noise: float, probability: float) -> float:
+    """Radius that a part of the windows keeps with a tone and noise together.
 
     Parameters
     ----------
@@ -67,6 +65,8 @@ def combined_level(tone: float, noise: float) -> float:
         Amplitude of the relative error along one axis.
     noise : float
         Relative error due to noise, rms over both axes; same unit.
+    probability : float
+        The part, that of a requirement: 0.997 for 99.7 %.
 
     Returns
     -------
@@ -75,28 +75,28 @@ def combined_level(tone: float, noise: float) -> float:
 
     Examples
     --------
-    >>> round(combined_level(0.0, 10.0), 2), round(combined_level(23.0, 10.0), 1)
+    >>> round(combined_level(0.0, 10.0, 0.997), 2), round(combined_level(23.0, 10.0, 0.997), 1)
     (24.1, 40.0)
     """
     if not (tone >= 0.0 and noise >= 0.0):
         raise ValueError(f"tone and noise must not be negative, got {tone} and {noise}")
     if noise <= NEGLIGIBLE * tone:
-        return float(tone * np.sin(0.5 * np.pi * CONFIDENCE))
-    return _root(lambda level: _outside(level, tone, noise) - (1.0 - CONFIDENCE), tone + 5.0 * noise)
+        return float(tone * np.sin(0.5 * np.pi * probability))
+    return _root(lambda level: _outside(level, tone, noise) - (1.0 - probability), tone + 5.0 * noise)
 
 
-def largest_tone(noise: float, limit: float) -> float:
+def largest_tone(noise: float, limit: float, probability: float) -> float:
     """Largest amplitude of a tone that keeps `limit` beside `noise` (rms over both axes); 0 if noise alone breaks it.
 
     Examples
     --------
-    >>> [round(largest_tone(noise, 40.0)) for noise in (8.0, 10.0, 12.0, 14.0)]
+    >>> [round(largest_tone(noise, 40.0, 0.997)) for noise in (8.0, 10.0, 12.0, 14.0)]
     [27, 23, 19, 14]
     """
-    if combined_level(0.0, noise) >= limit:
+    if combined_level(0.0, noise, probability) >= limit:
         return 0.0
-    high = 1.01 * limit / np.sin(0.5 * np.pi * CONFIDENCE)
-    return _root(lambda tone: combined_level(tone, noise) - limit, high)
+    high = 1.01 * limit / np.sin(0.5 * np.pi * probability)
+    return _root(lambda tone: combined_level(tone, noise, probability) - limit, high)
 
 
 def _root(function: Callable[[float], float], high: float) -> float:
@@ -122,7 +122,7 @@ class ErrorBudget:
     Parameters
     ----------
     limit : float
-        Of 99.7 % of the windows, noise and tones together.
+        Of the part of the windows that the requirement names, noise and tones together.
     noise, slow, fast_mirror : float
         What K_FSM is tuned for: noise (rms of both axes), amplitudes of slow and of fast tones, mirror alone.
     fast : float
@@ -152,12 +152,13 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     >>> mas = 3.141592653589793 / 648e6
     >>> [round(share / mas, 1) for share in (budget.limit, budget.noise, budget.slow, budget.fast_mirror)]
     [40.0, 12.0, 20.0, 76.0]
-    >>> round(combined_level(budget.tone / mas, budget.total_noise / mas), 2)
+    >>> round(combined_level(budget.tone / mas, budget.total_noise / mas, 0.997), 2)
     40.0
     """
     limit = float(parameters["weights"]["rpe_limit_fine"])
-    shares = (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, TONE)
-    return ErrorBudget(limit, *(share * limit for share in shares))
+    probability = window_probability(telescope_requirements(parameters))
+    tone = TONE if probability == FIRST_PROBABILITY else largest_tone(TOTAL_NOISE, 1.0, probability)
+    return ErrorBudget(limit, *(share * limit for share in (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, tone)))
 
 
 def band_error_weight(parameters: Parameters, band: str) -> System:

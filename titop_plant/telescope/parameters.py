@@ -18,7 +18,7 @@ from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.parameter_check import ParameterFile
-from titop_plant.telescope.requirements import take_limits, with_limits
+from titop_plant.telescope.requirements import take_limits, telescope_requirements, window_probability, with_limits
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -30,6 +30,8 @@ Parameters = Mapping[str, Any]
 REFERENCE = Path(__file__).with_name("reference.toml")
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
+FIRST_PROBABILITY = 0.997
+"""Part of the windows that kept their limit in designs whose names do not say it."""
 
 
 def load_parameters(path: str | Path = REFERENCE) -> Parameters:
@@ -126,9 +128,13 @@ def _parsed(text: str) -> bytes:
 def parameters_hash(parameters: Parameters) -> str:
     """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
 
-    Of the requirements only the limits in ``weights`` count: nothing else of them is in a plant or a design.
+    Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
+    that of the designs from before it could be another: nothing else of them is in a plant or a design.
     """
     content = {key: value for key, value in parameters.items() if key != "requirement"}
+    probability = window_probability(telescope_requirements(parameters))
+    if probability != FIRST_PROBABILITY:
+        content["window_probability"] = probability
     for name in OWN_BODIES:
         file = content[name].get("modal_data", "")
         if file:

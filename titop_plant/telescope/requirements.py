@@ -120,9 +120,8 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
         There is none that it can be made of.
     """
     ape = _strictest(requirements, lambda r: r.index == "APE" and all(_holds(r, loop) for loop in MIRROR_STAGES))
-    means = any(r.index == "RPE" and r.of_windows and not r.axis for r in requirements)
-    mirror, forces = MIRROR_STAGES
-    fine = _strictest(requirements, lambda r: r.index == "RPE" and r.of_windows == means and _holds(r, forces))
+    mirror = MIRROR_STAGES[0]
+    fine, means = _finest(requirements)
     if ape is None or fine is None:
         raise ValueError(f"must hold one on |APE| and one on rms RPE for the stages {' and '.join(MIRROR_STAGES)}")
     window = requirements[fine].times[0]
@@ -135,6 +134,26 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
     made = {"ape_limit": [ape], "rpe_limit": [rpe], "rpe_limit_fine": [fine], "rpe_window": sorted({rpe, fine})}
     values = {key: requirements[made[key][0]].limit for key in LIMITS[:3]}
     return {**values, "rpe_window": window}, made
+
+
+def window_probability(requirements: Sequence[Requirement]) -> float:
+    """Part of the windows that must keep ``rpe_limit_fine``: of the requirement that it is made of; NaN without one.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> window_probability(telescope_requirements(load_parameters()))
+    0.997
+    """
+    fine, _ = _finest(requirements)
+    return math.nan if fine is None else requirements[fine].probability
+
+
+def _finest(requirements: Sequence[Requirement]) -> tuple[int | None, bool]:
+    """Place of the requirement that ``rpe_limit_fine`` is made of; whether those on windows count, or on instants."""
+    means = any(r.index == "RPE" and r.of_windows and not r.axis for r in requirements)
+    forces = MIRROR_STAGES[1]
+    return _strictest(requirements, lambda r: r.index == "RPE" and r.of_windows == means and _holds(r, forces)), means
 
 
 def _parsed(entry: Mapping[str, Any]) -> Requirement:

@@ -125,3 +125,18 @@ def test_requirements_of_a_stage() -> None:
     assert judged([APE, axis, other, RPE]) == (APE, RPE)
     assert not_judged([APE, axis, other, RPE], "fsm") == (axis, other)
     assert not_judged([APE, axis, other, RPE], "fsm+pma", "model") == (APE, axis, other)
+
+
+def test_the_model_judges_the_part_of_the_windows_that_the_finest_requirement_names() -> None:
+    """Its level of tone and noise is that of one probability, whichever: requirements on another are not judged."""
+    finest = parse("prob(rms RPE(20 ms) < 50 mas) >= 0.95 at 95 % confidence", "finest", ["fsm+pma"])
+    wider = parse("prob(rms RPE(20 ms) < 60 mas) >= 0.997 at 95 % confidence", "wider")
+    for requirements, judged_names in (
+        ([finest], ["finest"]),
+        ([finest, wider], ["finest"]),
+        ([RPE, wider], ["R", "wider"]),
+    ):
+        found = model_verdicts(np.array([40.0, 55.0]), ["ok", "ok"], "fsm+pma", requirements)
+        assert [v.requirement for v in found] == judged_names
+        assert found[0].status == "not compliant" and found[0].value == 55.0
+    assert model_verdicts(np.array([40.0]), ["ok"], "fsm", [APE]) == []

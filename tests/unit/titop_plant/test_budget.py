@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from titop_plant.telescope.budget import (
     BAND_EDGE,
-    CONFIDENCE,
     TONE,
     TOTAL_NOISE,
     band_error_weight,
@@ -16,8 +17,11 @@ from titop_plant.telescope.budget import (
     error_budget,
     largest_tone,
 )
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.requirements import telescope_requirements, window_probability
 from titop_plant.telescope.weights import rpe_weight
+
+PROBABILITY = 0.997
 
 
 @pytest.mark.parametrize(("tone", "noise"), [(20.0, 11.0), (5.0, 10.0), (30.0, 3.0), (0.0, 8.0)])
@@ -26,18 +30,18 @@ def test_the_level_holds_for_drawn_errors(tone: float, noise: float) -> None:
     rng = np.random.default_rng(0)
     x, y = rng.standard_normal((2, 1_000_000)) * noise / np.sqrt(2.0)
     error = np.hypot(x + tone * np.sin(rng.uniform(0.0, 2.0 * np.pi, x.size)), y)
-    outside = np.mean(error > combined_level(tone, noise))
-    assert outside == pytest.approx(1.0 - CONFIDENCE, rel=0.09)
+    outside = np.mean(error > combined_level(tone, noise, PROBABILITY))
+    assert outside == pytest.approx(1.0 - PROBABILITY, rel=0.09)
 
 
 def test_closed_forms_at_the_ends() -> None:
     """Noise alone: Rayleigh, r sqrt(ln(1/0.003)); a tone alone: the sine is above the level for 0.3 % of its phases."""
-    assert combined_level(0.0, 10.0) == pytest.approx(10.0 * np.sqrt(-np.log(1.0 - CONFIDENCE)), rel=1e-9)
-    assert combined_level(10.0, 0.0) == pytest.approx(10.0 * np.sin(0.5 * np.pi * CONFIDENCE), rel=1e-12)
-    assert largest_tone(16.7, 40.0) == 0.0
-    assert combined_level(largest_tone(11.0, 40.0), 11.0) == pytest.approx(40.0, rel=1e-9)
+    assert combined_level(0.0, 10.0, PROBABILITY) == pytest.approx(10.0 * np.sqrt(-np.log(1.0 - PROBABILITY)), rel=1e-9)
+    assert combined_level(10.0, 0.0, PROBABILITY) == pytest.approx(10.0 * np.sin(0.5 * np.pi * PROBABILITY), rel=1e-12)
+    assert largest_tone(16.7, 40.0, PROBABILITY) == 0.0
+    assert combined_level(largest_tone(11.0, 40.0, PROBABILITY), 11.0, PROBABILITY) == pytest.approx(40.0, rel=1e-9)
     with pytest.raises(ValueError, match="must not be negative, got -1"):
-        combined_level(-1.0, 2.0)
+        combined_level(-1.0, 2.0, PROBABILITY)
 
 
 def test_the_bands_divide_the_power_at_their_edge() -> None:
@@ -54,10 +58,10 @@ def test_the_bands_divide_the_power_at_their_edge() -> None:
 def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> None:
     parameters = load_parameters()
     budget = error_budget(parameters)
-    alone = combined_level(max(budget.slow, budget.fast_mirror), budget.noise)
+    alone = combined_level(max(budget.slow, budget.fast_mirror), budget.noise, PROBABILITY)
     assert alone <= parameters["weights"]["rpe_limit"]
-    assert combined_level(budget.tone, budget.total_noise) == pytest.approx(budget.limit)
-    assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0), rel=1e-12) == TONE
+    assert combined_level(budget.tone, budget.total_noise, PROBABILITY) == pytest.approx(budget.limit)
+    assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0, PROBABILITY), rel=1e-12) == TONE
     assert budget.fast <= budget.tone
     assert budget.fast <= budget.tone < budget.fast_mirror
     weight = band_error_weight(parameters, "fast").to_control()
@@ -67,5 +71,27 @@ def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> 
 def test_the_level_does_not_depend_on_the_unit() -> None:
     """The same tone and noise in mas and in rad, and of a millionth of it."""
     for unit in (1.0, np.pi / 648e6, 1e-15):
-        assert combined_level(19.0 * unit, 11.0 * unit) == pytest.approx(combined_level(19.0, 11.0) * unit, rel=1e-12)
-        assert largest_tone(11.0 * unit, 40.0 * unit) == pytest.approx(largest_tone(11.0, 40.0) * unit, rel=1e-9)
+        assert combined_level(19.0 * unit, 11.0 * unit, PROBABILITY) == pytest.approx(
+            combined_level(19.0, 11.0, PROBABILITY) * unit, rel=1e-12
+        )
+        assert largest_tone(11.0 * unit, 40.0 * unit, PROBABILITY) == pytest.approx(
+            largest_tone(11.0, 40.0, PROBABILITY) * unit, rel=1e-9
+        )
+
+
+def test_the_part_of_the_windows_is_that_of_the_finest_requirement(tmp_path: Path) -> None:
+    """A smaller part leaves more for the tones, and makes another design; other requirements have no say."""
+    texts = {"finest": "95 %", "APE": "0.9"}
+    paths = {name: tmp_path / f"{name}.toml" for name in texts}
+    for name, entry in (("finest", "RPE, finest"), ("APE", "APE")):
+        quantity = "|APE| < 10 arcsec" if name == "APE" else "rms RPE(20 ms) < 40 mas"
+        stages = "" if name == "APE" else 'loop = ["fsm+pma"]'
+        text = f"prob({quantity}) >= {texts[name]} at 95 % confidence"
+        paths[name].write_text(f'[[requirement]]\nname = "{entry}"\ntext = "{text}"\n{stages}\n')
+    reference, finest, ape = load_parameters(), load_parameters(paths["finest"]), load_parameters(paths["APE"])
+    parts = [window_probability(telescope_requirements(p)) for p in (reference, finest, ape)]
+    assert parts == [PROBABILITY, 0.95, PROBABILITY]
+    own = error_budget(finest)
+    assert own.limit == error_budget(reference).limit and own.tone > 1.05 * error_budget(reference).tone
+    assert combined_level(own.tone, own.total_noise, 0.95) == pytest.approx(own.limit)
+    assert parameters_hash(finest) != parameters_hash(reference) == parameters_hash(ape)

@@ -25,7 +25,7 @@ MEANINGS = {
     "force_gain": "largest forces of a tone of unit norm over their authority",
     "noise_ape_arcsec_rms": "absolute error from sensor noise [arcsec rms]",
     "noise_rpe_mas_rms": "relative error from sensor noise [mas rms]",
-    "total_mas": "what 99.7 % of the windows keep with the worst tone and the noise [mas]",
+    "total_mas": "what the required part of the windows keeps with the worst tone and the noise [mas]",
     "sensitivity_mirror": "peak sensitivity of the mirror loop",
     "sensitivity_forces": "peak sensitivity of the force loop",
     "rpe_peak_rad_s": "frequency of the worst tone [rad/s]",

@@ -32,6 +32,7 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import combined_level
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.requirements import telescope_requirements, window_probability
 from titop_plant.telescope.sensors import noise_of_ticks
 from titop_plant.telescope.weights import rpe_weight
 
@@ -65,7 +66,7 @@ def gain_column(row: FigureOfMerit) -> str:
 
 
 def model_metrics() -> tuple[str, ...]:
-    """Columns: the gains of the last stage's figures; noise; what 99.7 % of the windows keep with the worst tone."""
+    """Columns: the gains of the last stage's figures; noise; the level of the worst tone and the noise."""
     rows = gain_figures(STAGES[-1])
     errors = [gain_column(row) for row in rows if row.is_error]
     others = [gain_column(row) for row in rows if not (row.is_error or row.is_sensitivity)]
@@ -187,9 +188,10 @@ class ModelDepth:
 
     def level(self, tone: float, noise: float) -> float:
         """:func:`titop_plant.telescope.budget.combined_level`, interpolated."""
+        probability = window_probability(telescope_requirements(self.parameters))
         if not 0.0 <= tone <= _TONES[-1] * noise:
-            return combined_level(tone, noise)
-        return noise * float(_levels()(tone / noise))
+            return combined_level(tone, noise, probability)
+        return noise * float(_levels(probability)(tone / noise))
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
@@ -231,9 +233,9 @@ def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> Float
 
 
 @lru_cache(maxsize=1)
-def _levels() -> CubicSpline:
+def _levels(probability: float) -> CubicSpline:
     """Level of a tone with noise of 1 rms: the level is homogeneous in both."""
-    return CubicSpline(_TONES, [combined_level(float(tone), 1.0) for tone in _TONES])
+    return CubicSpline(_TONES, [combined_level(float(tone), 1.0, probability) for tone in _TONES])
 
 
 def _beside_maxima(index: IndexArray, gain: FloatArray) -> IndexArray:

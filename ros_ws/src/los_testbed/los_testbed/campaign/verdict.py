@@ -26,7 +26,7 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.telescope.budget import CONFIDENCE
+from titop_plant.telescope.requirements import window_probability
 
 LOST = ("unstable", "diverged")
 """Statuses of members that are above every limit."""
@@ -120,7 +120,8 @@ def _has_columns(requirement: Requirement) -> bool:
 
 def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requirement, ...]:
     """Those that the depth model judges: its level of tone and noise is that of one probability."""
-    return tuple(r for r in judged(requirements, loop) if r.index == "RPE" and r.probability == CONFIDENCE)
+    probability = window_probability(requirements)
+    return tuple(r for r in judged(requirements, loop) if r.index == "RPE" and r.probability == probability)
 
 
 def verdicts(
@@ -178,7 +179,7 @@ def model_verdicts(
     Parameters
     ----------
     total : ndarray, shape (members,)
-        What 99.7 % of the windows keep [mas].
+        What the required part of the windows keeps [mas].
     status, loop, requirements
         As in :func:`verdicts`.
     """

@@ -29,6 +29,9 @@ from titop_plant.telescope.weights import rpe_weight
 WORST_INDICES = ("APE", "slow", "fast")
 """Indices whose worst tones are compared; the worst RPE is that of a slow or of a fast tone."""
 
+SHOWN = 0.997
+"""Part of the instants, or windows, that the table's levels hold for: that of the quantiles of a summary."""
+
 CONFIDENCE = 0.95
 """Of the statement that a limit is kept, or that it is broken."""
 
@@ -91,7 +94,7 @@ def level(summary: Summary, index: str, errors: float = 0.0) -> float:
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
         return math.inf
     scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
-    return combined_level(max(budget.slow, budget.fast), max(0.0, budget.noise + scatter))
+    return combined_level(max(budget.slow, budget.fast), max(0.0, budget.noise + scatter), SHOWN)
 
 
 def limits_kept(summary: Summary, index: str, requirements: Sequence[Requirement]) -> str:
