@@ -96,6 +96,15 @@ def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_js
     assert line in shown.get()
 
 
+def test_a_node_that_a_stranger_shuts_down_ends_a_run_in_lockstep_with_its_name(tmp_path):
+    """The plant would wait for its answer for ever."""
+    with pytest.raises(RunError, match="controller was shut down by a request of its life cycle") as ended:
+        attacked(tmp_path, Case("controller/change_state", begin=100, rate=20.0, request="shutdown"))
+    assert ended.value.code == 1
+    assert str(tmp_path / "bag") in str(ended.value)
+    assert len(Run.open(tmp_path / "bag")["truth/los"]) >= 100
+
+
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory):
     return messages_of(run_beside(tmp_path_factory.mktemp("alone"), None).bag)

@@ -145,10 +145,11 @@ def main(domain: int, case: Case) -> None:
                 newest, first = max(newest, stamp), first or stamp
 
     first = 0
+    call = _caller(node, case) if case.topic in SERVICES else None  # its service is found before it is used
     while not ended and case.begin != EARLY and not (first and newest >= first + case.begin * 1_000_000):
         listen()
         time.sleep(0.002)
-    act = _caller(node, case) if case.topic in SERVICES else _sender(node, case)
+    act = call or _sender(node, case)
     if case.begin == EARLY:
         sys.stdout.write("begins\n")
         sys.stdout.flush()
@@ -224,7 +225,8 @@ def _request(case):
     from std_srvs.srv import Trigger
 
     if case.topic.endswith("change_state"):
-        return ChangeState, ChangeState.Request(transition=Transition(id=TRANSITIONS[case.request], label="fly"))
+        label = "fly" if case.request == "unknown" else ""  # a label goes before the number
+        return ChangeState, ChangeState.Request(transition=Transition(id=TRANSITIONS[case.request], label=label))
     if "set_parameters" not in case.topic:
         return Trigger, Trigger.Request()
     given = [(name, value) for name, values in PARAMETERS[case.request].items() for value in values]

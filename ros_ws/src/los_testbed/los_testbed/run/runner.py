@@ -325,6 +325,8 @@ class Runner:
             if code == 0 and (node.name, "done") in self._seen:
                 if ("plant", "running") not in self._seen:
                     raise RunError(f"{node.name} was told to end before the run began")
+                if ("plant", "done") not in self._seen:
+                    self._go_on_without(node.name)
                 continue
             told = [message for name, message in self._errors if name == node.name]
             if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run does without
@@ -341,6 +343,15 @@ class Runner:
             number = int(self._seen.get((node.name, ENDED), {}).get("signal", 0))
             self._replace(node, node.how_it_ended(code, number), code < 0 or number > 0)
             return
+
+    def _go_on_without(self, name: str) -> None:
+        """A request of its life cycle has ended a node: in real time the actuators fade to zero."""
+        what = f"{name} was shut down by a request of its life cycle (from a node of unknown name)"
+        if self._config.mode == "lockstep":  # the tick that waits for it can no longer be answered
+            raise RunError(f"{what}: a run in lockstep cannot go on without it")
+        line = f"{what}; the run went on without it"
+        if line not in self.results.warnings:
+            self.results.warnings.append(line)
 
     def _replace(self, node: NodeProcess, what: str, killed: bool) -> None:
         """The others go on: start the node again, or give up if it happens too often.
