@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from los_testbed.bags.check import check_bag
 from los_testbed.run import replay
 from los_testbed.topics import TOPICS
 
@@ -24,6 +25,13 @@ def test_it_is_small_and_whole() -> None:
         assert len(found) == (ticks // 20 if topic.framed else ticks), topic.name
         assert found.integrity.missing == 0
     assert run.parameters["mode"] == "inprocess"
+
+
+def test_its_format_is_the_present_one() -> None:
+    """With a digest of each chunk and a chain to its end."""
+    states = {row.name: row.state for row in check_bag(BAG).rows}
+    assert states.pop("signature") == "none"
+    assert set(states.values()) == {"agrees"}, states
 
 
 def test_its_report_is_no_change_of_the_clone() -> None:
