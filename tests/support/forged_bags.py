@@ -14,7 +14,7 @@ from mcap.records import Metadata
 
 from pointing_analysis.read.mcap.chain import SEAL, Chain
 from pointing_analysis.read.mcap.chunks import block_of, take_apart, unpack_zstd
-from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest
+from pointing_analysis.read.mcap.manifest import RUN, decode_manifest, encode_manifest
 from pointing_analysis.read.mcap.records import (
     HEAD,
     MAX_CHUNK,
@@ -82,6 +82,21 @@ def forge_with_manifest(bag: Path, number: int = 1, chained: bool = False) -> No
     chain = Chain(digest=before.link.digest, manifests=number)
     found[place] = (OP_MANIFEST, encode_manifest(content, old.runs[:-1].tolist(), chain))
     file.write_bytes(put_together(rechained(found) if chained else found, True))
+
+
+def without_chain(bag: Path) -> None:
+    """Make a bag one of an older version, whose manifests have no place in a chain."""
+    file = next(bag.glob("*.mcap"))
+    made = []
+    for op, body in taken_apart(file.read_bytes()):
+        if op == OP_MANIFEST:
+            (length,) = struct.unpack_from("<I", body, 36)
+            last = 40 + length - RUN.itemsize
+            rest = body[4:36] + struct.pack("<I", length - RUN.itemsize) + body[40:last] + body[last + RUN.itemsize :]
+            made.append((op, struct.pack("<I", zlib.crc32(rest)) + rest))
+        elif op != OP_METADATA or text_at(body, 0)[0] != SEAL:
+            made.append((op, body))
+    file.write_bytes(put_together(made, True))
 
 
 def rechained(found: list[Record]) -> list[Record]:
