@@ -8,17 +8,23 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 from cryptography.hazmat.primitives import serialization as pem
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from fuzz.record_mutations import put_together, taken_apart
+from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.writer import BagWriter
 from los_testbed.exit_codes import ExitCode
+from los_testbed.topics import TRUTH_LOS
 from support.forged_bags import forge, forge_with_manifest, places, without_chain
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import OP_CHUNK, RefutedBagError
 from pointing_analysis.read.run import Run
+from titop_plant.interface import TICK_NS
 
 Call = Callable[..., tuple[int, str, str]]
 REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
@@ -126,6 +132,63 @@ def test_damage_does_not_hide_behind_a_signature(bag: Path, call: Call, keys: tu
     file.write_bytes(put_together(found, True))
     code, content = told(call, "bag", "verify", bag, "--public-key", public)
     assert code != 0 and states(content)["signature"] == "damaged"
+
+
+@pytest.fixture
+def split(bag: Path, tmp_path: Path) -> Path:
+    """The recording goes on in a second file, as other recorders write it."""
+    times = 10**9 * 60 + TICK_NS * np.arange(1500)
+    codec = codec_for(TRUTH_LOS)
+    messages = [np.frombuffer(bytes(codec.encode(int(time), np.zeros(2))), np.uint8) for time in times]
+    with BagWriter(tmp_path / "later", {}) as writer:
+        writer.write(TRUTH_LOS.path, times[:900], times[:900], np.array(messages[:900]))
+        writer.end_chunk()
+        writer.write(TRUTH_LOS.path, times[900:], times[900:], np.array(messages[900:]))
+    (tmp_path / "later" / "later_0.mcap").rename(bag / "bag_1.mcap")
+    description = yaml.safe_load((bag / "metadata.yaml").read_text())
+    about = description["rosbag2_bagfile_information"]
+    about["relative_file_paths"] = ["bag_0.mcap", "bag_1.mcap"]
+    for topic in about["topics_with_message_count"]:
+        if topic["topic_metadata"]["name"] == TRUTH_LOS.path:
+            topic["message_count"] += len(times)
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(description))
+    return bag
+
+
+def exchanged(bag: Path) -> None:
+    """The two files change places."""
+    (bag / "bag_0.mcap").rename(bag / "other")
+    (bag / "bag_1.mcap").rename(bag / "bag_0.mcap")
+    (bag / "other").rename(bag / "bag_1.mcap")
+
+
+def taken_away(bag: Path) -> None:
+    (bag / "bag_1.mcap").unlink()
+
+
+def forged_chain(bag: Path) -> None:
+    """The first file with another line of sight, manifests and chain made anew."""
+    later = bag / "bag_1.mcap"
+    later.rename(bag.parent / "aside")
+    forge_with_manifest(bag, chained=True)
+    (bag.parent / "aside").rename(later)
+
+
+@pytest.mark.parametrize("attack", [exchanged, taken_away, forged_chain])
+def test_one_signature_binds_all_files_of_a_bag(
+    split: Path, call: Call, keys: tuple[Path, Path, Path], attack: Callable[[Path], None]
+) -> None:
+    private, public, other = keys
+    code, content = told(call, "bag", "verify", split)
+    assert code == 0, content
+    assert call("bag", "sign", split, "--key", private)[0] == 0
+    assert [file.name for file in split.glob("*.sig")] == ["bag_0.mcap.sig"]
+    code, content = told(call, "bag", "verify", split, "--public-key", public)
+    assert code == 0 and states(content)["signature"] == "agrees"
+    assert told(call, "bag", "verify", split, "--public-key", other)[0] == ExitCode.CONTRADICTION
+    attack(split)
+    code, content = told(call, "bag", "verify", split, "--public-key", public)
+    assert code == ExitCode.CONTRADICTION and states(content)["signature"] == "contradicts"
 
 
 @pytest.mark.parametrize("attack", [forge, lambda bag: (bag / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")])

@@ -95,15 +95,15 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     Raises
     ------
     ValueError
-        It is damaged, contradicts itself, has several files, or no manifests.
+        It is damaged, contradicts itself, or has no manifests.
     """
     found, infos, files = _check(path, max_chunk, None)
     refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
         raise ValueError(f"a bag must be whole to be signed, got {path}, {refused}")
-    if len(infos) != 1 or not infos[0].chunks or infos[0].digests != infos[0].chunks:
-        raise ValueError(f"a bag must have one file with a manifest of each chunk to be signed, got {path} without")
-    return write_signature(files[0], infos[0].chain, key)
+    if not all(info.chunks and info.digests == info.chunks for info in infos):
+        raise ValueError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
+    return write_signature(files[0], [info.chain for info in infos], key)
 
 
 def _check(
@@ -207,9 +207,8 @@ def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | Non
         return Row("signature", "none", "there, not checked: no --public-key" if there else "none")
     if not there:
         return Row("signature", "contradicts", "none, though one must be there (--public-key)")
-    info = infos[bag.files.index(there[0])]
-    if len(infos) != 1 or not is_signed_by(there[0], info.chain, key):
+    if there != [bag.files[0]] or not is_signed_by(there[0], [info.chain for info in infos], key):
         return Row("signature", "contradicts", "not that of this key for this bag")
-    if info.chain.unchecked or info.chain.open or info.digests != info.chunks:
+    if any(info.chain.unchecked or info.chain.open or info.digests != info.chunks for info in infos):
         return Row("signature", "damaged", "that of this key, but what is damaged is not covered by it")
     return Row("signature", "agrees", "that of this key")

@@ -1,10 +1,14 @@
-"""Ed25519 signature of a bag, beside its file: who holds the key vouches for the digest at the end of the chain."""
+"""Ed25519 signature of a bag, beside its first file: who holds the key vouches for the digests that end the chains.
+
+Of a bag with several files one signature binds all of them in their order.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.files.structured_text import read_text
@@ -13,7 +17,7 @@ from pointing_analysis.read.mcap.chain import Chain
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-FORMAT = "los-testbed bag signature 1"
+FORMAT, FORMAT_OF_SEVERAL = "los-testbed bag signature 1", "los-testbed bag signature 2"
 SUFFIX = ".sig"
 
 
@@ -22,9 +26,15 @@ def signature_file(file: Path) -> Path:
     return file.with_name(file.name + SUFFIX)
 
 
-def _statement(chain: Chain) -> bytes:
+def _content(chains: Sequence[Chain]) -> dict[str, Any]:
     """What is signed."""
-    return json.dumps({"format": FORMAT, **chain.seal()}, sort_keys=True).encode()
+    if len(chains) == 1:
+        return {"format": FORMAT, **chains[0].seal()}
+    return {"format": FORMAT_OF_SEVERAL, "files": [chain.seal() for chain in chains]}
+
+
+def _statement(chains: Sequence[Chain]) -> bytes:
+    return json.dumps(_content(chains), sort_keys=True).encode()
 
 
 def _pem(option: str, file: Path) -> bytes:
@@ -77,21 +87,21 @@ def public_key(option: str, file: Path) -> Ed25519PublicKey:
     return key
 
 
-def write_signature(file: Path, chain: Chain, key: Ed25519PrivateKey) -> Path:
-    """Sign the digest at the end of the chain of `file`; the path of the signature."""
+def write_signature(file: Path, chains: Sequence[Chain], key: Ed25519PrivateKey) -> Path:
+    """Sign the digests that end the chains of the files of a bag, `file` the first of them; the signature's path."""
     target = signature_file(file)
-    content = {"format": FORMAT, **chain.seal(), "signature": key.sign(_statement(chain)).hex()}
+    content = {**_content(chains), "signature": key.sign(_statement(chains)).hex()}
     write_text(target, json.dumps(content, indent=2) + "\n")
     return target
 
 
-def is_signed_by(file: Path, chain: Chain, key: Ed25519PublicKey) -> bool:
-    """Whether the signature beside `file` is that of `key` for this chain."""
+def is_signed_by(file: Path, chains: Sequence[Chain], key: Ed25519PublicKey) -> bool:
+    """Whether the signature beside the first file is that of `key` for these chains."""
     from cryptography.exceptions import InvalidSignature
 
     try:
         content = json.loads(read_text(signature_file(file)))
-        key.verify(bytes.fromhex(content["signature"]), _statement(chain))
+        key.verify(bytes.fromhex(content["signature"]), _statement(chains))
     except (OSError, ValueError, KeyError, TypeError, InvalidSignature):
         return False
     return True
