@@ -94,6 +94,8 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "robust_design.md"}
+EVERY_LINE_SHOWN = {"from_matlab.md"}
+"""What each line prints is the comment behind it."""
 WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]
 
 
@@ -108,6 +110,9 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
     with contextlib.redirect_stdout(printed):
         for block in blocks(path, "python"):
             exec(compile(block, path.name, "exec"), names)
+    if path.name in EVERY_LINE_SHOWN:
+        expected = re.findall(r"^ *print\(.*\)  # (.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE)
+        assert printed.getvalue().splitlines() == expected
     for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
         if path.name == "open_a_bag.md":
             assert shown in printed.getvalue()
