@@ -7,19 +7,17 @@ search. Hard requirements enter by the progress function of the bundle method, i
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.simplex_qp import prox_direction
+from lftkit.tuning.descent.prox_step import METRIC, prox_step
 from lftkit.tuning.descent.smooth_objective import Linearisation, SmoothObjective
 
-METRIC = 3  # steps between two metrics
-PLANES, TRIALS = 120, 10  # planes of the first quadratic program of a step; weights that are tried
-ACCEPTED, GOOD, POOR = 0.1, 0.7, 0.3  # of the predicted decrease
-LIGHTER, HEAVIER, REJECTED, LEAST = 1.0 / 3.0, 1.5, 4.0, 1e-5  # weight of the quadratic term
+PLANES = 120  # of the first quadratic program of a step
 STAGNATION = 4  # steps that together must bring more than the tolerance
 
 
@@ -44,27 +42,35 @@ def prox_linear(
         here = objective.linearised(x)
         if taken % METRIC == 0 or factor is None:
             factor = linalg.cho_factor(objective.gauss_newton(x))
-        violation = max(hard, 0.0)
-        offsets = _offsets(here, soft, violation)
-        planes = np.argsort(-offsets, kind="stable")[:PLANES]
-        for _ in range(TRIALS):
-            d, predicted, planes = prox_direction(offsets, here.gradients, factor, weight, planes)
-            new_soft, new_hard = objective.largest(x + d) if predicted > 0.0 else (np.inf, np.inf)
-            gained = -max(new_soft - soft - violation, new_hard - violation)
-            if gained > ACCEPTED * predicted or stop():
-                break
-            weight *= REJECTED
-        if not gained > ACCEPTED * predicted:
-            weight = 1.0
+        trial = _Trial(objective, x, soft, max(hard, 0.0))
+        offsets = _offsets(here, soft, trial.violation)
+        step = prox_step(offsets, here.gradients, factor, weight, PLANES, trial, stop)
+        weight = step.weight
+        if not step.taken:
             break
-        x, soft, hard = x + d, new_soft, new_hard
-        ratio = gained / predicted
-        weight = max(weight * (LIGHTER if ratio > GOOD else HEAVIER if ratio < POOR else 1.0), LEAST)
+        x, soft, hard = trial.reached
         history.append((soft, max(hard, 0.0)))
         taken += 1
         if len(history) > STAGNATION and _slow(history[-1 - STAGNATION], history[-1], tolerance):
             break
     return x, weight
+
+
+@dataclass
+class _Trial:
+    """Decrease of the progress function by a step from a point, and the last point with its values."""
+
+    objective: SmoothObjective
+    start: FloatArray
+    soft: float
+    violation: float
+    reached: tuple[FloatArray, float, float] = field(init=False)
+
+    def __call__(self, step: FloatArray, predicted: float) -> float:
+        x = self.start + step
+        soft, hard = self.objective.largest(x)
+        self.reached = x, soft, hard
+        return -max(soft - self.soft - self.violation, hard - self.violation)
 
 
 def _slow(before: tuple[float, float], now: tuple[float, float], tolerance: float) -> bool:

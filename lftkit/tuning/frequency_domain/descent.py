@@ -19,12 +19,12 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
-from lftkit.tuning.descent.simplex_qp import prox_direction
+from lftkit.tuning.descent.prox_step import ACCEPTED, METRIC, prox_step
 from lftkit.tuning.frequency_domain.blocks import entry_sizes, with_least_decay
 from lftkit.tuning.frequency_domain.problem import ResponseProblem
 
-REFRESH, METRIC = 6, 3
-"""Steps between two looks at all pairs, and between two metrics."""
+REFRESH = 6
+"""Steps between two looks at all pairs."""
 KEEP, FEWEST, MOST = 0.4, 2000, 8000
 """Pairs above this part of the largest value are looked at, but not fewer and not more than these numbers."""
 ENTRIES, NEAR = 4000, 0.5
@@ -281,7 +281,6 @@ def _several(problem: ResponseProblem, state: _State, stable: Callable[[FloatArr
         if k % METRIC == 0:
             state.factor = None
         if not _step(near, state, stable):
-            state.weight = 1.0
             return k > 0
     return True
 
@@ -309,24 +308,22 @@ def _step(problem: ResponseProblem, state: _State, stable: Callable[[FloatArray]
         if not state.plain:
             metric = problem.metric(state.x, lifted, SHARPNESS)[free][:, free]
         state.factor = _factor(metric, sizes)
-    current, planes = float(f.max()), np.argsort(-f, kind="stable")[:PLANES]
-    for _ in range(10):
-        direction, predicted, planes = prox_direction(f, G, state.factor, state.weight, planes)
-        x = state.x.copy()
+    current, now = float(f.max()), state.x
+
+    def decrease(direction: FloatArray, predicted: float) -> float:
+        """Of the largest value; minus infinity where it is too small, or else where the loop is not stable."""
+        x = now.copy()
         x[free] += direction
-        x = with_least_decay(problem.blocks, x)
-        reached = np.inf
-        if predicted > 0.0:
-            found = np.concatenate([_lifted(problem, problem.values(x), level).ravel(), problem.noise(x)])
-            reached = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
-        if reached < current - 0.1 * predicted and stable(x):
-            ratio = (current - reached) / predicted
-            state.x = x
-            state.weight *= 1.0 / 3.0 if ratio > 0.7 else 1.5 if ratio < 0.3 else 1.0
-            state.weight = max(state.weight, 1e-5)
-            return True
-        state.weight *= 4.0
-    return False
+        state.x = x = with_least_decay(problem.blocks, x)
+        found = np.concatenate([_lifted(problem, problem.values(x), level).ravel(), problem.noise(x)])
+        reached = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
+        return current - reached if reached < current - ACCEPTED * predicted and stable(x) else -np.inf
+
+    step = prox_step(f, G, state.factor, state.weight, PLANES, decrease)
+    state.weight = step.weight
+    if not step.taken:
+        state.x = now
+    return step.taken
 
 
 def _factor(H: FloatArray, sizes: FloatArray) -> tuple[FloatArray, bool]:
