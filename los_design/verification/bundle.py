@@ -110,8 +110,8 @@ class CheckedBundle:
         Deviations of the parameters from their nominal values; of the angle [rad].
     requirements : tuple of str
         Of the telescope in the bundle.
-    sha256 : str
-        Of the manifest.
+    name : str
+        :attr:`Bundle.name`.
     """
 
     subject: Subject
@@ -119,7 +119,7 @@ class CheckedBundle:
     stable: Mapping[str, float]
     box: Mapping[str, tuple[float, float]]
     requirements: tuple[str, ...]
-    sha256: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,6 @@ class Bundle:
         Where its members are as files.
     names : frozenset of str
         Of the members.
-    sha256 : str
-        Of the manifest.
     parameters : mapping
         Of the telescope.
     k_fsm, k_pma : SampledSystem
@@ -141,7 +139,6 @@ class Bundle:
 
     folder: Path
     names: frozenset[str]
-    sha256: str
     parameters: Parameters
     k_fsm: SampledSystem
     k_pma: SampledSystem
@@ -150,6 +147,21 @@ class Bundle:
     def subject(self) -> Subject:
         """Names of its controllers and its telescope."""
         return Subject.of(self.k_fsm, self.k_pma, parameters_hash(self.parameters))
+
+    @cached_property
+    def name(self) -> str:
+        """Twelve hexadecimal digits of the SHA-256 of what is in it: subject and arrays of the proofs.
+
+        However the files are compressed, and with whatever versions they were written.
+        """
+        key = hashlib.sha256(json.dumps(asdict(self.subject)).encode())
+        for stage, figure in self.figures:
+            key.update(f"{stage} {figure}".encode())
+            with np.load(self.folder / member_of(stage, figure), allow_pickle=False) as archive:
+                for name in sorted(archive.files):
+                    array = np.ascontiguousarray(archive[name])
+                    key.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+        return key.hexdigest()[:12]
 
     @property
     def figures(self) -> tuple[tuple[str, str], ...]:
@@ -176,8 +188,8 @@ def write_bundle(
     parameters: Parameters,
     controllers: tuple[SampledSystem, SampledSystem],
     proofs: Mapping[tuple[str, str], Path],
-) -> str:
-    """Write a bundle; returns the SHA-256 of its manifest.
+) -> None:
+    """Write a bundle.
 
     Parameters
     ----------
@@ -212,7 +224,6 @@ def write_bundle(
     with atomic_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in {MANIFEST: text, **members}.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
-    return hashlib.sha256(text).hexdigest()
 
 
 @contextmanager
@@ -246,7 +257,7 @@ def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
     k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    return Bundle(folder, frozenset(members), hashlib.sha256(text).hexdigest(), parameters, k_fsm, k_pma)
+    return Bundle(folder, frozenset(members), parameters, k_fsm, k_pma)
 
 
 def _refused(error: BaseException) -> ProofError:
@@ -362,7 +373,7 @@ def check_bundle(
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
     requirements = tuple(str(entry["text"]) for entry in bundle.parameters["requirement"])
-    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.sha256)
+    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name)
 
 
 def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:

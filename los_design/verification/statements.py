@@ -39,22 +39,22 @@ class Statement:
 
     Parameters
     ----------
-    sha256 : str
-        Of the bundle's manifest.
+    bundle : str
+        Name of the bundle by its content.
     figures : tuple of str
         Each with its bound and its limit.
     checked : bool
         Whether the check of the bundle was seen to pass; else the bundle says so and nobody looked.
     """
 
-    sha256: str
+    bundle: str
     figures: tuple[str, ...]
     checked: bool
 
     @property
     def text(self) -> str:
         """One line."""
-        which = f"bundle {self.sha256[:12]}" + ("" if self.checked else ", not checked here")
+        which = f"bundle {self.bundle}" + ("" if self.checked else ", not checked here")
         return (
             f"proven for every telescope of the family and tones of norm 1 in all: {', '.join(self.figures)} ({which})"
         )
@@ -78,7 +78,7 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if _fits(Subject(**shipped["subject"]), subject, stage):
         found = tuple(str(row["text"]) for row in shipped["figures"] if row["stage"] == stage)
-        return Statement(shipped["sha256"], found, True) if found else None
+        return Statement(shipped["name"], found, True) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from lftkit.proofs.verdict import ProofError
@@ -89,7 +89,7 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
             if not _fits(bundle.subject, subject, stage):
                 return None
             figures = figures_proven(bundle, stage)
-            return Statement(bundle.sha256, figures, False) if figures else None
+            return Statement(bundle.name, figures, False) if figures else None
     except ProofError:
         return None
 

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.stored_proofs import FOLDER, SUFFIX, halves, planes, rounded, rounded_matrices, unpack, unplaned, whole
+from support.stored_proofs import (
+    FOLDER,
+    SUFFIX,
+    halves,
+    planes,
+    rounded,
+    rounded_matrices,
+    unpack,
+    unplaned,
+    whole,
+    write_shipped_bundle,
+)
 
 from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import windows_of
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
+from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, open_bundle
 from los_design.verification.certify import NYQUIST, nominal_stable
 from los_design.verification.proof_comparison import compare_proof
+from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant, telescope
@@ -90,6 +106,32 @@ def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
 
 
 @pytest.mark.slow
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bundle]:
+    path = tmp_path_factory.mktemp("bundle") / "bundle.zip"
+    write_shipped_bundle(path)
+    with open_bundle(path) as found:
+        yield found
+
+
+def test_shipped_statements_are_those_of_the_stored_proofs(bundle: Bundle) -> None:
+    said = json.loads(SHIPPED.read_text("utf-8"))
+    assert said["name"] == bundle.name and said["subject"] == asdict(bundle.subject)
+    for row in said["figures"]:
+        assert row["level"] == bundle.proof(row["stage"], row["figure"]).level
+        assert row["text"] in figures_proven(bundle, row["stage"])
+
+
+@pytest.mark.slow
+def test_the_bundle_passes_and_says_what_is_shipped(bundle: Bundle) -> None:
+    """With the models made anew; the numbers of windows depend on the processor's rounding."""
+    found, said = as_mapping(check_bundle(bundle)), json.loads(SHIPPED.read_text("utf-8"))
+    for one in (found, said):
+        one["figures"] = [{k: v for k, v in row.items() if k not in ("windows", "limit")} for row in one["figures"]]
+        del one["box"]
+    assert json.loads(json.dumps(found)) == said
+
+
 def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
     assert nominal_stable(loop)
 

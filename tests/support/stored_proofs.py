@@ -6,6 +6,11 @@ hold all bits of the proofs that the command wrote. To store proofs anew::
 
     los-testbed design certify --output FOLDER
     .venv/bin/python tests/support/stored_proofs.py FOLDER
+
+The bundle of the shipped pair, and what it proves (``los_design/verification/statements.json``)::
+
+    .venv/bin/python tests/support/stored_proofs.py bundle.zip
+    los-testbed design check-proof bundle.zip --json
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ from __future__ import annotations
 import io
 import lzma
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +30,9 @@ from numpy.typing import NDArray
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof, Strip
 from lftkit.proofs.sampled_loop.checker import check_strip
+from los_design.synthesis.store import load_designs
+from los_design.verification.bundle import write_bundle
+from titop_plant.telescope.parameters import load_parameters
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "proofs"
 SUFFIX = ".npz.xz"
@@ -136,8 +145,22 @@ def unpack(stored: Path, target: Path) -> Path:
     return target
 
 
-def main(folder: Path) -> None:
-    """Store the proofs of a folder among the fixtures."""
+def write_shipped_bundle(target: Path) -> None:
+    """Put all stored proofs into one bundle with the shipped controllers and the reference telescope."""
+    with tempfile.TemporaryDirectory() as folder:
+        proofs = {}
+        for stored in sorted(FOLDER.glob(f"*{SUFFIX}")):
+            stage, _, figure = stored.name.removesuffix(SUFFIX).rpartition("-")
+            proofs[stage, figure] = unpack(stored, Path(folder) / stored.name.removesuffix(".xz"))
+        write_bundle(target, load_parameters(), load_designs("implemented"), proofs)
+
+
+def main(path: Path) -> None:
+    """Store the proofs of a folder among the fixtures, or write the bundle of the shipped pair."""
+    if path.suffix == ".zip":
+        write_shipped_bundle(path)
+        return
+    folder = path
     for source in sorted(folder.glob("*.npz")):
         target = FOLDER / f"{source.stem}{SUFFIX}"
         bits = list(pack(source, target))

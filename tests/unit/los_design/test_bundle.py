@@ -89,6 +89,20 @@ def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: Im
     assert not kept.exists()
 
 
+def test_the_name_is_that_of_the_content(
+    written: Path, loop: ImplementedLoop, proof: LoopProof, tmp_path: Path
+) -> None:
+    """Not of the compression; another level is another name."""
+    with open_bundle(written) as bundle, np.load(bundle.folder / member_of(STAGE, FIGURE)) as archive:
+        np.savez(tmp_path / "plain.npz", **dict(archive))
+        name = bundle.name
+    replace(proof, level=0.8).to_file(tmp_path / "lower.npz")
+    for file, same in (("plain.npz", True), ("lower.npz", False)):
+        write_bundle(tmp_path / file, loop.parameters, loop.pair, {(STAGE, FIGURE): tmp_path / file})
+        with open_bundle(tmp_path / file) as bundle:
+            assert (bundle.name == name) == same
+
+
 def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
     (tmp_path / "mine.csv").write_text("any content\n")
     body = {**loop.parameters["body"], "modal_data": str(tmp_path / "mine.csv")}
@@ -274,7 +288,7 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
         write_bundle(tmp_path / BUNDLE, loop.parameters, (k_fsm, other), proofs)
     found = statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, tmp_path)
     assert found is not None
-    assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.sha256[:12]}, not checked here)")
+    assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.bundle}, not checked here)")
     assert statement_of(Subject.of(k_fsm, other, telescope_name), "fsm", tmp_path) is None
 
 

@@ -151,7 +151,7 @@ def _sentences(checked: CheckedBundle) -> list[str]:
     subject = checked.subject
     box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
     lines = [
-        f"bundle {checked.sha256[:12]}: K_FSM {subject.k_fsm}, K_PMA {subject.k_pma}, telescope {subject.telescope}",
+        f"bundle {checked.name}: K_FSM {subject.k_fsm}, K_PMA {subject.k_pma}, telescope {subject.telescope}",
         *(f"requirement: {text}" for text in checked.requirements),
         f"for all deviations from the nominal values {box} (of an angle [rad])",
         "and every tone whose amplitudes over all weighted channels of disturbance have norm 1 together:",
