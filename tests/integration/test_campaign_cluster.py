@@ -59,6 +59,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> ResultFolder:
     return folder
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_with_two_workers(
     undisturbed: ResultFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
