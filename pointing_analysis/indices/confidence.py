@@ -179,7 +179,7 @@ def _binomial_quantile(q: float, n: int, p: float) -> int:
 
 def _upper_rank(n: int, p: float, confidence: float) -> int:
     """Smallest rank r with P(Binomial(n, p) < r) >= confidence; n + 1 if there is none."""
-    return min(_binomial_quantile(confidence, n, p) + 1, n + 1)
+    return _binomial_quantile(confidence, n, p) + 1
 
 
 def _lower_rank(n: int, p: float, confidence: float) -> int:

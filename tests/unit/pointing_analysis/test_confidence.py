@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 from scipy.signal import lfilter
 
 from pointing_analysis.indices import confidence
@@ -201,3 +201,13 @@ def test_effective_number_does_not_depend_on_the_unit(scale: float) -> None:
     x = 1.0 + 0.1 * lfilter([1], [1, -0.5], np.random.default_rng(5).standard_normal(500))
     assert confidence.effective_number(scale * x) == pytest.approx(confidence.effective_number(x), rel=1e-9)
     assert confidence.effective_number(np.full(500, 0.1 * scale)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("p", [0.003, 0.05, 0.5, 0.9])
+def test_binomial_quantile_at_every_step_of_the_distribution(p: float) -> None:
+    """At q = P(X <= k) the quantile is k, between two steps the upper one: the inverse function alone rounds up."""
+    for n in (1, 2, 7, 60, 331):
+        steps = special.bdtr(np.arange(n + 1), n, p)
+        for k in np.flatnonzero((np.diff(steps, prepend=0.0) > 1e-9) & (steps < 1.0 - 1e-9)):
+            assert confidence._binomial_quantile(steps[k], n, p) == k
+            assert confidence._binomial_quantile(0.5 * (steps[k] + steps[k + 1]), n, p) == k + 1
