@@ -28,7 +28,8 @@ REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
 With the recorded controllers, the replay reproduces the recorded estimates and commands bit by bit: the bag then holds
 every sample that the loop used (exit code 1 if not). With other controllers it gives their estimates, knowledge errors
-and commands. The recorded telescope does not respond to those commands.
+and commands. The recorded telescope does not respond to those commands, so a replay has no verdict: `analyse BAG
+--requirements FILE` judges the recorded line of sight, and `run --k-fsm FILE` that of another controller.
 
 **Examples**
 
