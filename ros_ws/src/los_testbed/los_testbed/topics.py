@@ -114,5 +114,11 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 OWN_DIAGNOSTICS = "diagnostics"
 """Topic of one node, below its name: what it publishes on /diagnostics, where anybody publishes."""
 
+REPORT_DEADLINE_S = 3.0
+"""A node reports once a second on its own topic; the recorder counts where it does not for longer than this [s]."""
+
+LATE_REPORTS, LIVELINESS_LOST = "late_reports_", "liveliness_lost_"
+"""Names of these counts in the statistics of the recorder, with the node behind."""
+
 PROGRESS_TOPIC = "recorder/progress"
 """Header whose stamp is the newest tick the recorder has of every topic (0: ready, nothing yet)."""

@@ -24,6 +24,7 @@ from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track, merge
 from los_testbed.run.bag_names import free_name
@@ -85,11 +86,12 @@ class Recorder:
             name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
             for name in NODES
         }
+        self._late = ReportWatch(node, NODES[:-1]) if config.mode == "realtime" else None
         self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
         self._second = ""
         self._next_look = 0
         self._held_since = 0
-        self._named = False
+        self._named = self._moving = False
         self.progress = RawPublisher(node, PROGRESS_TOPIC, HEADER)
         self._header = Encoder(HEADER, 0, "")
         self.simulated = config.mode == "lockstep"
@@ -107,6 +109,7 @@ class Recorder:
         quiet_since, next_chunk, next_service = 0.0, time.monotonic() + CHUNK_S, 0.0
         while True:
             count = sum(track.drain() for track in self.tracks)
+            self._moving |= count > 0
             count += sum(report.drain() for report in self.reports.values())
             now = time.monotonic()
             self._look()
@@ -235,9 +238,13 @@ class Recorder:
             **{f"lost_{name}": str(count) for name, count in lost.items() if count},
             **{f"foreign_{t.path}": str(t.foreign) for t in self.reports.values() if t.foreign},
             **self.watch.statistics(),
+            **(self._late.statistics() if self._late is not None else {}),
         }
 
     def _report(self) -> None:
+        if self._late is not None and self._moving:  # after the last sample nobody needs to report
+            self._late.look()
+        self._moving = False
         values = self.own_statistics()
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}

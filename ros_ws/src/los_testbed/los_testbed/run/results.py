@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from los_testbed.topics import LATE_REPORTS, LIVELINESS_LOST, REPORT_DEADLINE_S
+
 MAX_MISSED = 0.5
 """Percent of the ticks of a run in real time that may be missed."""
 
@@ -33,6 +35,22 @@ def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict
                 topic = name.removeprefix(beginning)
                 found[topic] = max(found.get(topic, 0), int(text))
     return found
+
+
+def late_reports(recorder: Mapping[str, str]) -> list[str]:
+    """Lines about nodes that sent no report for too long, from the statistics of the recorder.
+
+    Examples
+    --------
+    >>> late_reports({"late_reports_plant": "2", "liveliness_lost_plant": "1", "messages": "9"})
+    ['plant: 2 reports came later than 3 s after the one before, its liveliness was lost 1 times']
+    """
+    late, lost = (counted({"recorder": recorder}, kind) for kind in (LATE_REPORTS, LIVELINESS_LOST))
+    return [
+        f"{name}: {late.get(name, 0)} reports came later than {REPORT_DEADLINE_S:g} s after the one before, "
+        f"its liveliness was lost {lost.get(name, 0)} times"
+        for name in sorted({*late, *lost})
+    ]
 
 
 @dataclass

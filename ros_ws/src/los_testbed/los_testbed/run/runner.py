@@ -29,7 +29,7 @@ from los_testbed.run.node_launch import (
     ros_arguments,
 )
 from los_testbed.run.node_process import NodeProcess
-from los_testbed.run.results import Results, RunError, counted
+from los_testbed.run.results import Results, RunError, counted, late_reports
 from los_testbed.run.viewers import LIVE, Live
 from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
@@ -218,7 +218,8 @@ class Runner:
         lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
 
     def _tell_counts(self) -> None:
-        """How many messages of second publishers came, and whether any of them was used."""
+        """How many messages of second publishers came, whether any of them was used, and reports that were late."""
+        self.results.warnings += late_reports(self.results.statistics.get("recorder", {}))
         foreign, misused = (counted(self.results.statistics, kind) for kind in ("foreign_", "misused_"))
         for topic, count in foreign.items():
             if topic not in misused:

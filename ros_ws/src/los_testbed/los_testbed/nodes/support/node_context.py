@@ -37,6 +37,7 @@ from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.raw_topics import listed_publisher
+from los_testbed.nodes.support.report_watch import report_quality
 from los_testbed.nodes.support.requesters import UNKNOWN, Requesters
 from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.security import refuse_missing_security
@@ -96,9 +97,11 @@ class NodeContext:
         with self._statistics.handle:
             self._gid = publisher_gid(self._statistics.handle)
         members().join(self.node.get_fully_qualified_name(), self._gid)
-        own = f"{name}/{OWN_DIAGNOSTICS}"
+        usual = QoSProfile(depth=10)
+        own = report_quality(10) if self.config.mode == "realtime" else usual
         self._diagnostics = [
-            listed_publisher(self.node, DiagnosticArray, topic, 10) for topic in (DIAGNOSTICS_TOPIC, own)
+            listed_publisher(self.node, DiagnosticArray, topic, quality)
+            for topic, quality in ((DIAGNOSTICS_TOPIC, usual), (f"{name}/{OWN_DIAGNOSTICS}", own))
         ]
 
     def all_listed(self) -> None:

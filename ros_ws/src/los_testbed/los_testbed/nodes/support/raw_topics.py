@@ -35,30 +35,33 @@ SETTLE_S = 1.0
 """Time that readers get for the last messages of a node that ends [s]; a reader that is gone costs all of it."""
 
 
-class _NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
+class NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
     """Group of entities that no executor touches: their messages are taken by the loop."""
 
     def can_execute(self, entity: Any) -> bool:
+        """Nothing is executed."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """Nothing is executed."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        return None
+        """Nothing was executed."""
+        return
 
 
-def listed_publisher(node: Node, message: Any, name: str, depth: int) -> Any:
+def listed_publisher(node: Node, message: Any, name: str, quality: QoSProfile) -> Any:
     """A publisher of a node, whose topic is in the list of the run before it is there."""
     members().publishes(node.resolve_topic_name(name))
-    return node.create_publisher(message, name, QoSProfile(depth=depth))
+    return node.create_publisher(message, name, quality)
 
 
 class RawPublisher:
     """Publisher of serialised messages on a topic relative to the node's namespace."""
 
     def __init__(self, node: Node, name: str, type_name: str, depth: int = DEPTH) -> None:
-        self._publisher = listed_publisher(node, MESSAGES[type_name], name, depth)
+        self._publisher = listed_publisher(node, MESSAGES[type_name], name, QoSProfile(depth=depth))
         self._handle = self._publisher.handle
         self._handle.__enter__()  # keeps it alive; entered once instead of at every message
         self.publish = self._handle.publish_raw
@@ -119,7 +122,7 @@ class RawSubscription:
         how = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         quality = QoSProfile(depth=depth, reliability=how)
         self._subscription = node.create_subscription(
-            self.message, name, _ignore, quality, callback_group=_NoExecutorGroup(), raw=True
+            self.message, name, _ignore, quality, callback_group=NoExecutorGroup(), raw=True
         )
         self.handle = self._subscription.handle
         self.handle.__enter__()
@@ -167,7 +170,7 @@ class RawSubscription:
 
 def is_raw(subscription: Any) -> bool:
     """Whether a subscription of rclpy is one of a :class:`RawSubscription`."""
-    return isinstance(subscription.callback_group, _NoExecutorGroup)
+    return isinstance(subscription.callback_group, NoExecutorGroup)
 
 
 class Waiter:
