@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import io, signal
 
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.expressions import as_expression, ports_for
@@ -47,9 +46,11 @@ def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
     >>> as_system(signal.TransferFunction([1.0], [1.0, 2.0])).poles().real.tolist()
     [-2.0]
     """
+    if isinstance(value, System) and inputs is None and outputs is None:
+        return value
     if isinstance(value, SampledSystem):
         value = System(value.A, value.B, value.C, value.D, value.inputs, value.outputs, value.name, value.dt)
-    elif isinstance(value, signal.lti | signal.dlti):
+    elif type(value).__module__.startswith("scipy.signal"):
         value = from_scipy(value)
     elif type(value).__module__.partition(".")[0] == "control":
         value = System.from_control(value)
@@ -77,6 +78,8 @@ def from_scipy(system: Any) -> System:
     ValueError
         Another type, or a discrete system without a period in seconds.
     """
+    from scipy import signal
+
     if not isinstance(system, signal.lti | signal.dlti):
         raise ValueError(f"system must be a scipy.signal lti or dlti, got {type(system).__name__}")
     if system.dt is True:
@@ -97,6 +100,8 @@ def to_scipy(system: System) -> Any:
     ValueError
         An uncertain system.
     """
+    from scipy import signal
+
     return signal.StateSpace(*system.matrices, **({"dt": system.dt} if system.dt else {}))
 
 
@@ -111,6 +116,8 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
     ValueError
         No system, an uncertain one, or a port with the name of a signal.
     """
+    from scipy import io
+
     if not systems:
         raise ValueError("systems must be given by keyword, got none")
     content = {}
@@ -142,6 +149,8 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         A file that cannot be read, no system or several, an `ss` object that was saved as such (only MATLAB reads it),
         or matrices that do not fit.
     """
+    from scipy import io
+
     try:
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
     except (OSError, ValueError, NotImplementedError, TypeError, io.matlab.MatReadError) as error:

@@ -1,4 +1,4 @@
-"""Connecting systems by port names."""
+"""Connecting systems by port names; whatever :func:`lftkit.as_system` takes is taken."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.systems import lft
+from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period, same_size
 from lftkit.systems.ports import Port, port_indices, port_slices, total_size
 from lftkit.systems.system import System
@@ -66,6 +67,7 @@ def connect(
     >>> [round(float(abs(p)), 12) for p in loop.nominal().poles()]  # sqrt(8 N/m / 2 kg)
     [2.0, 2.0]
     """
+    systems = {name: as_system(system) for name, system in systems.items()}
     wiring = _Wiring(systems, inputs)
     drivers: dict[str, Source] = {}
     for source, target in connections:
@@ -175,6 +177,7 @@ def append(*systems: System) -> System:
     >>> two.D.tolist()
     [[2.0, 0.0], [0.0, 3.0]]
     """
+    systems = tuple(as_system(s) for s in systems)
     whole = _side_by_side({str(i): s for i, s in enumerate(systems)})
     inputs = tuple(p for s in systems for p in s.inputs)
     return replace(whole, inputs=inputs, outputs=tuple(p for s in systems for p in s.outputs))
@@ -200,6 +203,7 @@ def feedback(forward: System, backward: System | None = None, *, sign: float = -
     """
     if sign not in (1.0, -1.0):
         raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
+    forward, backward = as_system(forward), None if backward is None else as_system(backward)
     if backward is None:
         same_size(forward.inputs, forward.outputs, "feedback without a second system: inputs and outputs")
         backward = System.static(np.eye(total_size(forward.outputs)), forward.outputs, forward.inputs)
@@ -228,6 +232,7 @@ def series(first: System, second: System, via: Mapping[str, str]) -> System:
     All inputs of the second must be driven; the result has the inputs of the first and the outputs
     of the second.
     """
+    first, second = as_system(first), as_system(second)
     return connect(
         {"first": first, "second": second},
         [(p.name, f"first.{p.name}") for p in first.inputs] + [(f"first.{a}", f"second.{b}") for a, b in via.items()],
@@ -240,6 +245,7 @@ def parallel(first: System, second: System, sign: float = 1.0) -> System:
     """Sum (or with ``sign=-1.0`` difference) of two systems with the same ports."""
     if sign not in (1.0, -1.0):
         raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
+    first, second = as_system(first), as_system(second)
     if first.inputs != second.inputs or first.outputs != second.outputs:
         ports = [[[p.name for p in side] for side in (s.inputs, s.outputs)] for s in (first, second)]
         raise ValueError(f"parallel systems must have the same ports, got {ports[0]} and {ports[1]}")
@@ -262,7 +268,7 @@ def star(upper: System, lower: System, via: Mapping[str, str]) -> System:
     ValueError
         As :func:`connect`; also when a free port name is in both systems.
     """
-    systems = {"upper": upper, "lower": lower}
+    systems = {"upper": as_system(upper), "lower": as_system(lower)}
     driven = set(via.values())
     free_in = [(n, p) for n, s in systems.items() for p in s.inputs if f"{n}.{p.name}" not in driven]
     free_out = [(n, p) for n, s in systems.items() for p in s.outputs if f"{n}.{p.name}" not in via]
@@ -284,6 +290,7 @@ def close(plant: System, controller: System, via: Mapping[str, str]) -> System:
     output ports to the plant's command ports, by bare names. **Positive feedback: a negative
     feedback gain has its sign in the controller.**
     """
+    plant = as_system(plant)
     plant_out = {p.name for p in plant.outputs}
     wires = {
         (f"upper.{a}" if a in plant_out else f"lower.{a}"): (f"lower.{b}" if a in plant_out else f"upper.{b}")

@@ -167,8 +167,10 @@ def response(M: Matrices, point: complex) -> ComplexArray:
     n = len(M[0])
     if n == 0:
         return np.asarray(M[3], dtype=complex)
-    try:
-        inner = linalg.solve(point * np.eye(n) - M[0], M[1].astype(complex))
-    except linalg.LinAlgError:
-        raise ValueError(f"point must not be a pole, got {point}") from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # zero pivots are looked for below
+        factors = linalg.lu_factor(point * np.eye(n) - M[0])
+    if not np.all(np.diag(factors[0])):
+        raise ValueError(f"point must not be a pole, got {point}")
+    inner = linalg.lu_solve(factors, M[1].astype(complex))
     return np.asarray(M[3] + M[2] @ inner, dtype=complex)

@@ -65,7 +65,7 @@ def test_the_first_mode_follows_the_boom(example: dict[str, Any]) -> None:
 def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     example["main"]()
     printed = capsys.readouterr().out
-    assert "System(order 14" in printed
+    assert "order 14, continuous time" in printed
     values = [float(line.split()[-2]) for line in printed.splitlines() if line.startswith("imbalance")]
     assert len(values) == 4 and max(values) == values[1]  # the largest error is at the resonance
 

@@ -224,7 +224,7 @@ OPERATIONS: dict[str, Operation] = {
         s, {"w": us.static_gain(np.eye(1), s.inputs[1:], s.inputs[1:])}
     ),
 }
-MAKERS = {"static_gain", "state_space", "from_control", "high_pass", "transfer", "at", "nominal", "sample"}
+MAKERS = {"static_gain", "state_space", "from_control", "high_pass", "transfer", "as_system", "at", "nominal", "sample"}
 """Functions that make a system from something that has no names, or a member of an uncertain one."""
 
 

@@ -148,3 +148,22 @@ def test_what_cannot_be_exchanged_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
+
+
+def test_connections_take_whatever_is_a_system() -> None:
+    theirs = control.tf([1], [1, 1], inputs=["u"], outputs=["y"])
+    for made in (
+        lk.feedback(theirs, 2.0),
+        lk.feedback(1 / (lk.s + 1), theirs * 0 + 2),
+        lk.series(theirs, theirs, {"y": "u"}),
+    ):
+        assert isinstance(made, System)
+    assert lk.feedback(theirs, 2.0).poles().real.tolist() == [-3.0]
+    whole = lk.connect(
+        {"a": theirs, "b": lk.real("k", 1.0, percent=10)},
+        [("r", "a.u"), ("a.y", "b.u")],
+        inputs=[Port("r", 1)],
+        outputs={"y": "b.y"},
+    )
+    assert whole.occurrences() == {"k": 1} and abs(whole.at(k=1.1)(0) - 1.1) < 1e-12
+    assert lk.append(theirs.copy(), lk.as_system(3.0, "v", "w")).D.tolist() == [[0.0, 0.0], [0.0, 3.0]]

@@ -143,6 +143,7 @@ def test_mistakes_name_ports_and_sizes() -> None:
         (lambda: lk.feedback(G, H), r"feedback: outputs backward and inputs forward .* got y2\[3\] and u1\[2\]"),
         (lambda: G + Z, r"must have the same sampling period, got continuous time, 0\.1 s"),
         (lambda: lk.append(G, G), "port names must be unique, got 'u1' twice"),
+        (lambda: lk.transfer([1.0], [1.0, 0.0])(0), "point must not be a pole, got 0"),
         (lambda: G**0, "exponent must be an integer other than 0, got 0"),
         (lambda: G.matrices, "s1: system must be certain"),
         (lambda: System([], [], [], [[1]], [("u", 1)], [("y", 1)], ("k",)), "name must be text"),
