@@ -67,8 +67,8 @@ def metric_of(matrix: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
 
 def _scales(pieces: Sequence[Piece], n: int) -> FloatArray:
     """Step of each parameter that changes the values by about their own size, within limits."""
-    largest = max(abs(p.value) for p in pieces)
-    G = np.array([p.gradient / max(abs(p.value), 1e-2 * largest, 1e-9) for p in pieces])
+    largest = {kind: max((abs(p.value) for p in pieces if p.hard is kind), default=0.0) for kind in (False, True)}
+    G = np.array([p.gradient / max(abs(p.value), 1e-2 * largest[p.hard], 1e-9) for p in pieces])
     size = np.sqrt(np.mean(G**2, axis=0))
     positive = size[size > 0]
     if len(positive) == 0:

@@ -20,6 +20,7 @@ from lftkit.tuning.status import TuningStatus
 STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
 EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
+WORTH_REPEATING = 0.05  # relative decrease by a smooth phase that is worth another one
 MAX_CYCLES = 4  # of smooth phase and bundle method
 VISIBLE = 1e-3  # relative decrease that refutes optimality
 ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
@@ -113,7 +114,7 @@ class _Run:
     def to_the_end(self) -> TuningStatus:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, first = self._limits, self.point
-        self.point = self._smooth(min(SMOOTH_EVALUATIONS, EVALUATIONS_PER_ITERATION * limits.iterations))
+        self.point = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
         if self._at_limit():
             return TuningStatus.UNBOUNDED
         negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
@@ -149,6 +150,19 @@ class _Run:
         """Keep `point` unless it is worse: rounding of the constraint apart, the bundle method never rises."""
         if not self.point.better_than(point):
             self.point = point
+
+    def _smooth_repeatedly(self, evaluations: int) -> Point:
+        """Smooth phases from the end of the last one, as long as they lower the value and within the evaluations.
+
+        The p-norm of a new phase passes by kinks at which the prox-linear steps of the one before ended.
+        """
+        last = self.evaluations + evaluations
+        while True:
+            before, left = self.point, last - self.evaluations
+            self.point = self._smooth(min(SMOOTH_EVALUATIONS, left))
+            ended = left <= SMOOTH_EVALUATIONS or not self.point.feasible or self._at_limit()
+            if ended or not self.point.better_than(before, WORTH_REPEATING) or time.monotonic() > self._limits.deadline:
+                return self.point
 
     def _smooth(self, evaluations: int) -> Point:
         limits = self._limits

@@ -26,7 +26,7 @@ LEAST_RETURN = 1e-3  # of the return difference's determinant over that of the f
 LARGEST_TURN = 2.0  # [rad] between neighbouring frequencies that the encirclement count trusts
 MAX_SLOPES = 20  # slopes of one requirement and model in the metric
 LEAST_NEAR = -0.7  # logarithm of values over the largest one above which they are linearised
-MAX_NEAR = 60  # of one requirement and model
+MAX_NEAR = 600  # of one requirement and model
 RIDGE, PROPORTION = 1e-4, 1e-2  # of the Gauss-Newton matrix: its own diagonal, and the sizes of the entries
 SAME_H2 = 1e-6  # H2 norms that agree this well over the models are computed for one model only
 
@@ -318,13 +318,21 @@ class SmoothObjective:
         return metric_of(total, floor)
 
     def _gauss_newton(self, x: FloatArray, K: FloatArray, entries: Sequence[_Entry], J: FloatArray) -> FloatArray:
-        """Squared relative size of the change of all responses, weighted by their gains."""
-        top = max(float(e.values.max()) for e in entries)
+        """Squared relative size of the change of all responses, weighted by their gains.
+
+        Soft values are weighed against the largest soft one, hard ones against the largest hard one, or against 1.
+        """
+        soft, hard = self._split(entries)
+        largest = {
+            False: max((float(e.values.max()) for e in soft), default=0.0),
+            True: max([1.0, *(float(e.values.max()) for e in hard)]),
+        }
         matrix = np.zeros((K.size, K.size))
         poles = np.zeros((len(x), len(x)))
         for entry in entries:
             size = float(entry.values.max())
-            if size < 1e-3 * top:
+            top = largest[self._problem.requirements[entry.requirement].hard]
+            if not size > 1e-3 * top:
                 continue
             if entry.gradients:
                 poles += np.outer(entry.gradients[0], entry.gradients[0]) / max(size, 1e-3 * top) ** 2

@@ -107,3 +107,24 @@ def test_the_quasi_newton_update_maps_the_gradient_change_to_the_step_of_any_len
     step, change = np.array([1.0, 2.0]), np.array([3.0, 1.0])
     H = _updated(np.eye(2), size * step, size * change)
     assert H is not None and H @ change == pytest.approx(step)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e3])
+def test_metric_of_soft_values_does_not_depend_on_their_size_beside_hard_ones(scale: float) -> None:
+    """It is one of logarithms: soft values that are far below the hard ones have the same share in it."""
+    x = np.array([-0.7, 0.2])
+    matrices = []
+    for bound in (1.0, 1.0 / scale):
+        needs = [HinfGain("w", "z", bound=bound), HinfGain("w", "effort", bound=2.0, hard=True)]
+        problem = Problem([two_measurements()], needs, gain([("y", 2)], [("u", 1)]))
+        objective = SmoothObjective(problem, x, problem.evaluate(x, gradients=False))
+        matrices.append(objective.gauss_newton(x))
+    assert matrices[1] == pytest.approx(matrices[0], rel=1e-9)
+
+
+def two_measurements() -> StateSpace:
+    """Two lags; disturbance and command drive both; outputs: sum of the states, command, both states."""
+    C = [[1, 1], [0, 0], [1, 0], [0, 1]]
+    D = [[0, 0], [0, 1], [0, 0], [0, 0]]
+    inputs, outputs = [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 2)]
+    return StateSpace([[-1, 0], [0, -4]], [[1, 1], [2, 1]], C, D, inputs, outputs)
