@@ -10,17 +10,35 @@ from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
     from lftkit.proofs.checking import check_proof
+    from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
+    from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
     from lftkit.proofs.state_space.bounds import Bounds
+    from lftkit.proofs.structured.bounds import MuBounds, mu
+    from lftkit.proofs.structured.certificate import MuCertificate, check_mu
+    from lftkit.proofs.structured.structure import UncertaintyBlock, complex_block, full_block, real_block
     from lftkit.proofs.verdict import CheckedProof, ProofError
 
 __all__ = [
     "Bounds",
     "CheckedProof",
+    "DiskMarginBounds",
+    "MuBounds",
+    "MuCertificate",
+    "Profile",
     "ProofError",
+    "UncertaintyBlock",
+    "check_mu",
     "check_proof",
+    "complex_block",
+    "full_block",
+    "gain_profile",
+    "mu",
+    "real_block",
     "robust_performance",
     "robust_stability",
+    "stability_profile",
+    "worst_case_disk_margin",
     "worst_case_gain",
 ]
 
@@ -28,6 +46,11 @@ __getattr__ = names_on_demand(
     __name__,
     {
         "checking": ("check_proof",),
+        "disk_margin": ("DiskMarginBounds", "worst_case_disk_margin"),
+        "structured.bounds": ("MuBounds", "mu"),
+        "structured.certificate": ("MuCertificate", "check_mu"),
+        "structured.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
+        "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("Bounds",),
         "verdict": ("CheckedProof", "ProofError"),

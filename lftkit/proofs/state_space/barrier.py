@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -67,7 +67,12 @@ class Scalings:
 
 
 def find_scalings(
-    blocks: Sequence[BarrierBlock], *, iterations: int = 80, until: float = np.inf, precision: float = 1e-7
+    blocks: Sequence[BarrierBlock],
+    *,
+    iterations: int = 80,
+    until: float = np.inf,
+    precision: float = 1e-7,
+    build: Callable[[Sequence[BarrierBlock]], BarrierProblem] | None = None,
 ) -> Scalings:
     """Scalings of trace one with a margin as large as it gets, or as soon as the sign of it is certain.
 
@@ -81,8 +86,10 @@ def find_scalings(
         ``time.monotonic()`` after which it stops.
     precision : float
         Smallest distance to the optimal margin that is worth a step.
+    build : callable, optional
+        Problem of the blocks; :class:`BarrierProblem` by default.
     """
-    problem = BarrierProblem(blocks)
+    problem = (build or BarrierProblem)(blocks)
     y = problem.start()
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):

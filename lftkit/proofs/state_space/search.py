@@ -212,18 +212,36 @@ def gain_slopes(system: UncertainSystem, member: Member) -> FloatArray:
     LinAlgError
         The nominal member has a pole there.
     """
-    q, n = len(system.channels), system.order
+    n = system.order
     table = {p.name: v - p.nominal for p, v in zip(system.parameters, member.point)}
     delta = np.array([table[c] for c in system.channels])
     whole = np.asarray(system.D, complex)
     if n and np.isfinite(member.frequency):
         whole = whole + system.C @ linalg.solve(1j * member.frequency * np.eye(n) - system.A, system.B.astype(complex))
+    each = response_slopes(whole, delta)[1]
+    return np.array([sum(each[i] for i, c in enumerate(system.channels) if c == p.name) for p in system.parameters])
+
+
+def response_slopes(whole: ComplexArray, delta: FloatArray) -> tuple[float, FloatArray]:
+    """Gain of a response whose first channels are closed by ``w = delta z``, and its derivatives by each delta.
+
+    Parameters
+    ----------
+    whole : ndarray, complex, shape (q + p, q + m)
+    delta : ndarray, shape (q,)
+
+    Raises
+    ------
+    LinAlgError
+        The loop is singular.
+    """
+    q = len(delta)
     loop = linalg.solve(np.eye(q) - whole[:q, :q] * delta, whole[:q])
     seen, through = loop[:, q:], whole[q:, :q] @ (np.eye(q) + delta[:, None] * loop[:, :q])
     response = whole[q:, q:] + whole[q:, :q] @ (delta[:, None] * seen)
-    left, _, right = linalg.svd(response, full_matrices=False)
-    each = ((left[:, 0].conj() @ through) * (seen @ right[0].conj())).real
-    return np.array([sum(each[i] for i, c in enumerate(system.channels) if c == p.name) for p in system.parameters])
+    left, gains, right = linalg.svd(response, full_matrices=False)
+    slopes = ((left[:, 0].conj() @ through) * (seen @ right[0].conj())).real
+    return float(gains[0]), np.asarray(slopes)
 
 
 def scaled_box(system: UncertainSystem, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:

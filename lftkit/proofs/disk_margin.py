@@ -1,0 +1,148 @@
+"""Worst-case disk margin of an uncertain loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lftkit.proofs.robustness import worst_case_gain
+from lftkit.proofs.state_space.bounds import Bounds
+from lftkit.systems.uncertain_system import UncertainSystem
+
+
+@dataclass(frozen=True)
+class DiskMarginBounds:
+    """Bounds of the smallest disk margin of all members.
+
+    Parameters
+    ----------
+    lower : float
+        Proven; zero where nothing was proven or a member is unstable.
+    upper : float
+        That of the member at `gain_bounds.point`.
+    gain_margins : (low, high)
+        Gains by which the loop of every member may be multiplied, from `lower`.
+    phase_margin : float
+        Phase [rad] by which it may be turned, either way, from `lower`.
+    gain_bounds : Bounds
+        Of the norm of ``S + (skew - 1) / 2``, one over the margin, with its proof.
+    """
+
+    lower: float
+    upper: float
+    gain_margins: tuple[float, float]
+    phase_margin: float
+    gain_bounds: Bounds
+
+
+def worst_case_disk_margin(
+    loop: UncertainSystem,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    skew: float = 0.0,
+    gap: float = 0.05,
+    wall_limit: float = 600.0,
+    seed: int = 0,
+) -> DiskMarginBounds:
+    """Smallest disk margin of a loop with one signal over a box of its parameters (wcdiskmargin of the toolbox).
+
+    With ``S = 1 / (1 + L)`` the margin is one over the largest gain of ``S + (skew - 1) / 2`` (Seiler, Packard and
+    Gahinet, IEEE Control Systems 40 (2020), 78-95). **The loop is closed with negative feedback.**
+
+    Parameters
+    ----------
+    loop : UncertainSystem
+        L, one input and one output.
+    box : mapping of str to (lowest, highest), optional
+        Intervals inside the ranges of the parameters.
+    skew : float
+        0: gain may rise and fall alike; 1: disks about S; -1: about T.
+    gap, wall_limit, seed
+        As for :func:`lftkit.proofs.worst_case_gain`.
+
+    Raises
+    ------
+    ValueError
+        Not one input and one output; a loop that is not well posed; as for :func:`lftkit.proofs.worst_case_gain`.
+
+    Examples
+    --------
+    An integrator has S - 1/2 of gain 1/2 everywhere, whatever its gain k:
+
+    >>> from lftkit import Port, RealParameter
+    >>> k, u, y = RealParameter("k", 2.0, 1.0, 3.0), (Port("u", 1),), (Port("y", 1),)
+    >>> D = [[0.0, 1.0], [0.0, 0.0]]
+    >>> L = UncertainSystem([[0.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, ("k",), (k,))
+    >>> found = worst_case_disk_margin(L)
+    >>> round(found.upper, 6), found.upper <= 1.05 * found.lower
+    (2.0, True)
+    """
+    shifted = sensitivity(loop, 0.5 * (skew - 1.0))
+    bounds = worst_case_gain(shifted, box, gap=gap, wall_limit=wall_limit, seed=seed)
+    lower = 1.0 / bounds.upper if bounds.upper > 0.0 else math.inf
+    upper = 1.0 / bounds.lower if bounds.lower > 0.0 else math.inf
+    gains = disk_gains(lower, skew)
+    return DiskMarginBounds(lower, upper, gains, disk_phase(lower, skew), bounds)
+
+
+def sensitivity(loop: UncertainSystem, offset: float) -> UncertainSystem:
+    """``1 / (1 + L) + offset`` of a loop with one signal, with the loop's ports.
+
+    Raises
+    ------
+    ValueError
+        Not one input and one output; ``1 + L`` is singular at infinite frequency for the nominal member.
+    """
+    q = len(loop.channels)
+    if loop.D.shape != (q + 1, q + 1):
+        sizes = loop.D.shape[1] - q, loop.D.shape[0] - q
+        raise ValueError(f"loop must have one input and one output, got {sizes[0]} and {sizes[1]}")
+    back = 1.0 + float(loop.D[q, q])
+    if back == 0.0:
+        raise ValueError("loop must be well posed under negative feedback, got a gain of -1 at infinite frequency")
+    # the input of the loop is u = (r - C2 x - D21 w) / (1 + D22), which is the output of S
+    by_x, by_w, by_r = -loop.C[q] / back, -loop.D[q, :q] / back, 1.0 / back
+    A = loop.A + np.outer(loop.B[:, q], by_x)
+    B = np.hstack([loop.B[:, :q] + np.outer(loop.B[:, q], by_w), loop.B[:, q:] * by_r])
+    C = np.vstack([loop.C[:q] + np.outer(loop.D[:q, q], by_x), by_x])
+    inner = np.hstack([loop.D[:q, :q] + np.outer(loop.D[:q, q], by_w), loop.D[:q, q:] * by_r])
+    D = np.vstack([inner, np.append(by_w, by_r + offset)])
+    return replace(loop, A=A, B=B, C=C, D=D)
+
+
+def disk_gains(margin: float, skew: float = 0.0) -> tuple[float, float]:
+    """Real factors (low, high) that bound the set ``(2 + (1 - skew) d) / (2 - (1 + skew) d)``, |d| < margin, about 1.
+
+    Examples
+    --------
+    A margin of 2/3 without skew allows gains from a half to two:
+
+    >>> low, high = disk_gains(2.0 / 3.0)
+    >>> round(low, 9), round(high, 9)
+    (0.5, 2.0)
+    """
+    if math.isinf(margin):
+        return -math.inf, math.inf
+    above, below = 2.0 - (1.0 + skew) * margin, 2.0 + (1.0 + skew) * margin
+    low = (2.0 - (1.0 - skew) * margin) / below if below > 0.0 else -math.inf
+    return low, (2.0 + (1.0 - skew) * margin) / above if above > 0.0 else math.inf
+
+
+def disk_phase(margin: float, skew: float = 0.0) -> float:
+    """Phase [rad] at which the unit circle leaves the set of :func:`disk_gains`; pi where it does not.
+
+    Examples
+    --------
+    >>> round(math.degrees(disk_phase(2.0)), 6)
+    90.0
+    """
+    if math.isinf(margin):
+        return math.pi
+    # |d| of the factor exp(j phi): d = 2 (f - 1) / ((1 - skew) + (1 + skew) f)
+    square, product = margin**2, 1.0 - skew**2
+    # 8 (1 - c) = margin^2 ((1 - skew)^2 + (1 + skew)^2 + 2 (1 - skew^2) c)
+    cosine = (8.0 - square * (2.0 + 2.0 * skew**2)) / (8.0 + 2.0 * square * product)
+    return math.acos(min(1.0, max(-1.0, cosine)))

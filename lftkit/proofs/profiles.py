@@ -1,0 +1,258 @@
+"""Bounds over a grid of frequencies, to look at: between its points nothing is claimed.
+
+Proofs over all frequencies are those of :func:`lftkit.proofs.robust_stability` and
+:func:`lftkit.proofs.worst_case_gain`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg, optimize
+
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
+from lftkit.proofs.state_space.bounds import intervals_of
+from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.state_space.search import response_slopes
+from lftkit.proofs.structured.bounds import mu
+from lftkit.proofs.structured.structure import real_block
+from lftkit.support.threads import one_thread
+from lftkit.systems.uncertain_system import UncertainSystem
+
+sl_optimize: Any = optimize
+RAISED = 2.0
+"""Factor between two levels until one is proven; after :data:`TRIES` of them the bound is infinite."""
+TRIES = 40
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Bounds at frequencies.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (N,)
+        Frequencies [rad/s].
+    lower, upper : ndarray, shape (N,)
+        Reached at `points`; never exceeded.
+    points : tuple of mapping of str to float
+        Parameters of the worst member found at each frequency.
+    """
+
+    omega: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    points: tuple[Mapping[str, float], ...]
+
+
+def stability_profile(
+    system: UncertainSystem,
+    omega: ArrayLike,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    dt: float | None = None,
+    rtol: float = 1e-3,
+    starts: int = 6,
+    seed: int = 0,
+) -> Profile:
+    """Structured singular value of the parameters' channels over frequency (robstab's bounds by frequency).
+
+    Where `upper` is below 1 no member of the box has a pole at this point of the axis; where `lower` is above 1 one
+    has. Its inverse is the factor by which the box may be scaled there, for intervals that are symmetric about the
+    nominal values; others are mapped to [-1, 1] by a bilinear function, which keeps the value 1.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    omega : array_like, shape (N,)
+        Frequencies [rad/s].
+    box : mapping of str to (lowest, highest), optional
+        Intervals with the nominal values inside.
+    dt : float, optional
+        Sampling time [s] of matrices in discrete time.
+    rtol, starts, seed
+        As for :func:`lftkit.proofs.mu`.
+
+    Raises
+    ------
+    ValueError
+        The nominal member has a pole at a frequency; names and intervals as for :func:`lftkit.proofs.robust_stability`.
+
+    Examples
+    --------
+    ``x' = (-1 + p) x`` with p in [-0.5, 0.5] has its pole at zero for p = 1, and at no other frequency:
+
+    >>> from lftkit import RealParameter
+    >>> p = RealParameter("p", 0.0, -0.5, 0.5)
+    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> profile = stability_profile(lag, [0.0, 1.0])
+    >>> profile.lower.round(3).tolist(), profile.upper.round(3).tolist()
+    ([0.5, 0.0], [0.5, 0.0])
+    """
+    bare = _boxed(system.select(inputs=(), outputs=()).sorted_channels(), box)
+    unit = bare.normalised()
+    structure = [real_block(count) for count in unit.occurrences().values()]
+    frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
+    lower, upper, points = [], [], []
+    for w in frequencies:
+        M = _response(unit, float(w), dt)
+        found = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
+        lower.append(found.lower)
+        upper.append(found.upper)
+        diagonal = np.zeros(len(M)) if found.perturbation is None else np.diag(found.perturbation).real
+        values = dict(zip(unit.channels, diagonal))
+        points.append({p.name: float(p.from_normalised(values[p.name])) for p in bare.parameters})
+    return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
+
+
+def gain_profile(
+    system: UncertainSystem,
+    omega: ArrayLike,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    *,
+    dt: float | None = None,
+    rtol: float = 1e-3,
+    samples: int = 20,
+    seed: int = 0,
+) -> Profile:
+    """Worst-case gain over frequency.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    omega : array_like, shape (N,)
+        Frequencies [rad/s].
+    box : mapping of str to (lowest, highest), optional
+        Intervals with the nominal values inside.
+    inputs, outputs : sequence of str, optional
+        Ports; all by default.
+    dt : float, optional
+        Sampling time [s] of matrices in discrete time.
+    rtol : float
+        Relative precision of the upper bound.
+    samples, seed : int
+        Random members from which the gain is climbed.
+
+    Returns
+    -------
+    Profile
+        `upper` is infinite where scalings prove no level.
+
+    Raises
+    ------
+    ValueError
+        As for :func:`stability_profile`; unknown ports.
+
+    Examples
+    --------
+    The gain of ``k / (s + 1)`` with k in [1, 3]:
+
+    >>> from lftkit import Port, RealParameter
+    >>> k, u, y = RealParameter("k", 2.0, 1.0, 3.0), (Port("u", 1),), (Port("y", 1),)
+    >>> D = [[0.0, 1.0], [0.0, 0.0]]
+    >>> lag = UncertainSystem([[-1.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, ("k",), (k,))
+    >>> profile = gain_profile(lag, [0.0, 1.0])
+    >>> profile.lower.round(3).tolist(), (profile.upper < 1.002 * profile.lower).tolist()
+    ([3.0, 2.121], [True, True])
+    """
+    chosen = _boxed(system.select(inputs=inputs, outputs=outputs).sorted_channels(), box)
+    unit = chosen.normalised()
+    frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
+    lower, upper, points = [], [], []
+    rng = np.random.default_rng(seed)
+    with one_thread():
+        for w in frequencies:
+            M = _response(unit, float(w), dt)
+            gain, point = _worst_at(M, list(unit.occurrences().values()), rng, samples)
+            lower.append(gain)
+            upper.append(_upper_at(M, list(unit.occurrences().values()), gain, rtol))
+            points.append({p.name: float(p.from_normalised(v)) for p, v in zip(chosen.parameters, point)})
+    return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
+
+
+def _boxed(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | None) -> UncertainSystem:
+    """The system with the ranges of its parameters replaced by the box."""
+    ends = intervals_of(system, box)
+    parameters = tuple(replace(p, lower=low, upper=high) for p, (low, high) in zip(system.parameters, ends))
+    return replace(system, parameters=parameters)
+
+
+def _response(system: UncertainSystem, omega: float, dt: float | None) -> ComplexArray:
+    n = system.order
+    if not n or math.isinf(omega):
+        return np.asarray(system.D, complex)
+    at = 1j * omega if dt is None else np.exp(1j * omega * dt)
+    matrix = at * np.eye(n) - system.A
+    factors, pivots, _ = linalg.lapack.zgetrf(matrix)
+    if not np.abs(np.diag(factors)).min() > 1e-14 * np.abs(matrix).max():
+        raise ValueError(f"the nominal member must have no pole at the frequencies, got one at {omega} rad/s")
+    return np.asarray(system.C @ linalg.lapack.zgetrs(factors, pivots, system.B.astype(complex))[0] + system.D)
+
+
+def _worst_at(
+    M: ComplexArray, sizes: Sequence[int], rng: np.random.Generator, samples: int
+) -> tuple[float, FloatArray]:
+    """Largest gain found at one frequency and the normalised parameters there."""
+    count = len(sizes)
+    best = 0.0
+    where: FloatArray = np.zeros(count)
+
+    def objective(point: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal best, where
+        inside = np.clip(point, -1.0, 1.0)
+        gain, slopes = response_slopes(M, np.repeat(inside, sizes))
+        if gain > best:
+            best, where = gain, inside.copy()
+        if not 0.0 < gain < np.inf:
+            return 0.0, np.zeros(count)
+        first = np.cumsum([0, *sizes[:-1]])
+        return -math.log(gain), -np.add.reduceat(slopes, first) / gain
+
+    starts = [np.zeros(count), *rng.choice([-1.0, 1.0], (samples, count))] if count else [np.zeros(0)]
+    for start in starts:
+        objective(start)
+        if count:
+            options = {"maxfun": 60}
+            sl_optimize.minimize(
+                objective, 0.99 * start, jac=True, method="L-BFGS-B", bounds=[(-1.0, 1.0)] * count, options=options
+            )
+    return best, where
+
+
+def _upper_at(M: ComplexArray, sizes: Sequence[int], lower: float, rtol: float) -> float:
+    """Least level that scalings prove at one frequency."""
+    q = sum(sizes)
+    unit = np.eye(M.shape[1], dtype=complex)
+    ends = np.cumsum([0, *sizes])
+
+    def proves(level: float) -> bool:
+        blocks = [BarrierBlock(REAL, M[a:b], unit[a:b]) for a, b in itertools.pairwise(ends)]
+        blocks.append(BarrierBlock(FULL, M[q:] / level, unit[q:]))
+        return find_scalings(blocks, precision=1e-9, build=barrier_problem).margin > 0.0
+
+    if not np.any(M[q:, q:]) and lower <= 0.0 and not np.any(M[q:, :q]):
+        return 0.0
+    no = max(lower, 1e-12 * float(linalg.norm(M, 2)), 1e-300)
+    level = no * (1.0 + rtol)
+    for _ in range(TRIES):
+        if proves(level):
+            break
+        no, level = level, RAISED * level
+    else:
+        return np.inf
+    while level > (1.0 + rtol) * no:
+        middle = math.sqrt(level * no)
+        if proves(middle):
+            level = middle
+        else:
+            no = middle
+    return level

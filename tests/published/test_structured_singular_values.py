@@ -1,0 +1,61 @@
+"""Published values of the structured singular value."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lftkit.proofs import check_mu, complex_block, full_block, mu, real_block
+
+SLICOT_AB13MD = np.array(
+    [
+        [-1 + 6j, 2 - 3j, 3 + 8j, 3 + 8j, -5 - 9j, -6 + 2j],
+        [4 + 2j, -2 + 5j, -6 - 7j, -4 + 11j, 8 - 7j, 12 - 1j],
+        [5 - 4j, -4 - 8j, 1 - 3j, -6 + 14j, 2 - 5j, 4 + 16j],
+    ]
+    * 2
+)
+
+
+def test_the_example_of_slicot_ab13md() -> None:
+    """Upper bound 41.74753408; a perturbation reaches it."""
+    structure = [real_block(), real_block(), full_block(2), complex_block(), complex_block()]
+    bounds = mu(SLICOT_AB13MD, structure, rtol=1e-8)
+    assert bounds.upper == pytest.approx(41.74753408, rel=1e-8)
+    assert bounds.lower == pytest.approx(41.74753408, rel=1e-8)
+
+
+def test_four_scalars_whose_upper_bound_is_not_reached() -> None:
+    """Packard and Doyle, Automatica 29 (1993), 71-109, section 9: 1 for all scalings D, mu itself about 0.87."""
+    g, b = 3.0 + np.sqrt(3.0), np.sqrt(3.0) - 1.0
+    a, c, d, f = np.sqrt(2.0 / g), np.sqrt(1.0 / g), -np.sqrt(b / g), (1.0 + 1.0j) * np.sqrt(1.0 / (g * b))
+    U = np.array([[a, 0.0], [c, c], [c, 1j * c], [d, f]])
+    V = np.array([[0.0, a], [c, -c], [c, -1j * c], [-1j * f, -d]])
+    np.testing.assert_allclose(U.conj().T @ U, np.eye(2), atol=1e-14)
+    np.testing.assert_allclose(V.conj().T @ V, np.eye(2), atol=1e-14)
+    M, structure = U @ V.conj().T, [complex_block()] * 4
+    bounds = mu(M, structure, rtol=1e-6, starts=30)
+    assert bounds.upper == pytest.approx(1.0, abs=2e-6) and check_mu(M, structure, bounds.certificate) >= 1.0
+    assert bounds.lower == pytest.approx(0.87, abs=0.005)
+    scan = [_radius(M, phases) for phases in np.random.default_rng(0).uniform(-np.pi, np.pi, (20000, 4))]
+    assert 0.85 < max(scan) <= bounds.lower * (1.0 + 1e-9), "mu is the largest spectral radius of M U"
+
+
+def _radius(M: np.ndarray, phases: np.ndarray) -> float:
+    return float(np.abs(np.linalg.eigvals(M * np.exp(1j * phases))).max())
+
+
+@pytest.mark.parametrize(
+    ("structure", "value"),
+    [
+        ([full_block(2)], np.sqrt(10.0)),
+        ([complex_block(), complex_block()], 3.0),
+        ([complex_block(2)], 1.0),
+        ([real_block(2)], 1.0),
+        ([real_block(), real_block()], 3.0),
+    ],
+)
+def test_a_matrix_of_rank_one(structure: list, value: float) -> None:
+    """M = [[2, 2], [-1, -1]]: norm, sum of the diagonal's magnitudes, spectral radius."""
+    bounds = mu([[2.0, 2.0], [-1.0, -1.0]], structure, rtol=1e-7)
+    assert bounds.lower == pytest.approx(value, rel=1e-6) and bounds.upper == pytest.approx(value, rel=1e-6)

@@ -1,0 +1,116 @@
+"""Bounds over frequency agree with the bounds over the whole axis and with members; disk margins with a grid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import linalg
+from support.uncertain_examples import aligned_modes, de_gaston_safonov
+
+from lftkit import Port, RealParameter, UncertainSystem
+from lftkit.proofs import (
+    check_proof,
+    gain_profile,
+    robust_stability,
+    stability_profile,
+    worst_case_disk_margin,
+    worst_case_gain,
+)
+from lftkit.proofs.disk_margin import disk_gains, disk_phase
+
+
+def test_the_profile_of_a_margin_has_its_peak_at_the_margin() -> None:
+    """km = 3.41740 of de Gaston and Safonov."""
+    system = de_gaston_safonov()
+    crossing = robust_stability(system).frequency
+    omega = crossing * np.array([0.5, 0.9, 0.97, 1.0, 1.03, 1.5])
+    profile = stability_profile(system, omega, starts=4)
+    assert np.all(profile.lower <= profile.upper * (1.0 + 1e-12))
+    assert profile.upper.max() == profile.upper[3] == pytest.approx(1.0 / 3.41740, rel=2e-3)
+    assert profile.lower.max() == pytest.approx(1.0 / 3.41740, rel=1e-4)
+    best = int(np.argmax(profile.lower))
+    poles = linalg.eigvals(system.data_at(profile.points[best], beyond_range=True).A)
+    assert np.abs(poles - 1j * omega[best]).min() < 1e-7, "the member has a pole there"
+
+
+def test_the_profile_of_a_gain_is_reached_and_bounded() -> None:
+    system = aligned_modes(2, damping=0.05)
+    omega = np.array([0.5, 0.95, 1.3, 1.5, 3.0])
+    profile = gain_profile(system, omega)
+    assert np.all(profile.lower <= profile.upper) and np.all(profile.upper <= 1.35 * profile.lower)
+    for w, gain, point in zip(omega, profile.lower, profile.points):
+        member = system.data_at(point)
+        response = member.C @ np.linalg.solve(1j * w * np.eye(member.order) - member.A, member.B.astype(complex))
+        assert abs(complex(response[0, 0])) == pytest.approx(gain, rel=1e-9)
+    bounds = worst_case_gain(system)
+    at_peak = gain_profile(system, [bounds.frequency])
+    assert bounds.lower * (1.0 - 1e-6) <= at_peak.upper[0] and at_peak.lower[0] <= bounds.upper
+    rng = np.random.default_rng(0)
+    for values in system.sample_values(rng, 200):
+        member = system.data_at(values)
+        for w, upper in zip(omega, profile.upper):
+            assert abs(member.C @ np.linalg.solve(1j * w * np.eye(4) - member.A, member.B)) <= upper
+
+
+def test_a_discrete_system_is_taken_on_the_circle() -> None:
+    """x+ = p x + u, p in [0, 0.6]: gain 1 / |exp(j w dt) - p|."""
+    p = RealParameter("p", 0.3, 0.0, 0.6)
+    ports = (Port("u", 1),), (Port("y", 1),)
+    system = UncertainSystem([[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports, ("p",), (p,))
+    omega, dt = np.array([0.0, 10.0, np.pi / 0.1]), 0.1
+    profile = gain_profile(system, omega, dt=dt)
+    grid = np.linspace(0.0, 0.6, 2001)
+    exact = [(1.0 / np.abs(np.exp(1j * w * dt) - grid)).max() for w in omega]
+    np.testing.assert_allclose(profile.lower, exact, rtol=1e-6)
+    np.testing.assert_allclose(profile.upper, exact, rtol=2e-3)
+    stable = stability_profile(system, omega[:1], dt=dt)  # z = 1 is reached at p = 1: 0.7 / 0.3 times the box
+    assert stable.upper[0] == pytest.approx(0.3 / 0.7, rel=2e-3)
+
+
+def test_a_pole_at_a_frequency_is_an_error() -> None:
+    system = UncertainSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (RealParameter("p", 0.0, -1.0, 1.0),))
+    with pytest.raises(ValueError, match="no pole"):
+        stability_profile(system, [0.0])
+
+
+def third_order_loop() -> UncertainSystem:
+    """``k / (s + 1)^3`` with k in [1, 3], nominal 2."""
+    A = np.array([[-1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
+    B, C = np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    k = RealParameter("k", 2.0, 1.0, 3.0)
+    D = np.array([[0.0, 1.0], [0.0, 0.0]])
+    return UncertainSystem(A, B, C, D, (Port("u", 1),), (Port("y", 1),), ("k",), (k,))
+
+
+@pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0])
+def test_the_disk_margin_is_that_of_the_largest_gain(skew: float) -> None:
+    found = worst_case_disk_margin(third_order_loop(), skew=skew)
+    s = 1j * np.geomspace(1e-2, 1e2, 20001)
+    margin = min(1.0 / np.abs(1.0 / (1.0 + k / (s + 1.0) ** 3) + 0.5 * (skew - 1.0)).max() for k in (1.0, 2.0, 3.0))
+    assert found.lower <= margin * (1.0 + 1e-6) and margin <= found.upper * (1.0 + 1e-6) <= 1.051 * found.lower
+    assert found.gain_bounds.point["k"] == pytest.approx(3.0)
+    assert check_proof(found.gain_bounds.proof).stable
+    low, high = found.gain_margins
+    assert low < 1.0 < high <= 8.0 / 3.0, "the loop of gain 8 is unstable"
+    crossing = math.sqrt(3.0 ** (2.0 / 3.0) - 1.0)  # |L| = 1 for k = 3
+    assert 0.0 < found.phase_margin <= math.pi - 3.0 * math.atan(crossing)
+
+
+@pytest.mark.parametrize("skew", [-1.0, -0.5, 0.0, 0.7, 1.0])
+def test_margins_of_a_disk_are_its_ends(skew: float) -> None:
+    for margin in (0.1, 0.5, 0.9):
+        d = margin * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400001))
+        factor = (2.0 + (1.0 - skew) * d) / (2.0 - (1.0 + skew) * d)
+        low, high = disk_gains(margin, skew)
+        assert factor.real.min() == pytest.approx(low, abs=1e-8)
+        assert factor.real.max() == pytest.approx(high, abs=1e-8)
+        nearest = factor[np.abs(np.abs(factor) - 1.0) < 1e-4]
+        assert np.abs(np.angle(nearest)).max() == pytest.approx(disk_phase(margin, skew), abs=1e-3)
+
+
+def test_loops_of_other_sizes_are_refused() -> None:
+    bare = aligned_modes(1, 0.1).select(outputs=())
+    with pytest.raises(ValueError, match="one input and one output"):
+        worst_case_disk_margin(bare)
