@@ -122,9 +122,9 @@ def test_metric_of_soft_values_does_not_depend_on_their_size_beside_hard_ones(sc
     assert matrices[1] == pytest.approx(matrices[0], rel=1e-9)
 
 
-def two_measurements() -> StateSpace:
+def two_measurements() -> System:
     """Two lags; disturbance and command drive both; outputs: sum of the states, command, both states."""
     C = [[1, 1], [0, 0], [1, 0], [0, 1]]
     D = [[0, 0], [0, 1], [0, 0], [0, 0]]
     inputs, outputs = [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 2)]
-    return StateSpace([[-1, 0], [0, -4]], [[1, 1], [2, 1]], C, D, inputs, outputs)
+    return System([[-1, 0], [0, -4]], [[1, 1], [2, 1]], C, D, inputs, outputs)
