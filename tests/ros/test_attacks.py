@@ -22,7 +22,7 @@ DURATION = 2.0
 
 def attacked(folder, case, **values):
     """Results of a run in lockstep beside a stranger."""
-    config = config_for(folder, duration=DURATION, mode="lockstep", **values)
+    config = config_for(folder, **{"duration": DURATION, "mode": "lockstep", **values})
     stranger = Attacker(config.domain, case)
     try:
         return Runner(config, commands={"plant": PLANT}).run()
@@ -103,6 +103,14 @@ def test_a_node_that_a_stranger_shuts_down_ends_a_run_in_lockstep_with_its_name(
     assert ended.value.code == 1
     assert str(tmp_path / "bag") in str(ended.value)
     assert len(Run.open(tmp_path / "bag")["truth/los"]) >= 100
+
+
+def test_in_real_time_the_run_goes_on_without_it_and_says_so(tmp_path):
+    case = Case("estimator/change_state", begin=100, rate=20.0, request="shutdown")
+    results = attacked(tmp_path, case, mode="realtime", duration=3.0)
+    (line,) = [text for text in results.warnings if "shut down" in text]
+    assert line.startswith("estimator was shut down by a request of its life cycle (from a node of unknown name)")
+    assert not results.failures and int(results.statistics["plant"]["ticks"]) == 3000
 
 
 @pytest.fixture(scope="module")
