@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         write_mat,
         write_system,
     )
-    from lftkit.systems.expressions import Expression, complex_gain, dynamic, matrix, real, s, z
+    from lftkit.systems.expressions import Expression, matrix
     from lftkit.systems.feedback import cascade, close_loop
     from lftkit.systems.filters import high_pass, transfer
     from lftkit.systems.interconnection import (
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from lftkit.systems.system import System, from_control, state_space, static_gain
     from lftkit.systems.system import System as StateSpace
     from lftkit.systems.system import System as UncertainSystem
+    from lftkit.systems.variables import complex_gain, dynamic, real, s, z
     from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
     from lftkit.uncertainty.parameters import RealParameter
 
@@ -122,7 +123,7 @@ _MODULES = {
         "write_mat",
         "write_system",
     ),
-    "systems.expressions": ("Expression", "complex_gain", "dynamic", "matrix", "real", "s", "z"),
+    "systems.expressions": ("Expression", "matrix"),
     "systems.feedback": ("cascade", "close_loop"),
     "systems.filters": ("high_pass", "transfer"),
     "systems.interconnection": (
@@ -142,6 +143,7 @@ _MODULES = {
     "systems.sampled_system": ("SampledSystem",),
     "systems.sampling": ("discretise", "sampled"),
     "systems.system": ("System", "from_control", "state_space", "static_gain"),
+    "systems.variables": ("complex_gain", "dynamic", "real", "s", "z"),
     "uncertainty.elements": ("ComplexParameter", "DynamicElement"),
     "uncertainty.parameters": ("RealParameter",),
     # former names of System

@@ -13,10 +13,10 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 from lftkit.systems import lft
+from lftkit.systems.arithmetic import Arithmetic
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.delta import Value, chosen_values, delta_response, delta_system, random_values
 from lftkit.systems.matrices import checked_matrices
-from lftkit.systems.operand import common_period, constant_matrix, is_number, same_size
 from lftkit.systems.ports import Port, as_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class System(Arithmetic):
     """Linear system ``F_u(M, Delta)`` with named ports.
 
     ``Delta = diag(value - nominal)``, an element repeated as often as it occurs; without elements it is a plain state
     space. In continuous time ``x' = A x + B u, y = C x + D u``; in discrete time x' is the state at the next tick.
 
     The stored matrices are those of M: the first inputs and outputs are the Delta channels, one for each entry of
-    `channels`; the ports follow in their order. **Delta = 0 is the nominal system.** The operators ``+ - * @ /`` and
-    ``**`` combine systems by position, the ports of the first operand stay: see :meth:`__matmul__`.
+    `channels`; the ports follow in their order. **Delta = 0 is the nominal system.** The operators ``+ - * @ / **``
+    combine systems by position: see :class:`lftkit.systems.arithmetic.Arithmetic`.
 
     Parameters
     ----------
@@ -84,8 +84,6 @@ class System:
     dt: float = 0.0
     channels: tuple[str, ...] = ()
     elements: tuple[Element, ...] = ()
-
-    __array_ufunc__ = None  # an array beside an operator is a gain, not a list of systems
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -390,130 +388,6 @@ class System:
         D[np.arange(q), np.arange(q)] -= ab[:, 1]
         return replace(self, B=B, D=D, elements=tuple(_normalised(e) for e in self.elements))
 
-    # arithmetic
-
-    def _operand(self, other: Any) -> System | None:
-        """The other operand as a system; a number is a gain of one input and one output."""
-        if isinstance(other, System):
-            return other
-        gain = constant_matrix(other)
-        if gain is None:
-            return None
-        ports = (("in", gain.shape[1]),), (("out", gain.shape[0]),)
-        return System.static(gain, *ports)  # type: ignore[arg-type]
-
-    def _sum(self, other: Any, signs: tuple[float, float]) -> System:
-        second = self._operand(other)
-        if second is None:
-            return NotImplemented  # type: ignore[no-any-return]
-        p, m = total_size(self.outputs), total_size(self.inputs)
-        if is_number(other):  # as in MATLAB and python-control: to every entry
-            second = System.static(float(other) * np.ones((p, m)), self.inputs, self.outputs)
-        same_size(self.inputs, second.inputs, "sum: inputs")
-        same_size(self.outputs, second.outputs, "sum: outputs")
-        left = np.hstack([signs[0] * np.eye(p), signs[1] * np.eye(p)])
-        M = lft.side_by_side([self.lft, second.lft], [len(self.channels), len(second.channels)])
-        q = len(self.channels) + len(second.channels)
-        return self._made([self, second], lft.mapped(M, q, left, np.vstack([np.eye(m)] * 2)), self, self)
-
-    def _made(
-        self, parts: Sequence[System], matrices: Matrices, inputs: System, outputs: System | None = None
-    ) -> System:
-        return System(
-            *matrices,
-            inputs.inputs,
-            (outputs or inputs).outputs,
-            self.name,
-            common_period(parts),
-            tuple(c for part in parts for c in part.channels),
-            tuple(e for part in parts for e in part.elements),
-        )
-
-    def __add__(self, other: Any) -> System:
-        """Sum; a number is added to every entry of the transfer matrix."""
-        return self._sum(other, (1.0, 1.0))
-
-    def __radd__(self, other: Any) -> System:
-        return self._sum(other, (1.0, 1.0))
-
-    def __sub__(self, other: Any) -> System:
-        return self._sum(other, (1.0, -1.0))
-
-    def __rsub__(self, other: Any) -> System:
-        return self._sum(other, (-1.0, 1.0))
-
-    def __neg__(self) -> System:
-        return self._scaled(-1.0)
-
-    def _scaled(self, factor: float) -> System:
-        q = len(self.channels)
-        left, right = factor * np.eye(total_size(self.outputs)), np.eye(total_size(self.inputs))
-        return self.with_lft(lft.mapped(self.lft, q, left, right))
-
-    def __matmul__(self, other: Any) -> System:
-        """Series: ``(G @ H)(s) = G(s) H(s)``, H first; inputs of H, outputs of G."""
-        first = self._operand(other)
-        return NotImplemented if first is None else self._after(first)
-
-    def __rmatmul__(self, other: Any) -> System:
-        second = self._operand(other)
-        return NotImplemented if second is None else second._after(self)
-
-    def _after(self, first: System) -> System:
-        same_size(first.outputs, self.inputs, "series: outputs of the first and inputs of the second system")
-        q = len(first.channels) + len(self.channels)
-        M = lft.side_by_side([first.lft, self.lft], [len(first.channels), len(self.channels)])
-        m, k, p = total_size(first.inputs), total_size(self.inputs), total_size(self.outputs)
-        S = np.zeros((m + k, k + p))
-        S[m:, :k] = np.eye(k)
-        E, So = np.vstack([np.eye(m), np.zeros((k, m))]), np.hstack([np.zeros((p, k)), np.eye(p)])
-        return self._made([first, self], lft.close_loop(M, q, S, E, So, np.zeros((p, m))), first, self)
-
-    def __mul__(self, other: Any) -> System:
-        """As ``@``; a number, or a system of one input and one output, multiplies every entry."""
-        if is_number(other):
-            return self._scaled(float(other))
-        second = self._operand(other)
-        return NotImplemented if second is None else _product(self, second)
-
-    def __rmul__(self, other: Any) -> System:
-        if is_number(other):
-            return self._scaled(float(other))
-        first = self._operand(other)
-        return NotImplemented if first is None else _product(first, self)
-
-    def inverse(self) -> System:
-        """The system from outputs to inputs; D must be invertible.
-
-        Raises
-        ------
-        ValueError
-            Unequal numbers of inputs and outputs, or a direct feedthrough that is singular.
-        """
-        same_size(self.inputs, self.outputs, "inverse: inputs and outputs")
-        q = len(self.channels)
-        ports = q + np.arange(total_size(self.inputs))
-        M = lft.exchanged(self.lft, ports, ports, f"{self.name}: direct feedthrough must be invertible")
-        return self.with_lft(M, inputs=self.outputs, outputs=self.inputs)
-
-    def __truediv__(self, other: Any) -> System:
-        if is_number(other):
-            return self._scaled(1.0 / float(other))
-        divisor = self._operand(other)
-        return NotImplemented if divisor is None else self * divisor.inverse()
-
-    def __rtruediv__(self, other: Any) -> System:
-        return NotImplemented if self._operand(other) is None else self.inverse().__rmul__(other)
-
-    def __pow__(self, exponent: int) -> System:
-        if not isinstance(exponent, int) or exponent == 0:
-            raise ValueError(f"exponent must be an integer other than 0, got {exponent!r}")
-        base = self if exponent > 0 else self.inverse()
-        result = base
-        for _ in range(abs(exponent) - 1):
-            result = result @ base
-        return result
-
     # conversion
 
     @classmethod
@@ -566,23 +440,6 @@ class System:
         """
         dt = self.dt or (0.0 if self.order else None)  # a gain may stand in either time
         return control_system(self.matrices, self.inputs, self.outputs, dt, self.name if name is None else name)
-
-
-def _product(left: System, right: System) -> System:
-    """Product in which an operand of one input and one output multiplies every entry of the other."""
-    one, other = ((total_size(s.inputs), total_size(s.outputs)) == (1, 1) for s in (left, right))
-    if one and not other:
-        return _repeated(left, right.outputs)._after(right)
-    if other and not one:
-        return left._after(_repeated(right, left.inputs))
-    return left._after(right)
-
-
-def _repeated(scalar: System, ports: tuple[Port, ...]) -> System:
-    """The system of one input and one output on every signal of the ports."""
-    count, q = total_size(ports), len(scalar.channels)
-    M = lft.side_by_side([scalar.lft] * count, [q] * count)
-    return System(*M, ports, ports, scalar.name, scalar.dt, scalar.channels * count, scalar.elements)
 
 
 def _names(key: str | Sequence[str]) -> tuple[str, ...]:
