@@ -183,7 +183,7 @@ def _boxed(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | Non
     """The system with the ranges of its parameters replaced by the box."""
     ends = intervals_of(system, box)
     parameters = tuple(replace(p, lower=low, upper=high) for p, (low, high) in zip(system.parameters, ends))
-    return replace(system, parameters=parameters)
+    return replace(system, elements=parameters)
 
 
 def _response(system: UncertainSystem, omega: float, dt: float | None) -> ComplexArray:

@@ -45,7 +45,7 @@ from lftkit.proofs.verdict import ProofError
 from los_design.synthesis.provenance import commit
 from los_design.verification.certify import figures_of
 from los_design.verification.proof_comparison import proof_of_loop
-from los_design.verification.statements import Subject
+from los_design.verification.subject import Subject
 from los_loop.figures_of_merit import FIGURES
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop

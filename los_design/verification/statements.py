@@ -10,27 +10,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from lftkit.systems.sampled_system import SampledSystem
-from los_design.synthesis.provenance import digest
-from titop_plant.interface import FORCE_STAGES
+from los_design.verification.subject import BUNDLE, Subject
 
 SHIPPED = Path(__file__).with_name("statements.json")
-BUNDLE = "bundle.zip"
-"""Name of a bundle beside controllers."""
-
-
-@dataclass(frozen=True)
-class Subject:
-    """Names of what a statement is about: digests of both controllers' matrices and of the telescope's values."""
-
-    k_fsm: str
-    k_pma: str
-    telescope: str
-
-    @classmethod
-    def of(cls, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: str) -> Subject:
-        """Of controllers and the :func:`titop_plant.telescope.parameters.parameters_hash` of their telescope."""
-        return cls(digest(k_fsm), digest(k_pma), telescope)
 
 
 @dataclass(frozen=True)
@@ -76,7 +58,7 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
         Of a user's controllers, where a bundle may be.
     """
     shipped = json.loads(SHIPPED.read_text("utf-8"))
-    if _fits(Subject(**shipped["subject"]), subject, stage):
+    if Subject(**shipped["subject"]).covers(subject, stage):
         found = tuple(str(row["text"]) for row in shipped["figures"] if row["stage"] == stage)
         return Statement(shipped["name"], found, True) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
@@ -86,15 +68,9 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
 
     try:
         with open_bundle(folder / BUNDLE) as bundle:
-            if not _fits(bundle.subject, subject, stage):
+            if not bundle.subject.covers(subject, stage):
                 return None
             figures = figures_proven(bundle, stage)
             return Statement(bundle.name, figures, False) if figures else None
     except ProofError:
         return None
-
-
-def _fits(proven: Subject, flown: Subject, stage: str) -> bool:
-    """Whether a statement is about these controllers; without proof-mass actuators K_PMA does not count."""
-    same = proven.k_fsm == flown.k_fsm and proven.telescope == flown.telescope
-    return same and (stage not in FORCE_STAGES or proven.k_pma == flown.k_pma)

@@ -33,7 +33,8 @@ from los_design.verification.bundle import (
 )
 from los_design.verification.certify import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import proof_of_loop
-from los_design.verification.statements import BUNDLE, Statement, Subject, statement_of
+from los_design.verification.statements import Statement, statement_of
+from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant, telescope

@@ -67,7 +67,8 @@ def proof_of(parts: RunParts) -> dict[str, str]:
     config = parts.config
     if config.loop not in MIRROR_STAGES:
         return {}
-    from los_design.verification.statements import NO_PROOF, Subject, statement_of
+    from los_design.verification.statements import NO_PROOF, statement_of
+    from los_design.verification.subject import Subject
 
     found = None
     if not (parts.code or config.plant) and config.frame_ticks == FRAME_TICKS:

@@ -181,7 +181,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     from lftkit.proofs.sampled_loop import LoopProof
     from los_design.verification.bundle import write_bundle
     from los_design.verification.proof_comparison import compare_proof
-    from los_design.verification.statements import BUNDLE
+    from los_design.verification.subject import BUNDLE
 
     proofs = {}
     for entry in _bounds_of(output / SUMMARY):

@@ -1,0 +1,31 @@
+"""Names of what a statement is about: controllers and telescope, by their numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lftkit.systems.sampled_system import SampledSystem
+from los_design.synthesis.provenance import digest
+from titop_plant.interface import FORCE_STAGES
+
+BUNDLE = "bundle.zip"
+"""Name of a bundle of proofs beside the controllers that it is about."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Names of what a statement is about: digests of both controllers' matrices and of the telescope's values."""
+
+    k_fsm: str
+    k_pma: str
+    telescope: str
+
+    @classmethod
+    def of(cls, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: str) -> Subject:
+        """Of controllers and the :func:`titop_plant.telescope.parameters.parameters_hash` of their telescope."""
+        return cls(digest(k_fsm), digest(k_pma), telescope)
+
+    def covers(self, flown: Subject, stage: str) -> bool:
+        """Whether a statement is about what flies; without proof-mass actuators K_PMA does not count."""
+        same = self.k_fsm == flown.k_fsm and self.telescope == flown.telescope
+        return same and (stage not in FORCE_STAGES or self.k_pma == flown.k_pma)
