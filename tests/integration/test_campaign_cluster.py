@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ BASE = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imba
 OPTIONS = [
     "campaign",
     "--samples",
-    "20",
+    "30",
     "--seed",
     "5",
     "--duration",
@@ -44,7 +45,7 @@ OPTIONS = [
 ]
 
 
-def asked(samples: int = 20) -> Campaign:
+def asked(samples: int = 30) -> Campaign:
     return Campaign.of(BASE, "uniform", samples, 5, "time", identity(BASE))
 
 
@@ -57,6 +58,24 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> ResultFolder:
     for number, members in asked().chunks():
         folder.write(number, evaluate_chunk(portable(BASE, identity(BASE)), members, "time"))
     return folder
+
+
+def computed(folder: ResultFolder, campaign: Campaign, skip: frozenset[int], count: int) -> None:
+    """Compute the first chunks of a campaign in this process, those in `skip` aside."""
+    for number, members in islice(campaign.chunks(skip), count):
+        folder.write(number, evaluate_chunk(portable(BASE, identity(BASE)), members, "time"))
+
+
+def test_rows_of_a_campaign_that_is_resumed_are_those_of_one_go(tmp_path: Path) -> None:
+    """Two chunks in this process: the one that is there is left as it is."""
+    pytest.importorskip("pyarrow")
+    whole, parts = ResultFolder(tmp_path / "whole"), ResultFolder(tmp_path / "parts")
+    computed(whole, asked(11), whole.open(asked(11), False), 2)
+    computed(parts, asked(11), parts.open(asked(11), False), 1)
+    there = parts.open(asked(11), True)
+    assert there == {0} and len(parts.parts()) == 1
+    computed(parts, asked(11), there, 2)
+    assert parts.rows_hash() == whole.rows_hash() and len(parts.parts()) == 2
 
 
 @pytest.mark.slow
@@ -75,7 +94,7 @@ def test_interrupted_and_resumed_with_two_workers(
     assert main([*OPTIONS, "--workers", "2", "--resume", "--keep", "1", "--output", str(folder.path)]) == 0
     summary = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert summary["rows_hash"] == undisturbed.rows_hash() == folder.rows_hash()
-    assert (summary["members"], summary["status"]) == (20, {"ok": 20})
+    assert (summary["members"], summary["status"]) == (30, {"ok": 30})
     assert [Path(bag).exists() for bag in summary["bags"]] == [True]
 
 
