@@ -6,10 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.axis.bounds import axis_gain, axis_stability, gain_of_intervals
+from lftkit.proofs.axis.bounds import axis_gain, axis_stability, axis_takes, gain_of_intervals
 from lftkit.proofs.state_space import bounds as cells
 from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, checked_band, factor_of, intervals_of
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
@@ -72,7 +71,7 @@ def worst_case_gain(
     """
     checked_band(band, level, gap, wall_limit)
     chosen = system.select(inputs=inputs, outputs=outputs)
-    if system.order > FEW_STATES and _posed(chosen, intervals_of(chosen, box)):
+    if system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box)):
         return axis_gain(
             chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
         )
@@ -125,7 +124,7 @@ def robust_stability(
     (True, 2.0)
     """
     chosen = system.select(inputs=(), outputs=())
-    posed = system.order > FEW_STATES and _posed(chosen, intervals_of(chosen, box))
+    posed = system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box))
     method = axis_stability if posed else cells.robust_stability
     return method(chosen, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress)
 
@@ -241,10 +240,3 @@ def _crossing(
         else:
             low = middle
     return factor_of(system, ends, reached.point), reached
-
-
-def _posed(system: UncertainSystem, box: Sequence[tuple[float, float]]) -> bool:
-    """Whether the nominal member is in the box and stable, as the method for many states needs it."""
-    inside = all(low <= p.nominal <= high for p, (low, high) in zip(system.parameters, box))
-    poles = np.asarray(linalg.eigvals(system.A), complex)
-    return inside and bool(np.all(poles.real < 0.0))

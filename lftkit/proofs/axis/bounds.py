@@ -40,6 +40,9 @@ RAISED = (1.1, 1.25, 1.5, 2.0, 5.0, 20.0, 1000.0)
 """Factors of the level at which parts that are left over are tried, each for half of the time that is left."""
 LOWERED = (1.0, 0.9, 0.75, 0.5, 0.25)
 """Factors of the aim at which stability is tried one after the other, likewise."""
+BASIS = 1e-11
+"""Smallest singular value of a basis of eigenvectors, with columns of norm 1, that counts as one."""
+SEPARATE = "the nominal member must be in the box, stable, with separate poles, got another"
 FIRST = 0.7
 """Part of the time for the first attempt."""
 
@@ -63,8 +66,10 @@ class _Axis:
         Raises
         ------
         ValueError
-            The nominal member is not in the box, or it is not stable, or its poles can't be separated.
+            There is no parameter; the nominal member is not in the box, or not stable, or its poles can't be separated.
         """
+        if not system.parameters:
+            raise ValueError("the system must have parameters, got none")
         q = len(system.channels)
         inner = slice(0, q if kind == "stability" else None)
         groups, at = [], 0
@@ -92,7 +97,7 @@ class _Axis:
             border,
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.model(False).nominal_stable():
-            raise ValueError("the nominal member must be in the box, stable, with separate poles, got another")
+            raise ValueError(SEPARATE)
         whole = tuple(_widened(ends, p.upper - p.lower) for ends, p in zip(proof.deviations, system.parameters))
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
@@ -133,6 +138,15 @@ class _Axis:
             above = 1.0 / low if low > 0.0 else math.inf
             cells.append(Cell(ends, (1.0 / high, above) if beyond else (low, high)))
         return tuple(cells)
+
+
+def axis_takes(system: UncertainSystem, box: Sequence[Interval]) -> bool:
+    """Whether a box of a system is one for this method: the nominal member in it, stable, with separate poles."""
+    try:
+        _Axis.of(system.sorted_channels(), "stability", box, WHOLE)
+    except ValueError:
+        return False
+    return True
 
 
 def axis_gain(
@@ -298,8 +312,8 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     poles, T = linalg.eig(balanced)
     factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
     inverse, singular = linalg.lapack.zgetri(factors, pivots)
-    if singular or not np.all(np.isfinite(inverse)):
-        raise ValueError("the nominal member must have a basis of eigenvectors, got none")
+    if singular or not 1.0 / linalg.norm(inverse, 2) > BASIS:
+        raise ValueError(SEPARATE)
     return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
 
 

@@ -28,6 +28,8 @@ from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 
 PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
+SINGLE = 1e-37, 1e38
+"""Magnitudes between which scalings are rounded to single precision."""
 PRECISION = 1e-7
 """Distance to the optimal margin at which a test without scalings is given up."""
 
@@ -169,5 +171,10 @@ def _factors(angle: bool, low: float, high: float) -> tuple[float, float]:
 
 
 def _hermitian(matrix: ComplexArray) -> ComplexArray:
-    """Hermitian part in single precision: files are half as large, and what is stored is what is checked."""
-    return np.asarray((0.5 * (matrix + matrix.conj().T)).astype(np.complex64), dtype=complex)
+    """Hermitian part in single precision: files are half as large, and what is stored is what is checked.
+
+    In double precision where single precision has no such numbers.
+    """
+    half = 0.5 * (matrix + matrix.conj().T)
+    size = float(np.abs(half).max(initial=0.0))
+    return np.asarray(half.astype(np.complex64) if SINGLE[0] < size < SINGLE[1] else half, dtype=complex)
