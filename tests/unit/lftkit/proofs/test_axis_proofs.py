@@ -171,7 +171,7 @@ def test_a_margin_where_the_interconnection_becomes_singular() -> None:
     """``z = w + x``: at p = 1 the loop of the LFT is singular; with x driven by w it is unstable from p = 1/2."""
     p = RealParameter("p", 0.0, -1.0, 1.0)
     for driven, margin in ((1.0, 0.5), (0.0, 1.0)):
-        system = UncertainSystem([[-1.0]], [[driven]], [[driven]], [[1.0]], (), (), ("p",), (p,))
+        system = System([[-1.0]], [[driven]], [[driven]], [[1.0]], (), (), channels=("p",), elements=(p,))
         bounds = axis_stability(system, wall_limit=LONG)
         assert bounds.upper == pytest.approx(margin, rel=1e-6) and margin <= 1.05 * bounds.lower <= 1.05 * margin
         assert check_axis_proof(bounds.proof).stable
@@ -179,19 +179,21 @@ def test_a_margin_where_the_interconnection_becomes_singular() -> None:
 
 def test_a_gain_without_states() -> None:
     """``y = p / (1 - p / 2) u`` with p up to 1."""
-    p, ports = RealParameter("p", 0.0, -1.0, 1.0), ((Port("u", 1),), (Port("y", 1),))
-    bounds = axis_gain(UncertainSystem([], [], [], [[0.5, 1.0], [1.0, 0.0]], *ports, ("p",), (p,)), wall_limit=LONG)
+    p, ports = RealParameter("p", 0.0, -1.0, 1.0), ([("u", 1)], [("y", 1)])
+    bounds = axis_gain(
+        System([], [], [], [[0.5, 1.0], [1.0, 0.0]], *ports, channels=("p",), elements=(p,)), wall_limit=LONG
+    )
     assert bounds.lower == pytest.approx(2.0) and bounds.upper <= 2.1 and check_axis_proof(bounds.proof).stable
 
 
 def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
-    ports = (Port("u", 1),), (Port("y", 1),)
+    ports = [("u", 1)], [("y", 1)]
     p = RealParameter("p", 0.0, -0.1, 0.1)
     A = np.diag(-np.ones(7)) + np.diag(np.ones(6), 1)  # no basis of eigenvectors
     B, C = np.zeros((7, 2)), np.zeros((2, 7))
     B[6], C[0, 6], C[1, 0] = 1.0, 1.0, 1.0
-    chain = UncertainSystem(A, B, C, np.zeros((2, 2)), *ports, ("p",), (p,))
-    certain = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], *ports)
+    chain = System(A, B, C, np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
+    certain = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], *ports)
     for system, message in ((chain, "separate poles"), (certain, "must have parameters")):
         with pytest.raises(ValueError, match=message):
             axis_gain(system)
