@@ -7,7 +7,6 @@ infinity where it has no end. With D and G of full size on that block the test l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -315,8 +314,3 @@ def scalings_to_mapping(scalings: CellScalings) -> dict[str, Any]:
 
 def _parts(matrix: ComplexArray) -> list[list[list[float]]]:
     return [matrix.real.tolist(), matrix.imag.tolist()]
-
-
-def point_values(system: UncertainSystem, point: FloatArray) -> Mapping[str, float]:
-    """Parameter values by name."""
-    return {p.name: float(v) for p, v in zip(system.parameters, point)}

@@ -2,9 +2,44 @@
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
+from collections.abc import Callable
+from typing import TypeVar
 
 from tornado.iostream import IOStream
+
+from los_testbed.live.access import MAX_VIEWERS
+
+Viewer = TypeVar("Viewer")
+
+
+def place_is_free(
+    viewers: list[Viewer] | set[Viewer],
+    active: Callable[[Viewer], float],
+    stale_s: float,
+    close: Callable[[Viewer], None],
+) -> bool:
+    """Whether one more viewer can be served; the least recently active one is closed for it if it is stale.
+
+    Parameters
+    ----------
+    viewers : list or set
+        Those that are served; the one that is closed is taken out.
+    active : callable
+        Time at which a viewer gave its last sign of life, of `time.monotonic` [s].
+    stale_s : float
+        A viewer that has been silent so long is stale [s].
+    close : callable
+    """
+    if len(viewers) < MAX_VIEWERS:
+        return True
+    oldest = min(viewers, key=active)
+    if time.monotonic() - active(oldest) < stale_s:
+        return False
+    viewers.remove(oldest)
+    close(oldest)
+    return True
 
 
 class SilentConnections:

@@ -14,7 +14,7 @@ from tornado.iostream import IOStream, StreamClosedError, UnsatisfiableReadError
 from tornado.tcpserver import TCPServer
 
 from los_testbed.live.access import MAX_VIEWERS, Access
-from los_testbed.live.connections import SilentConnections
+from los_testbed.live.connections import SilentConnections, place_is_free
 
 HEAD_S = 10.0
 """Time in which the request must be complete."""
@@ -99,14 +99,7 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
 
     def _place_is_free(self) -> bool:
         """Whether one more viewer can be served; the least recently active stale one is closed for it."""
-        if len(self._viewers) < MAX_VIEWERS:
-            return True
-        oldest = min(self._viewers, key=lambda viewer: viewer.active)
-        if time.monotonic() - oldest.active < STALE_S:
-            return False
-        self._viewers.remove(oldest)
-        oldest.close()
-        return True
+        return place_is_free(self._viewers, lambda viewer: viewer.active, STALE_S, _Viewer.close)
 
     async def _pass_on(self, viewer: _Viewer) -> None:
         """Both directions, until one of them ends."""

@@ -22,7 +22,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from los_testbed.live.access import MAX_VIEWERS, Access
-from los_testbed.live.connections import SilentConnections
+from los_testbed.live.connections import SilentConnections, place_is_free
 from los_testbed.run.viewers import listening_sockets
 
 STATIC = Path(__file__).with_name("static")
@@ -205,14 +205,12 @@ class PageServer:
 
     def place_is_free(self) -> bool:
         """Whether one more viewer can be served; the least recently active one that is stale is closed for it."""
-        if len(self.viewers) < MAX_VIEWERS:
-            return True
-        oldest = min(self.viewers, key=lambda viewer: viewer.answered)
-        if time.monotonic() - oldest.answered < STALE_S:
-            return False
-        self.viewers.discard(oldest)
-        oldest.close(1013, "it did not answer")
-        return True
+        return place_is_free(
+            self.viewers,
+            lambda viewer: viewer.answered,
+            STALE_S,
+            lambda viewer: viewer.close(1013, "it did not answer"),
+        )
 
     async def stop(self, frames: int = 3) -> None:
         """Let the viewers take some more frames, then close."""
