@@ -34,7 +34,7 @@ PINNED_FREE = 3.92660231
 
 def beam(elements: int = 24) -> BeamFrame:
     return BeamFrame(
-        "beam", {"P": [0, 0, 0], "C": [LENGTH, 0, 0]}, (Beam("P", "C", SECTION, up=UP, elements=elements),)
+        "beam", {"P": np.zeros(3), "C": np.array([LENGTH, 0, 0])}, (Beam("P", "C", SECTION, up=UP, elements=elements),)
     )
 
 
@@ -145,7 +145,9 @@ def test_modal_data_hold_the_static_compliance() -> None:
 
 def test_half_beam_and_half_beam_are_the_beam() -> None:
     """Two TITOP halves in series, by their equations at s = j omega, are the whole."""
-    half = BeamFrame("half", {"P": [0, 0, 0], "C": [LENGTH / 2, 0, 0]}, (Beam("P", "C", SECTION, up=UP, elements=8),))
+    half = BeamFrame(
+        "half", {"P": np.zeros(3), "C": np.array([LENGTH / 2, 0, 0])}, (Beam("P", "C", SECTION, up=UP, elements=8),)
+    )
     inner, whole = to_modal_data(half, "P", ["C"]), clamped(16)
     for omega in (3.0, 40.0, 500.0):
         left, right = titop(inner, omega), titop(inner, omega)

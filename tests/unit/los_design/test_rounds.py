@@ -254,7 +254,12 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
         made.design(kept=kept)
     assert looks == [None, None]
     again = bench([[], []])
-    monkeypatch.setattr(rounds, "descend", lambda *rest: looks.append(rest[-1]) or again.descend(*rest))
+
+    def goes_on(*given):
+        looks.append(given[-1])
+        return again.descend(*given)
+
+    monkeypatch.setattr(rounds, "descend", goes_on)
     assert again.design(kept=kept).status == "converged"
     assert again.lines[0] == "goes on after 0 rounds, in the descent of the next"
     inside = looks[-1]

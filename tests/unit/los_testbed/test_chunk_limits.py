@@ -7,8 +7,10 @@ import struct
 import subprocess
 import sys
 import zlib
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zstandard
@@ -24,6 +26,16 @@ from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_SCHEMA, 
 from pointing_analysis.read.run import Run
 
 EIGHT_GB = 8 << 30
+
+
+def noting(results: list[Any], inner: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, with what each call returns put into `results`."""
+
+    def call(*given: Any) -> Any:
+        results.append(inner(*given))
+        return results[-1]
+
+    return call
 
 
 @cache
@@ -98,7 +110,7 @@ def test_a_few_bytes_do_not_stand_for_millions_of_records(
     record, read = chunk(RECORD.pack(op, 0) * 1_000_000), []
     assert len(record) < 3000
     side_record = mcap_chunks.read_side_record
-    monkeypatch.setattr(mcap_chunks, "read_side_record", lambda *given: (read.append(1), side_record(*given)))
+    monkeypatch.setattr(mcap_chunks, "read_side_record", noting(read, side_record))
     run = Run.open(with_chunks(made, tmp_path / "many.mcap", record))
     assert len(run["truth/los"]) == 2000
     assert len(read) < 5000
@@ -114,7 +126,7 @@ def test_many_chunks_do_not_unpack_to_more_than_a_multiple_of_the_file(
     file = with_chunks(made, tmp_path / "many.mcap", *[chunk(bytes(20_000_000))] * 10)
     size, unpacked = file.stat().st_size, []
     expand = mcap_chunks._expand
-    monkeypatch.setattr(mcap_chunks, "_expand", lambda *given: (unpacked.append(expand(*given)), unpacked[-1])[1])
+    monkeypatch.setattr(mcap_chunks, "_expand", noting(unpacked, expand))
     run = Run.open(file)
     assert len(run["truth/los"]) == 2000
     assert sum(len(content) for content, _ in unpacked) < 10 * size + 35_000_000
@@ -133,7 +145,7 @@ def test_trials_to_undo_damage_are_limited(monkeypatch: pytest.MonkeyPatch) -> N
     runs = [(0, 1, 90_000, 0, 0, 0), (0, 1, 60_000_000, 0, 0, 0)]
     content = bytes(60_090_000)
     manifest, made = decode_manifest(encode_manifest(content, runs)), []
-    monkeypatch.setattr(chunk_manifest, "content_digest", lambda _: made.append(1) or b"")
+    monkeypatch.setattr(chunk_manifest, "content_digest", noting(made, lambda _: b""))
     assert manifest is not None
     assert salvage(b"\1" * 40_000 + content[40_000:], manifest)[1].tolist() == [False, True]
     assert 1 <= len(made) <= 40

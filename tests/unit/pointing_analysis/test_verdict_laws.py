@@ -94,7 +94,12 @@ def test_missing_samples_count_against_either_verdict(monkeypatch: pytest.Monkey
     asked: list[tuple[str, int, int, float]] = []
     for name in ("exceedance_upper", "exceedance_lower"):
         inner = getattr(confidence, name)
-        monkeypatch.setattr(confidence, name, lambda k, n, c, f=inner, s=name: asked.append((s, k, n, c)) or f(k, n, c))
+
+        def counted(k: int, n: int, c: float, inner: Any = inner, name: str = name) -> Any:
+            asked.append((name, k, n, c))
+            return inner(k, n, c)
+
+        monkeypatch.setattr(confidence, name, counted)
     cases = {
         (1000, 3, 500.0, 0.0): (2, 1, 500),  # 1.5 of 500
         (1000, 4, 500.9, 0.0): (2, 2, 500),  # exactly 2

@@ -194,7 +194,7 @@ def test_a_bdf_with_other_constraints_is_an_error(tmp_path: Path, options: dict[
         load(tmp_path)
 
 
-def spoil(name: str) -> Callable[[Path], None]:
+def spoil(name: str) -> Callable[[Path], object]:
     return lambda folder: (folder / name).write_text("this is no NASTRAN file\n")
 
 
