@@ -30,7 +30,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from los_testbed.bags.repair import repair_bag
+from los_testbed.config import NAMESPACE
 from los_testbed.exit_codes import ExitCode
+from los_testbed.run.domains import domain_lock
 from mcap.reader import NonSeekingReader
 
 from pointing_analysis.read.mcap.records import BagError
@@ -113,8 +115,11 @@ def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
 
 
 def some_domain() -> int:
-    """A ROS domain that other programs of this machine hardly use: the smallest free one may be taken by the next."""
-    return random.SystemRandom().randrange(40, 101)
+    """A ROS domain that other runs of this machine do not use: the smallest free one may be taken by the next."""
+    while True:
+        domain = random.SystemRandom().randrange(40, 101)
+        with contextlib.suppress(ValueError), domain_lock(domain, NAMESPACE):
+            return domain
 
 
 def moment(case: Case, process: subprocess.Popen[str], rng: random.Random) -> None:

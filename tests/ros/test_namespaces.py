@@ -18,6 +18,7 @@ from los_testbed.run.domains import (
     PORT_BASE,
     domain_lock,
     free_domain,
+    output_lock,
 )
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary import summarise_runs
@@ -114,6 +115,18 @@ def test_a_free_domain_is_one_without_participants_and_without_a_run():
         with pytest.raises(ValueError, match="must be a ROS domain without another run in namespace /telescope"):
             domain_lock(first, "/telescope").__enter__()
     assert 0 <= first < second <= 101
+
+
+def test_a_run_to_a_place_that_another_run_has_is_refused_before_anything_is_started(tmp_path):
+    """The other one may not have made its bag yet."""
+    config = config_for(tmp_path)
+    with output_lock(config.bag):
+        runner = Runner(config, commands={"plant": PLANT})
+        with pytest.raises(ValueError, match="--output must be a new name that no other run has"):
+            runner.run()
+        assert not runner.processes
+    with output_lock(config.bag):
+        pass
 
 
 def test_a_domain_with_a_participant_is_not_free():

@@ -1,10 +1,12 @@
-"""ROS domains of this machine: one run for each domain and namespace, and a domain that nobody uses."""
+"""What one run of this machine has for itself: domain and namespace, a domain nobody uses, the place of its bag."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 MAX_DOMAIN = 101
 """Above it the ports of a domain may be those that the system gives to any program."""
@@ -25,13 +27,33 @@ def domain_lock(domain: int, namespace: str) -> Iterator[None]:
     ValueError
         Another run holds it.
     """
+    what = f"a ROS domain without another run in namespace {namespace} on this machine"
+    with _held(f"domain_{domain}{namespace}", f"--domain must be {what}, got {domain}"):
+        yield
+
+
+@contextlib.contextmanager
+def output_lock(bag: Path) -> Iterator[None]:
+    """Hold the place of a bag for one run on this machine: it is made only when the first message comes.
+
+    Raises
+    ------
+    ValueError
+        Another run holds it.
+    """
+    place = hashlib.blake2b(str(bag.resolve()).encode(), digest_size=16).hexdigest()
+    with _held(f"bag_{place}", f"--output must be a new name that no other run has, got {bag}"):
+        yield
+
+
+@contextlib.contextmanager
+def _held(name: str, refusal: str) -> Iterator[None]:
+    """Hold a name of the kernel, which frees it when the process ends, however it ends."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
         try:
-            # No file: the kernel frees the name when the process ends, however it ends.
-            held.bind(f"\0los_testbed_domain_{domain}{namespace}")
+            held.bind(f"\0los_testbed_{name}")
         except OSError:
-            what = f"a ROS domain without another run in namespace {namespace} on this machine"
-            raise ValueError(f"--domain must be {what}, got {domain}") from None
+            raise ValueError(refusal) from None
         yield
 
 

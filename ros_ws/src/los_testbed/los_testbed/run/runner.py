@@ -16,7 +16,7 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.run.bag_names import free_name, recorded
-from los_testbed.run.domains import domain_lock
+from los_testbed.run.domains import domain_lock, output_lock
 from los_testbed.run.isolation import Network, network_of_nodes
 from los_testbed.run.memory import check_address_space
 from los_testbed.run.memory_file import MemoryFile, memory_file
@@ -128,6 +128,7 @@ class Runner:
         text = parameter_text(self._config).encode()
         with (
             domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
+            output_lock(self._config.bag),
             network_of_nodes(self._isolated) as self._network,
             self._network.server(self._live) as self._live,
             memory_file(text, "run.yaml") as self._parameters,

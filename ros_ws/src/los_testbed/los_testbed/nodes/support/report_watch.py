@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from los_testbed.nodes.support.raw_topics import NoExecutorGroup
 from los_testbed.topics import LATE_REPORTS, LIVELINESS_LOST, OWN_DIAGNOSTICS, REPORT_DEADLINE_S
@@ -52,6 +52,7 @@ class ReportWatch:
 
     def __init__(self, node: Node, names: Iterable[str], seconds: float = REPORT_DEADLINE_S) -> None:
         quality = report_quality(1, seconds)
+        quality.reliability = ReliabilityPolicy.BEST_EFFORT  # no node that ends waits for this reader
         self._counts: Counter[str] = Counter()
         self._events: list[tuple[str, Any, Any]] = []
         for name in names:
