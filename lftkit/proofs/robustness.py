@@ -15,7 +15,7 @@ from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, wo
 from lftkit.support.threads import one_thread
 from lftkit.systems.uncertain_system import UncertainSystem
 
-FEW_STATES = 6
+FEW_STATES = 7
 """Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
 STEPS = 12
 """Most factors of the box that are tried for robust performance."""
@@ -71,7 +71,8 @@ def worst_case_gain(
     """
     checked_band(band, level, gap, wall_limit)
     chosen = system.select(inputs=inputs, outputs=outputs)
-    if system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box)):
+    gains = bool(chosen.inputs and chosen.outputs)
+    if gains and system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box)):
         return axis_gain(
             chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
         )
@@ -144,7 +145,7 @@ def robust_performance(
     Parameters
     ----------
     system : UncertainSystem
-        Gain from all inputs to all outputs, over all frequencies.
+        Gain from all inputs to all outputs, over all frequencies; without any of them stability is what is left.
     level : float
     box : mapping of str to (lowest, highest), optional
         It contains the nominal values.
@@ -178,6 +179,8 @@ def robust_performance(
     checked_band(WHOLE, level, gap, wall_limit)
     if not largest > 0.0:
         raise ValueError(f"largest must be positive, got {largest}")
+    if not (system.inputs and system.outputs):
+        return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
     chosen = system.sorted_channels()
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():
