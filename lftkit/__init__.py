@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from lftkit.systems.sampled_system import SampledSystem
     from lftkit.systems.sampling import discretise, sampled
     from lftkit.systems.system import System, from_control, state_space, static_gain
-    from lftkit.systems.system import System as StateSpace
-    from lftkit.systems.system import System as UncertainSystem
     from lftkit.systems.variables import complex_gain, dynamic, real, s, z
     from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
     from lftkit.uncertainty.parameters import RealParameter
@@ -61,9 +59,7 @@ __all__ = [
     "Port",
     "RealParameter",
     "SampledSystem",
-    "StateSpace",
     "System",
-    "UncertainSystem",
     "append",
     "as_system",
     "bode_band",
@@ -146,9 +142,6 @@ _MODULES = {
     "systems.variables": ("complex_gain", "dynamic", "real", "s", "z"),
     "uncertainty.elements": ("ComplexParameter", "DynamicElement"),
     "uncertainty.parameters": ("RealParameter",),
-    # former names of System
-    "systems.state_space": ("StateSpace",),
-    "systems.uncertain_system": ("UncertainSystem",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -27,7 +27,7 @@ from lftkit.analysis.eigenvectors import (
 )
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.ports import port_slices
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
@@ -230,12 +230,12 @@ class FrequencyResponse:
                 raise PoleError(_at_pole(float(w[hit][0])))
 
 
-def frequency_response(system: StateSpace, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
+def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
     """Frequency response ``C (j omega - A)^-1 B + D``.
 
     Parameters
     ----------
-    system : StateSpace
+    system : System
         n states, m inputs, p outputs, continuous time.
     omega : array_like, shape (k,)
         Frequencies [rad/s], finite.
@@ -256,7 +256,7 @@ def frequency_response(system: StateSpace, omega: ArrayLike, *, tolerance: float
     Examples
     --------
     >>> from lftkit import Port
-    >>> lag = StateSpace(*(np.array([[v]]) for v in (-2.0, 2.0, 1.0, 0.0)), (Port("u", 1),), (Port("y", 1),))
+    >>> lag = System(*(np.array([[v]]) for v in (-2.0, 2.0, 1.0, 0.0)), (Port("u", 1),), (Port("y", 1),))
     >>> frequency_response(lag, [2.0]).round(12)
     array([[[0.5-0.5j]]])
     """

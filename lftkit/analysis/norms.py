@@ -23,7 +23,7 @@ from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interva
 from lftkit.analysis.peak_search import climb
 from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
 from lftkit.arrays import FloatArray, Matrices
-from lftkit.systems.state_space import checked_matrices
+from lftkit.systems.matrices import checked_matrices
 
 MAX_ROUNDS = 40
 CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by

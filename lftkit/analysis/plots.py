@@ -19,8 +19,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port, port_slices
-from lftkit.systems.state_space import StateSpace
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 Samples = int | Sequence[Mapping[str, float]]
 Channel = str | tuple[str, int]
@@ -31,7 +30,7 @@ MARGIN = 3.0
 
 
 def bode_band(
-    system: UncertainSystem,
+    system: System,
     samples: Samples = 20,
     *,
     output: Channel,
@@ -43,7 +42,7 @@ def bode_band(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     samples : int or sequence of mappings
         Number of random members, uniform in the box, or parameter values of the members.
     output, input : str or (str, int)
@@ -72,7 +71,7 @@ def bode_band(
     >>> k = RealParameter("k", 2.0, 1.0, 3.0)
     >>> A, B, C, D = [[0, 1], [-2, -0.1]], [[0, 0], [1, 1]], [[-1, 0], [1, 0]], [[0, 0], [0, 0]]
     >>> ports = (Port("force", 1, "N"),), (Port("x", 1, "m"),)
-    >>> mass = UncertainSystem(A, B, C, D, *ports, channels=("k",), elements=(k,))
+    >>> mass = System(A, B, C, D, *ports, channels=("k",), elements=(k,))
     >>> ends = [{"k": 1.0}, {"k": 3.0}]
     >>> top = bode_band(mass, ends, output="x", input="force", omega=[0.001, 0.002]).axes[0]
     >>> top.collections[0].get_datalim(top.transData).ymin.round(4).item(), top.get_ylabel()
@@ -84,7 +83,7 @@ def bode_band(
     out, into = _port(system.outputs, output), _port(system.inputs, input)
     ports = (Port("u", 1),), (Port("y", 1),)
     parts = [(m.A, m.B[:, [column]], m.C[[row]], m.D[[row]][:, [column]]) for m in models]
-    one = [frequency_response(StateSpace(*matrices, *ports), w) for matrices in parts]
+    one = [frequency_response(System(*matrices, *ports), w) for matrices in parts]
     response = np.array(one)[:, :, 0, 0]
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -98,9 +97,7 @@ def bode_band(
     return figure
 
 
-def sigma_plot(
-    system: UncertainSystem | StateSpace, samples: Samples = 0, *, omega: ArrayLike | None = None, seed: int = 0
-) -> Figure:
+def sigma_plot(system: System, samples: Samples = 0, *, omega: ArrayLike | None = None, seed: int = 0) -> Figure:
     """Singular values over frequency: all of the nominal system, and the band of the largest of its members.
 
     Parameters are those of :func:`bode_band`. Ports are not scaled: select those of one kind first.
@@ -109,7 +106,7 @@ def sigma_plot(
     --------
     The largest singular value of two decoupled gains is the larger one:
 
-    >>> gains = StateSpace.static(np.diag([3.0, 1.0]), [("u", 2)], [("y", 2)])
+    >>> gains = System.static(np.diag([3.0, 1.0]), [("u", 2)], [("y", 2)])
     >>> [float(line.get_ydata()[0]) for line in sigma_plot(gains, omega=[1.0, 2.0]).axes[0].lines]
     [3.0, 1.0]
     """
@@ -136,7 +133,7 @@ def sigma_plot(
     return figure
 
 
-def pole_map(system: UncertainSystem | StateSpace, samples: Samples = 0, *, seed: int = 0) -> Figure:
+def pole_map(system: System, samples: Samples = 0, *, seed: int = 0) -> Figure:
     """Poles in the complex plane [rad/s]: the nominal ones as crosses, those of the members as dots.
 
     Parameters are those of :func:`bode_band`. The imaginary axis is drawn; poles to its right are unstable. Both axes
@@ -144,7 +141,7 @@ def pole_map(system: UncertainSystem | StateSpace, samples: Samples = 0, *, seed
 
     Examples
     --------
-    >>> lag = StateSpace([[-2.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    >>> lag = System([[-2.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
     >>> pole_map(lag).axes[0].collections[0].get_offsets().tolist()
     [[-2.0, 0.0]]
     """
@@ -168,7 +165,7 @@ def pole_map(system: UncertainSystem | StateSpace, samples: Samples = 0, *, seed
     return figure
 
 
-def _members(system: UncertainSystem | StateSpace, samples: Samples, seed: int) -> list[StateSpace]:
+def _members(system: System, samples: Samples, seed: int) -> list[System]:
     """The nominal system first, then its members."""
     system.require_continuous()
     if system.certain:
@@ -181,7 +178,7 @@ def _members(system: UncertainSystem | StateSpace, samples: Samples, seed: int) 
     return [system.at({}), *(system.at(v) for v in values)]
 
 
-def _frequencies(models: Sequence[StateSpace], omega: ArrayLike | None) -> FloatArray:
+def _frequencies(models: Sequence[System], omega: ArrayLike | None) -> FloatArray:
     if omega is not None:
         return np.asarray(omega, dtype=float)
     poles = np.concatenate([np.zeros(0, dtype=complex), *(linalg.eigvals(m.A) for m in models)])

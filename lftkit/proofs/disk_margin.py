@@ -10,7 +10,7 @@ import numpy as np
 
 from lftkit.proofs.robustness import worst_case_gain
 from lftkit.proofs.state_space.bounds import Bounds
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class DiskMarginBounds:
 
 
 def worst_case_disk_margin(
-    loop: UncertainSystem,
+    loop: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     skew: float = 0.0,
@@ -54,7 +54,7 @@ def worst_case_disk_margin(
 
     Parameters
     ----------
-    loop : UncertainSystem
+    loop : System
         L, one input and one output.
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters.
@@ -75,7 +75,7 @@ def worst_case_disk_margin(
     >>> from lftkit import Port, RealParameter
     >>> k, u, y = RealParameter("k", 2.0, 1.0, 3.0), (Port("u", 1),), (Port("y", 1),)
     >>> D = [[0.0, 1.0], [0.0, 0.0]]
-    >>> L = UncertainSystem([[0.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, ("k",), (k,))
+    >>> L = System([[0.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, channels=("k",), elements=(k,))
     >>> found = worst_case_disk_margin(L)
     >>> round(found.upper, 6), found.upper <= 1.05 * found.lower
     (2.0, True)
@@ -88,7 +88,7 @@ def worst_case_disk_margin(
     return DiskMarginBounds(lower, upper, gains, disk_phase(lower, skew), bounds)
 
 
-def sensitivity(loop: UncertainSystem, offset: float) -> UncertainSystem:
+def sensitivity(loop: System, offset: float) -> System:
     """``1 / (1 + L) + offset`` of a loop with one signal, with the loop's ports.
 
     Raises

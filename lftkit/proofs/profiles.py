@@ -24,7 +24,7 @@ from lftkit.proofs.state_space.search import response_slopes
 from lftkit.proofs.structured.bounds import mu
 from lftkit.proofs.structured.structure import real_block
 from lftkit.support.threads import one_thread
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 sl_optimize: Any = optimize
 RAISED = 2.0
@@ -53,7 +53,7 @@ class Profile:
 
 
 def stability_profile(
-    system: UncertainSystem,
+    system: System,
     omega: ArrayLike,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
@@ -70,7 +70,7 @@ def stability_profile(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
@@ -91,7 +91,7 @@ def stability_profile(
 
     >>> from lftkit import RealParameter
     >>> p = RealParameter("p", 0.0, -0.5, 0.5)
-    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> lag = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
     >>> profile = stability_profile(lag, [0.0, 1.0])
     >>> profile.lower.round(3).tolist(), profile.upper.round(3).tolist()
     ([0.5, 0.0], [0.5, 0.0])
@@ -113,7 +113,7 @@ def stability_profile(
 
 
 def gain_profile(
-    system: UncertainSystem,
+    system: System,
     omega: ArrayLike,
     box: Mapping[str, tuple[float, float]] | None = None,
     inputs: Sequence[str] | None = None,
@@ -128,7 +128,7 @@ def gain_profile(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
@@ -159,7 +159,7 @@ def gain_profile(
     >>> from lftkit import Port, RealParameter
     >>> k, u, y = RealParameter("k", 2.0, 1.0, 3.0), (Port("u", 1),), (Port("y", 1),)
     >>> D = [[0.0, 1.0], [0.0, 0.0]]
-    >>> lag = UncertainSystem([[-1.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, ("k",), (k,))
+    >>> lag = System([[-1.0]], [[1.0, 2.0]], [[0.0], [1.0]], D, u, y, channels=("k",), elements=(k,))
     >>> profile = gain_profile(lag, [0.0, 1.0])
     >>> profile.lower.round(3).tolist(), (profile.upper < 1.002 * profile.lower).tolist()
     ([3.0, 2.121], [True, True])
@@ -179,14 +179,14 @@ def gain_profile(
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
 
-def _boxed(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | None) -> UncertainSystem:
+def _boxed(system: System, box: Mapping[str, tuple[float, float]] | None) -> System:
     """The system with the ranges of its parameters replaced by the box."""
     ends = intervals_of(system, box)
     parameters = tuple(replace(p, lower=low, upper=high) for p, (low, high) in zip(system.parameters, ends))
     return replace(system, elements=parameters)
 
 
-def _response(system: UncertainSystem, omega: float, dt: float | None) -> ComplexArray:
+def _response(system: System, omega: float, dt: float | None) -> ComplexArray:
     n = system.order
     if not n or math.isinf(omega):
         return np.asarray(system.D, complex)

@@ -13,7 +13,7 @@ from lftkit.proofs.state_space import bounds as cells
 from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, checked_band, factor_of, intervals_of
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 FEW_STATES = 7
 """Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
@@ -24,7 +24,7 @@ BELOW, LESS = 0.999, 0.75
 
 
 def worst_case_gain(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -64,7 +64,7 @@ def worst_case_gain(
     >>> from lftkit.proofs import check_proof
     >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
-    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), ("stiffness",), (k,))
+    >>> mode = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
     >>> check_proof(bounds.proof).level == bounds.upper
     True
@@ -82,7 +82,7 @@ def worst_case_gain(
 
 
 def robust_stability(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
@@ -119,7 +119,7 @@ def robust_stability(
 
     >>> from lftkit import RealParameter
     >>> p = RealParameter("p", 0.0, -0.5, 0.5)
-    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (p,))
+    >>> lag = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
     >>> bounds = robust_stability(lag)
     >>> bounds.lower <= 2.0, round(bounds.upper, 6)
     (True, 2.0)
@@ -131,7 +131,7 @@ def robust_stability(
 
 
 def robust_performance(
-    system: UncertainSystem,
+    system: System,
     level: float = 1.0,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
@@ -144,7 +144,7 @@ def robust_performance(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         Gain from all inputs to all outputs, over all frequencies; without any of them stability is what is left.
     level : float
     box : mapping of str to (lowest, highest), optional
@@ -171,7 +171,7 @@ def robust_performance(
 
     >>> from lftkit import Port, RealParameter
     >>> p, u, y = RealParameter("p", 0.0, -0.5, 0.5), (Port("u", 1),), (Port("y", 1),)
-    >>> lag = UncertainSystem([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), u, y, ("p",), (p,))
+    >>> lag = System([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), u, y, channels=("p",), elements=(p,))
     >>> bounds = robust_performance(lag, level=2.0)
     >>> bounds.lower <= 1.0 <= bounds.upper <= 1.05 * bounds.lower
     True
@@ -209,7 +209,7 @@ def robust_performance(
 
 
 def _too_large(
-    system: UncertainSystem, ends: list[tuple[float, float]], level: float, largest: float, seed: int
+    system: System, ends: list[tuple[float, float]], level: float, largest: float, seed: int
 ) -> tuple[float, Member] | None:
     """A member that reaches the level and its factor of the box: the smallest that searches find, or None."""
     worst, factor = None, min(1.0, largest)
@@ -227,9 +227,7 @@ def _too_large(
     return worst
 
 
-def _crossing(
-    system: UncertainSystem, ends: list[tuple[float, float]], level: float, point: FloatArray
-) -> tuple[float, Member]:
+def _crossing(system: System, ends: list[tuple[float, float]], level: float, point: FloatArray) -> tuple[float, Member]:
     """First member on the way from the nominal one to a point that reaches the level, to 1e-6, and its factor."""
     nominal = np.array([p.nominal for p in system.parameters])
     low, high, reached = 0.0, 1.0, member_gain(system, point, WHOLE)

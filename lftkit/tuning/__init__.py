@@ -1,6 +1,6 @@
 """Fixed-structure robust tuning: H-infinity and H2 requirements, soft and hard, on many models at once.
 
-It works on :class:`lftkit.StateSpace` models with named ports and knows nothing of any spacecraft. Start at
+It works on :class:`lftkit.System` models with named ports and knows nothing of any spacecraft. Start at
 :func:`tune` (given models) or :func:`tune_robust` (a plant with parameters in a box); ``docs/robust_design.md``
 compares it with systune.
 """

@@ -17,7 +17,7 @@ from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
 from lftkit.arrays import FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade, close_loop
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 
@@ -52,8 +52,8 @@ class Certificate:
 
 
 def certify(
-    models: Sequence[StateSpace],
-    controller: StateSpace,
+    models: Sequence[System],
+    controller: System,
     requirements: Sequence[Requirement],
     loop_delay: float = 0.0,
     *,
@@ -64,7 +64,7 @@ def certify(
     Parameters
     ----------
     models : sequence of Model
-    controller : StateSpace
+    controller : System
     requirements : sequence
     loop_delay : float
         Delay on the commands [s], Padé of order 8 here (another order than the tuner's).
@@ -86,7 +86,7 @@ def certify(
     return Certificate(values, upper, peak_frequencies, abscissae)
 
 
-def weighted_loop(model: StateSpace, controller: StateSpace, requirement: HinfGain | H2Gain) -> StateSpace:
+def weighted_loop(model: System, controller: System, requirement: HinfGain | H2Gain) -> System:
     """Closed loop of a gain requirement with its weights, not yet divided by the bound."""
     loop = close_loop(model, controller, requirement.inputs, requirement.outputs)
     if requirement.weight_in is not None:
@@ -96,7 +96,7 @@ def weighted_loop(model: StateSpace, controller: StateSpace, requirement: HinfGa
     return loop
 
 
-def _gain(model: StateSpace, controller: StateSpace, r: HinfGain | H2Gain, rtol: float) -> tuple[float, float, float]:
+def _gain(model: System, controller: System, r: HinfGain | H2Gain, rtol: float) -> tuple[float, float, float]:
     loop = weighted_loop(model, controller, r)
     if isinstance(r, H2Gain):
         # feedthrough is zero by construction; what rounding leaves of it must not make the norm infinite
@@ -115,9 +115,9 @@ def _poles(r: ClosedLoopPoles | ControllerPoles, closed: FloatArray, own: FloatA
     return float(r.pieces(spectrum)[0].max(initial=-np.inf))
 
 
-def delayed_controller(controller: StateSpace, loop_delay: float) -> StateSpace:
+def delayed_controller(controller: System, loop_delay: float) -> System:
     """Controller followed by the Padé approximation of the delay on its commands [s]."""
     if loop_delay == 0.0:
         return controller
     whole = cascade(controller, pade_delay(loop_delay, PADE_ORDER, controller.D.shape[0]))
-    return StateSpace(*whole.matrices, controller.inputs, controller.outputs, controller.name)
+    return System(*whole.matrices, controller.inputs, controller.outputs, controller.name)

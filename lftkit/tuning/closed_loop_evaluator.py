@@ -18,7 +18,7 @@ from lftkit.analysis.frequency_response import FrequencyResponse, direct_respons
 from lftkit.analysis.norms import h2_norm
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.feedback import close_loop
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.certificate import delayed_controller, weighted_loop
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
@@ -29,12 +29,12 @@ class ClosedLoopEvaluator:
 
     Parameters
     ----------
-    model, controller : StateSpace
+    model, controller : System
     loop_delay : float
         Delay on the commands [s].
     """
 
-    def __init__(self, model: StateSpace, controller: StateSpace, loop_delay: float = 0.0) -> None:
+    def __init__(self, model: System, controller: System, loop_delay: float = 0.0) -> None:
         self._model, self._plain, self._delay = model, controller, loop_delay
         self._controller = delayed_controller(controller, loop_delay)
         measured = {p.name for p in controller.inputs}
@@ -90,7 +90,7 @@ class ClosedLoopEvaluator:
             part = part @ self._weight(r.weight_in).at(omega)
         return part
 
-    def _weight(self, weight: StateSpace) -> FrequencyResponse:
+    def _weight(self, weight: System) -> FrequencyResponse:
         """A weight ready for evaluation, made once."""
         if id(weight) not in self._weights:
             self._weights[id(weight)] = FrequencyResponse.of(*weight.matrices)
@@ -132,9 +132,7 @@ class ClosedLoopEvaluator:
         return float(r.pieces(poles)[0].max(initial=-np.inf))
 
 
-def gain_at(
-    model: StateSpace, controller: StateSpace, r: HinfGain, omega: float, K: ComplexArray, loop_delay: float
-) -> float:
+def gain_at(model: System, controller: System, r: HinfGain, omega: float, K: ComplexArray, loop_delay: float) -> float:
     """Normalised gain of `r` at one frequency [rad/s] by a direct solution of the plant, delay exact.
 
     `K` is the controller's response (u, y) at `omega`.

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
@@ -203,6 +203,6 @@ def _parameters(
 
 def _taken(structure: AffineStructure, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray | None:
     try:
-        return structure.parameters_of(StateSpace(A, B, C, D, structure.inputs, structure.outputs))
+        return structure.parameters_of(System(A, B, C, D, structure.inputs, structure.outputs))
     except ValueError:  # fixed entries that this controller does not have
         return None

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import read_only
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.structures import AffineStructure
 
@@ -53,14 +53,14 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
         B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
         C = np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))])
         try:
-            model = StateSpace(A, B, C, K[n:, n:], structure.inputs, structure.outputs)
+            model = System(A, B, C, K[n:, n:], structure.inputs, structure.outputs)
             found.append(structure.parameters_of(model))
         except ValueError:  # fixed entries that such a state does not have
             return []
     return found
 
 
-def _speeds(models: Sequence[StateSpace]) -> list[float]:
+def _speeds(models: Sequence[System]) -> list[float]:
     sizes = np.abs(linalg.eigvals(models[0].A)) if len(models[0].A) else np.ones(1)
     sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
     return [float(s) for s in np.quantile(sizes, SPEEDS)]

@@ -11,7 +11,7 @@ import scipy.linalg
 
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.delay import pade_delay
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import LoopGains
@@ -89,7 +89,7 @@ class Problem:
 
     def __init__(
         self,
-        models: Sequence[StateSpace],
+        models: Sequence[System],
         requirements: Sequence[Requirement],
         structure: Structure,
         *,
@@ -111,7 +111,7 @@ class Problem:
         self.loop_delay = loop_delay
         self.pade_order = pade_order
         self.min_decay = min_decay
-        self.models: tuple[StateSpace, ...] = ()
+        self.models: tuple[System, ...] = ()
         self._bare: list[ExtendedPlant] = []
         self.gains: list[LoopGains] = []
         self._variances: list[dict[int, ExtendedPlant]] = []
@@ -160,7 +160,7 @@ class Problem:
         """Numbers of the parameters (size,) that have nearly the largest magnitude that is looked at."""
         return np.flatnonzero(np.abs(x) > AT_LIMIT * self.limit)
 
-    def add_model(self, model: StateSpace, known: LoopGains | None = None) -> None:
+    def add_model(self, model: System, known: LoopGains | None = None) -> None:
         """Make one more model active; `known`: its gains for another structure with the same ports."""
         model.require_certain()
         model.require_continuous()
@@ -352,7 +352,7 @@ class Problem:
 
 
 def _rebuilt(
-    models: tuple[StateSpace, ...],
+    models: tuple[System, ...],
     requirements: tuple[Requirement, ...],
     structure: Structure,
     loop_delay: float,
@@ -397,7 +397,7 @@ def _pulled(structure: Structure, x: FloatArray, gradient: FloatArray | None) ->
     return np.zeros(0) if gradient is None else np.asarray(structure.pullback(x, gradient), dtype=float)
 
 
-def _check_sizes(model: StateSpace, structure: Structure) -> None:
+def _check_sizes(model: System, structure: Structure) -> None:
     for what, ports, there in (
         ("measurement", structure.inputs, model.outputs),
         ("command", structure.outputs, model.inputs),

@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 
 _DATA: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("published_plants.json").read_text(encoding="utf-8")
 )["plants"]
 
 
-def published_plant(name: str) -> StateSpace:
+def published_plant(name: str) -> System:
     """One plant of the collection.
 
     Parameters
@@ -49,10 +49,10 @@ def published_plant(name: str) -> StateSpace:
     D = np.block([[D11, D12], [D21, np.zeros((len(C), B.shape[1]))]])
     inputs = Port("w", B1.shape[1]), Port("u", B.shape[1])
     outputs = Port("z", len(C1)), Port("y", len(C))
-    return StateSpace(A, np.hstack([B1, B]), np.vstack([C1, C]), D, inputs, outputs, name)
+    return System(A, np.hstack([B1, B]), np.vstack([C1, C]), D, inputs, outputs, name)
 
 
-PLANTS: dict[str, Callable[[], StateSpace]] = {name: partial(published_plant, name) for name in _DATA}
+PLANTS: dict[str, Callable[[], System]] = {name: partial(published_plant, name) for name in _DATA}
 """Plants by name."""
 
 BEST_KNOWN: dict[str, float] = {name: entry["best_known_hinf"] for name, entry in _DATA.items()}

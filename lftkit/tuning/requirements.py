@@ -13,7 +13,7 @@ import numpy as np
 
 from lftkit.analysis.norms import spectral_abscissa
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class _Gain:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     bound: float = 1.0
-    weight_in: StateSpace | None = None
-    weight_out: StateSpace | None = None
+    weight_in: System | None = None
+    weight_out: System | None = None
     hard: bool = False
     name: str = ""
 
@@ -55,7 +55,7 @@ class HinfGain(_Gain):
         Ports of the plant, stacked in this order.
     bound : float
         Gain that counts as 1, in output unit per input unit.
-    weight_in, weight_out : StateSpace, optional
+    weight_in, weight_out : System, optional
         Stable weights; their outer ports are free, their inner side has the size of the stacked ports.
     hard : bool
         At most 1 (True) or minimised (False).
@@ -72,7 +72,7 @@ class H2Gain(_Gain):
     inputs, outputs, bound, weight_in, weight_out, hard, name
         As in :class:`HinfGain`; `bound` is an rms value, so that value^2 is the variance in units of bound^2.
         For samples of standard deviation sigma every dt seconds the density is sigma^2 dt: give
-        ``weight_in = StateSpace.static(sigma * sqrt(dt) * I)``.
+        ``weight_in = System.static(sigma * sqrt(dt) * I)``.
     """
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
@@ -67,7 +67,7 @@ class RobustResult:
     rounds: tuple[Round, ...]
 
     @property
-    def controller(self) -> StateSpace:
+    def controller(self) -> System:
         """The tuned controller."""
         return self.tuning.controller
 
@@ -92,7 +92,7 @@ def tune_robust(
     Parameters
     ----------
     build : callable
-        From parameter values by name to a :class:`StateSpace`.
+        From parameter values by name to a :class:`System`.
     box : mapping of str to (lowest, highest)
     requirements, structure, initial, loop_delay
         As in :func:`lftkit.tuning.tune`.

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrix
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.structures import total_size
 
 
@@ -87,7 +87,7 @@ class StableStateSpace:
         """Random parameters."""
         return rng.standard_normal(self.size)
 
-    def parameters_of(self, model: StateSpace) -> FloatArray:
+    def parameters_of(self, model: System) -> FloatArray:
         """Parameters of a stable `model`, after a change of state coordinates (same transfer function).
 
         Raises

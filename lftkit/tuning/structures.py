@@ -18,7 +18,7 @@ from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.systems.ports import Port, read_only
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.bounds import Bounds, bounds_by_name, number_of
 
 
@@ -65,14 +65,14 @@ class Structure(Protocol):
         ...
 
 
-def controller(structure: Structure, x: ArrayLike, name: str = "K") -> StateSpace:
+def controller(structure: Structure, x: ArrayLike, name: str = "K") -> System:
     """Controller of `structure` at the parameters `x` (size,)."""
     n = structure.order
     K = structure.gain_matrix(np.asarray(x, dtype=float))
-    return StateSpace(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs, name)
+    return System(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs, name)
 
 
-def gain_matrix_of(model: StateSpace) -> FloatArray:
+def gain_matrix_of(model: System) -> FloatArray:
     """``[[A, B], [C, D]]`` of a model."""
     return np.block([[model.A, model.B], [model.C, model.D]])
 
@@ -143,7 +143,7 @@ class AffineStructure:
         """Parameters (size,) by name."""
         return dict(zip(self.names, np.asarray(x, dtype=float).tolist(), strict=True))
 
-    def parameters_of(self, model: StateSpace) -> FloatArray:
+    def parameters_of(self, model: System) -> FloatArray:
         """Parameters that give `model`, which must have this structure.
 
         Raises

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.descent import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
@@ -103,7 +103,7 @@ class TuningResult:
     status : TuningStatus
     advice : str
         What to do about it.
-    controller : StateSpace
+    controller : System
         Best point so far.
     x : ndarray, shape (size,)
         Its parameters.
@@ -131,7 +131,7 @@ class TuningResult:
 
     status: TuningStatus
     advice: str
-    controller: StateSpace
+    controller: System
     x: FloatArray
     soft: float
     hard: float
@@ -154,7 +154,7 @@ class TuningResult:
 
 
 def tune(
-    models: Sequence[StateSpace],
+    models: Sequence[System],
     requirements: Sequence[Requirement | Goal],
     structure: Structure,
     *,
@@ -195,7 +195,7 @@ def tune(
     A disturbance on 1 / (s + 1) with u = k y: the loop's gain is 1 / (1 - k), the command's -k / (1 - k) is
     held at 0.8.
 
-    >>> plant = StateSpace([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
+    >>> plant = System([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
     ...               [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
     >>> from lftkit.tuning.structures import gain
     >>> from lftkit.tuning.requirements import HinfGain

@@ -17,14 +17,14 @@ import scipy.optimize
 from lftkit.analysis.frequency_response import PoleError
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.support.threads import one_thread
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.requirements import HinfGain, Requirement
 from lftkit.tuning.structures import gain_matrix_of
 
-Build = Callable[[Mapping[str, float]], StateSpace]
+Build = Callable[[Mapping[str, float]], System]
 Box = Mapping[str, tuple[float, float]]
 CORNERS = 128
 MAX_OTHERS, APART = 2, 0.1
@@ -101,7 +101,7 @@ class WorstCase:
 def worst_case(
     build: Build,
     box: Box,
-    controller: StateSpace,
+    controller: System,
     requirements: Sequence[Requirement | Goal],
     *,
     loop_delay: float = 0.0,
@@ -112,9 +112,9 @@ def worst_case(
     Parameters
     ----------
     build : callable
-        From parameter values by name to a :class:`StateSpace`.
+        From parameter values by name to a :class:`System`.
     box : mapping of str to (lowest, highest)
-    controller : StateSpace
+    controller : System
     requirements : sequence
     loop_delay : float
     options : WorstCaseOptions, optional
@@ -134,10 +134,10 @@ def worst_case(
     The peak of a mass on a spring grows with the mass and falls with the damper:
 
     >>> def build(p):
-    ...     return StateSpace([[0, 1], [-1 / p["m"], -p["c"] / p["m"]]], [[0, 0], [1 / p["m"], 1 / p["m"]]],
+    ...     return System([[0, 1], [-1 / p["m"], -p["c"] / p["m"]]], [[0, 0], [1 / p["m"], 1 / p["m"]]],
     ...                  [[1, 0], [1, 0]], [[0, 0], [0, 0]], [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-    >>> from lftkit.systems.state_space import StateSpace
-    >>> none = StateSpace.static([[0.0]], [("y", 1)], [("u", 1)])
+    >>> from lftkit.systems.system import System
+    >>> none = System.static([[0.0]], [("y", 1)], [("u", 1)])
     >>> found, = worst_case(build, {"m": (1, 2), "c": (0.1, 0.2)}, none, [HinfGain("w", "z")])
     >>> round(found.value, 2), {k: round(v, 3) for k, v in found.parameters.items()}
     (14.15, {'m': 2.0, 'c': 0.1})
@@ -157,7 +157,7 @@ class _Search:
         self,
         build: Build,
         box: Box,
-        controller: StateSpace,
+        controller: System,
         requirements: tuple[Requirement, ...],
         loop_delay: float,
         options: WorstCaseOptions,

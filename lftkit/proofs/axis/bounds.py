@@ -32,7 +32,7 @@ from lftkit.proofs.state_space.search import (
 )
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 PART = 0.1
 """Part of the band, relative to its frequency, for which a box is bisected."""
@@ -60,7 +60,7 @@ class _Axis:
     worst: Member | None = None
 
     @classmethod
-    def of(cls, system: UncertainSystem, kind: str, box: Sequence[Interval], band: Interval) -> _Axis:
+    def of(cls, system: System, kind: str, box: Sequence[Interval], band: Interval) -> _Axis:
         """An empty proof for a system whose channels are sorted.
 
         Raises
@@ -140,7 +140,7 @@ class _Axis:
         return tuple(cells)
 
 
-def axis_takes(system: UncertainSystem, box: Sequence[Interval]) -> bool:
+def axis_takes(system: System, box: Sequence[Interval]) -> bool:
     """Whether a box of a system is one for this method: the nominal member in it, stable, with separate poles."""
     try:
         _Axis.of(system.sorted_channels(), "stability", box, WHOLE)
@@ -150,7 +150,7 @@ def axis_takes(system: UncertainSystem, box: Sequence[Interval]) -> bool:
 
 
 def axis_gain(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -184,7 +184,7 @@ def axis_gain(
 
 
 def gain_of_intervals(
-    system: UncertainSystem,
+    system: System,
     box: list[Interval],
     band: Interval,
     level: float | None,
@@ -231,7 +231,7 @@ def gain_of_intervals(
     return bounds(upper, "closed" if done else "out_of_time")
 
 
-def _improved(system: UncertainSystem, box: list[Interval], band: Interval, met: Member, worst: Member) -> Member:
+def _improved(system: System, box: list[Interval], band: Interval, met: Member, worst: Member) -> Member:
     """The better of the worst member and one that was met in a proof, climbed."""
     member = member_gain(system, met.point, band)
     if not np.isinf(member.gain):
@@ -240,7 +240,7 @@ def _improved(system: UncertainSystem, box: list[Interval], band: Interval, met:
 
 
 def axis_stability(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
@@ -272,7 +272,7 @@ def axis_stability(
 
 
 def _stability_bounds(
-    system: UncertainSystem, box: list[Interval], largest: float, gap: float, until: float, seed: int
+    system: System, box: list[Interval], largest: float, gap: float, until: float, seed: int
 ) -> Bounds:
     nominal = np.array([p.nominal for p in system.parameters])
 

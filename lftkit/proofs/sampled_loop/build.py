@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lftkit import SampledSystem, UncertainSystem
+from lftkit import SampledSystem, System
 from lftkit.analysis.eigenvectors import corrected_modes, modes
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
@@ -14,7 +14,7 @@ from lftkit.proofs.sampled_loop.proof import Interval
 
 
 def loop_model(
-    system: UncertainSystem,
+    system: System,
     dt: float,
     controller: SampledSystem | None = None,
     *,
@@ -28,7 +28,7 @@ def loop_model(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         Continuous plant. Its outputs that are no measurements are the errors, its inputs that are no commands are the
         disturbances.
     dt : float
@@ -96,7 +96,7 @@ def loop_model(
     )
 
 
-def box_of(system: UncertainSystem) -> tuple[Interval, ...]:
+def box_of(system: System) -> tuple[Interval, ...]:
     """Deviations of the parameters from their nominal values, as a box."""
     return tuple((p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters)
 

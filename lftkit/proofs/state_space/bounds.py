@@ -30,7 +30,7 @@ from lftkit.proofs.state_space.search import (
 )
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 WHOLE = (0.0, np.inf)
 SMALLEST = 1e-100
@@ -77,7 +77,7 @@ class Bounds:
 
 
 def worst_case_gain(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -94,7 +94,7 @@ def worst_case_gain(
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
     inputs, outputs : sequence of str, optional
@@ -130,7 +130,7 @@ def worst_case_gain(
     >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
     >>> ports = (Port("force", 1),), (Port("x", 1),)
-    >>> mode = UncertainSystem(A, B, C, np.zeros((2, 2)), *ports, channels=("stiffness",), elements=(k,))
+    >>> mode = System(A, B, C, np.zeros((2, 2)), *ports, channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
     >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
     ('closed', True, 0.8)
@@ -143,7 +143,7 @@ def worst_case_gain(
 
 
 def robust_stability(
-    system: UncertainSystem,
+    system: System,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
@@ -174,7 +174,7 @@ def robust_stability(
 
     >>> from lftkit import RealParameter
     >>> p = RealParameter("p", 0.0, -0.5, 0.5)
-    >>> lag = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
+    >>> lag = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
     >>> bounds = robust_stability(lag)
     >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
     (True, 2.0, True)
@@ -195,7 +195,7 @@ def checked_band(band: tuple[float, float], level: float | None, gap: float, wal
         raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
 
 
-def intervals_of(system: UncertainSystem, box: Mapping[str, tuple[float, float]] | None) -> list[tuple[float, float]]:
+def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) -> list[tuple[float, float]]:
     """Intervals in the order of the system's parameters.
 
     Raises
@@ -228,7 +228,7 @@ class _Cover:
     number: Any = field(default_factory=itertools.count)
 
     @classmethod
-    def of(cls, system: UncertainSystem, claim: dict[str, Any], cell: Cell) -> _Cover:
+    def of(cls, system: System, claim: dict[str, Any], cell: Cell) -> _Cover:
         cover = cls(CellTest(system, claim["kind"] == "gain"), Inequality(claim), [])
         cover.push(0.0, cell)
         return cover
@@ -289,7 +289,7 @@ class _Cover:
 class _GainBounds:
     """State of :func:`worst_case_gain`."""
 
-    system: UncertainSystem
+    system: System
     box: list[tuple[float, float]]
     band: tuple[float, float]
     level: float | None
@@ -351,7 +351,7 @@ class _GainBounds:
 
 
 def _stability_bounds(
-    system: UncertainSystem,
+    system: System,
     box: list[tuple[float, float]],
     largest: float,
     gap: float,
@@ -400,7 +400,7 @@ def _stability_bounds(
     return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, () if proof else left)
 
 
-def factor_of(system: UncertainSystem, box: list[tuple[float, float]], point: FloatArray) -> float:
+def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray) -> float:
     """Factor of the scaled box on whose surface the point is."""
     factors = [0.0]
     for parameter, (low, high), value in zip(system.parameters, box, point):
@@ -410,5 +410,5 @@ def factor_of(system: UncertainSystem, box: list[tuple[float, float]], point: Fl
     return float(max(factors))
 
 
-def _named(system: UncertainSystem, member: Member) -> dict[str, float]:
+def _named(system: System, member: Member) -> dict[str, float]:
     return {p.name: float(v) for p, v in zip(system.parameters, member.point)}

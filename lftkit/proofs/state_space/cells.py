@@ -16,7 +16,7 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, Scalings, find_scalings
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 NARROW = 1e-7
 """Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
@@ -116,13 +116,13 @@ class CellTest:
 
     Parameters
     ----------
-    system : UncertainSystem
-        Channels of each parameter adjacent (:meth:`UncertainSystem.sorted_channels`).
+    system : System
+        Channels of each parameter adjacent (:meth:`System.sorted_channels`).
     gain : bool
         Whether the gain from all inputs to all outputs is bounded; otherwise stability alone.
     """
 
-    def __init__(self, system: UncertainSystem, gain: bool) -> None:
+    def __init__(self, system: System, gain: bool) -> None:
         self.system, self.gain = system, gain
         q = len(system.channels)
         columns = system.B.shape[1] if gain else q

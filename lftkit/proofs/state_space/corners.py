@@ -15,7 +15,7 @@ from scipy import linalg
 
 from lftkit.analysis.batched_linalg import determinants, eigenvalues, inverses
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 STEPS = 6
 """Most corners that the derivatives of one pole lead to."""
@@ -31,13 +31,13 @@ class CornerSearch:
 
     Parameters
     ----------
-    system : UncertainSystem
+    system : System
         Without inputs and outputs, channels of each parameter adjacent; at least one state and one parameter.
     ends : ndarray, shape (parameters, 2)
         Lower and upper deviation of each parameter from its nominal value.
     """
 
-    system: UncertainSystem
+    system: System
     ends: FloatArray
 
     def offset(self, signs: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
 from lftkit.proofs.state_space.checker import FORMAT, Inequality, digest
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Proof:
 
 
 def statement(
-    system: UncertainSystem,
+    system: System,
     kind: str,
     box: Sequence[tuple[float, float]],
     level: float | None,
@@ -81,7 +81,7 @@ def finished(claim: dict[str, Any], cells: list[dict[str, Any]], stable: dict[st
     return Proof({**content, "sha256": digest(content)})
 
 
-def stable_member(system: UncertainSystem, claim: dict[str, Any], point: FloatArray) -> dict[str, Any] | None:
+def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> dict[str, Any] | None:
     """Factor of a Lyapunov matrix and weights that prove the member at `point` stable; None if none were found."""
     values = {p.name: float(v) for p, v in zip(system.parameters, point)}
     inequality, q = Inequality(claim), len(system.channels)
@@ -131,6 +131,6 @@ def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         yield R / scale, scale[:, None] * linalg.solve_triangular(R, np.eye(len(A)))
 
 
-def _weights(system: UncertainSystem, weights: FloatArray) -> dict[str, list[float]]:
+def _weights(system: System, weights: FloatArray) -> dict[str, list[float]]:
     names = list(system.channels)
     return {p.name: [float(w) for w, n in zip(weights, names) if n == p.name] for p in system.parameters}

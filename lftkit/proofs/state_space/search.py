@@ -15,7 +15,7 @@ from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
-from lftkit.systems.uncertain_system import UncertainSystem
+from lftkit.systems.system import System
 
 sl_optimize: Any = optimize
 MAX_CORNERS = 64
@@ -37,7 +37,7 @@ class Member:
     frequency: float
 
 
-def member_gain(system: UncertainSystem, point: FloatArray, band: tuple[float, float], gain: bool = True) -> Member:
+def member_gain(system: System, point: FloatArray, band: tuple[float, float], gain: bool = True) -> Member:
     """Largest gain in the band at one point; zero without inputs or outputs, infinite if unstable or not well posed.
 
     For a band that is not the whole axis, poles count as unstable only in a test of the whole axis.
@@ -84,7 +84,7 @@ def _peak_in_band(
 
 
 def worst_member(
-    system: UncertainSystem,
+    system: System,
     box: Sequence[tuple[float, float]],
     band: tuple[float, float],
     *,
@@ -116,7 +116,7 @@ def worst_member(
     return max((climbed(system, box, band, start) for start in found[:CLIMBS]), key=lambda member: member.gain)
 
 
-def _unstable_shares(system: UncertainSystem, ends: FloatArray, seed: int) -> list[FloatArray]:
+def _unstable_shares(system: System, ends: FloatArray, seed: int) -> list[FloatArray]:
     """A corner of the box that is unstable, if one is found."""
     nominal = np.array([p.nominal for p in system.parameters])
     if not system.order or np.any(nominal < ends[:, 0]) or np.any(nominal > ends[:, 1]):
@@ -128,7 +128,7 @@ def _unstable_shares(system: UncertainSystem, ends: FloatArray, seed: int) -> li
 
 
 def climbed(
-    system: UncertainSystem,
+    system: System,
     box: Sequence[tuple[float, float]],
     band: tuple[float, float],
     start: Member,
@@ -166,7 +166,7 @@ class _Unstable(Exception):
     """Ends a climb: an unstable member is as bad as can be."""
 
 
-def _climbed_by_slopes(system: UncertainSystem, ends: FloatArray, band: tuple[float, float], start: Member) -> Member:
+def _climbed_by_slopes(system: System, ends: FloatArray, band: tuple[float, float], start: Member) -> Member:
     """Ascent of the logarithm of the peak; its slopes are those of the gain at the frequency of the peak."""
     best, width = start, ends[:, 1] - ends[:, 0]
 
@@ -204,7 +204,7 @@ def _climbed_by_slopes(system: UncertainSystem, ends: FloatArray, band: tuple[fl
     return best
 
 
-def gain_slopes(system: UncertainSystem, member: Member) -> FloatArray:
+def gain_slopes(system: System, member: Member) -> FloatArray:
     """Derivatives of the gain of a member by its parameters, at its frequency.
 
     Raises
@@ -244,7 +244,7 @@ def response_slopes(whole: ComplexArray, delta: FloatArray) -> tuple[float, Floa
     return float(gains[0]), np.asarray(slopes)
 
 
-def scaled_box(system: UncertainSystem, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:
+def scaled_box(system: System, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:
     """The box with all its intervals scaled about the nominal values."""
     return [
         (p.nominal + factor * (low - p.nominal), p.nominal + factor * (high - p.nominal))
@@ -253,7 +253,7 @@ def scaled_box(system: UncertainSystem, box: Sequence[tuple[float, float]], fact
 
 
 def smallest_unstable_factor(
-    system: UncertainSystem,
+    system: System,
     box: Sequence[tuple[float, float]],
     largest: float,
     *,
@@ -306,7 +306,7 @@ def smallest_unstable_factor(
     return best, point, member_gain(system, point, (0.0, np.inf), gain=False).frequency
 
 
-def ray_factor(system: UncertainSystem, offset: FloatArray, largest: float) -> float:
+def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     """First factor on a ray from the nominal member with an unstable member, to 1e-9; infinite if there is none."""
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])

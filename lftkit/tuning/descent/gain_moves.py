@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.smooth_phase import Point, point_at, smooth_phase
@@ -34,7 +34,7 @@ def with_gain(structure: Structure, x: FloatArray, factor: float) -> FloatArray 
     if not isinstance(structure, AffineStructure | StableStateSpace):
         return None
     n, K, root = structure.order, structure.gain_matrix(x), np.sqrt(factor)
-    model = StateSpace(
+    model = System(
         K[:n, :n], root * K[:n, n:], root * K[n:, :n], factor * K[n:, n:], structure.inputs, structure.outputs
     )
     try:

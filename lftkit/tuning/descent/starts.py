@@ -11,7 +11,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.descent.gain_moves import with_gain
 from lftkit.tuning.problem import Problem
@@ -92,9 +92,7 @@ def _at_the_speed_of_the_plant(problem: Problem, x: FloatArray, rng: np.random.G
     A = K[:n, :n] / max(float(np.abs(K[:n, :n]).max()), 1e-300)
     A = np.exp(rng.uniform(low, high)) * (A - (scipy.linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
     try:
-        trial = structure.parameters_of(
-            StateSpace(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs)
-        )
+        trial = structure.parameters_of(System(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs))
     except ValueError:  # a structure with fixed entries that a stable random controller does not have
         return x
     if problem.abscissa(trial) < -problem.min_decay:

@@ -18,7 +18,7 @@ from lftkit.analysis.norms import schur_lyapunov
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.feedback import cascade
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -92,15 +92,15 @@ class ClosedLoop:
 
 
 def extended_plant(
-    model: StateSpace,
+    model: System,
     measurements: tuple[str, ...],
     commands: tuple[str, ...],
     controller_order: int,
     *,
     inputs: tuple[str, ...] = (),
     outputs: tuple[str, ...] = (),
-    weight_in: StateSpace | None = None,
-    weight_out: StateSpace | None = None,
+    weight_in: System | None = None,
+    weight_out: System | None = None,
     scale: float = 1.0,
     loop_delay: float = 0.0,
     pade_order: int = 6,
@@ -120,7 +120,7 @@ def extended_plant(
     nw, nu, nz, ny = len(cw), len(cu), len(rz), len(ry)
     before = [_or_unit(weight_in, nw), pade_delay(loop_delay, pade_order, nu)]
     after = [_or_unit(weight_out, nz), _or_unit(None, ny)]
-    core = StateSpace(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
+    core = System(A, B, C, D, (("w", nw + nu),), (("z", nz + ny),))  # type: ignore[arg-type]
     whole = cascade(cascade(_stacked(before), core), _stacked(after))
     A, B, C = balanced(whole.A, whole.B, whole.C)
     nw, nz = before[0].D.shape[1], after[0].D.shape[0]
@@ -208,10 +208,10 @@ def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray |
     return value, gradient / max(value, 1e-300)
 
 
-def _or_unit(weight: StateSpace | None, size: int) -> StateSpace:
+def _or_unit(weight: System | None, size: int) -> System:
     if weight is not None:
         return weight
-    return StateSpace(
+    return System(
         np.zeros((0, 0)),
         np.zeros((0, size)),
         np.zeros((size, 0)),
@@ -221,9 +221,9 @@ def _or_unit(weight: StateSpace | None, size: int) -> StateSpace:
     )
 
 
-def _stacked(parts: list[StateSpace]) -> StateSpace:
+def _stacked(parts: list[System]) -> System:
     A, B, C, D = (linalg.block_diag(*(p.matrices[i] for p in parts)) for i in range(4))
     n = sum(p.order for p in parts)
     m, r = sum(p.D.shape[1] for p in parts), sum(p.D.shape[0] for p in parts)
     A, B, C, D = A.reshape(n, n), B.reshape(n, m), C.reshape(r, n), D.reshape(r, m)
-    return StateSpace(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]
+    return System(A, B, C, D, (("in", m),), (("out", r),))  # type: ignore[arg-type]

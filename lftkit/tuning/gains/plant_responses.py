@@ -17,7 +17,7 @@ from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import ControllerFactors, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
 from lftkit.tuning.requirements import H2Gain, HinfGain
@@ -59,7 +59,7 @@ class PlantResponses:
 
     Parameters
     ----------
-    model : StateSpace
+    model : System
     measurements, commands : tuple of str
         Ports between which the controller stands.
     requirements : tuple of HinfGain or H2Gain
@@ -69,7 +69,7 @@ class PlantResponses:
 
     def __init__(
         self,
-        model: StateSpace,
+        model: System,
         measurements: tuple[str, ...],
         commands: tuple[str, ...],
         requirements: tuple[HinfGain | H2Gain, ...],
@@ -191,7 +191,7 @@ def _once(arrays: dict[int, ComplexArray], change: Callable[[int], ComplexArray]
     return changed
 
 
-def _weight(weight: StateSpace | None) -> FrequencyResponse | None:
+def _weight(weight: System | None) -> FrequencyResponse | None:
     return None if weight is None else FrequencyResponse.of(*weight.matrices)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.requirements import Requirement
 
 
@@ -18,18 +18,18 @@ from lftkit.tuning.requirements import Requirement
 class Goal(Protocol):
     """What becomes requirements on a model with further ports."""
 
-    def prepared(self, model: StateSpace) -> StateSpace:
+    def prepared(self, model: System) -> System:
         """The model with the ports that the requirements name."""
         ...
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """Requirements on the prepared model."""
         ...
 
 
 def resolved(
-    models: Sequence[StateSpace], goals: Sequence[Requirement | Goal]
-) -> tuple[tuple[StateSpace, ...], tuple[Requirement, ...]]:
+    models: Sequence[System], goals: Sequence[Requirement | Goal]
+) -> tuple[tuple[System, ...], tuple[Requirement, ...]]:
     """Models with the ports of all goals, and the requirements that the goals are."""
     if not models:
         raise ValueError("a design needs at least one model, got none")
@@ -41,10 +41,10 @@ def resolved(
 
 
 def resolved_build(
-    build: Callable[[Mapping[str, float]], StateSpace],
+    build: Callable[[Mapping[str, float]], System],
     goals: Sequence[Requirement | Goal],
     example: Mapping[str, float],
-) -> tuple[Callable[[Mapping[str, float]], StateSpace], tuple[Requirement, ...]]:
+) -> tuple[Callable[[Mapping[str, float]], System], tuple[Requirement, ...]]:
     """As :func:`resolved` for models that are built from parameter values, `example` being some."""
     own = tuple(goal for goal in goals if isinstance(goal, Goal))
     if not own:
@@ -56,25 +56,23 @@ def resolved_build(
 class PreparedBuild:
     """Builds models with the ports of goals."""
 
-    build: Callable[[Mapping[str, float]], StateSpace]
+    build: Callable[[Mapping[str, float]], System]
     goals: tuple[Goal, ...]
 
-    def __call__(self, values: Mapping[str, float]) -> StateSpace:
+    def __call__(self, values: Mapping[str, float]) -> System:
         """Model at parameter values."""
         return _prepared(self.build(values), self.goals)
 
 
-def _prepared(model: StateSpace, goals: Sequence[Requirement | Goal]) -> StateSpace:
+def _prepared(model: System, goals: Sequence[Requirement | Goal]) -> System:
     for goal in goals:
         model = goal.prepared(model) if isinstance(goal, Goal) else model
     return model
 
 
-def with_output(model: StateSpace, name: str, C: FloatArray, D: FloatArray) -> StateSpace:
+def with_output(model: System, name: str, C: FloatArray, D: FloatArray) -> System:
     """The model with one more output; as it is if there is one of this name."""
     if any(p.name == name for p in model.outputs):
         return model
     outputs = (*model.outputs, Port(name, len(C)))
-    return StateSpace(
-        model.A, model.B, np.vstack([model.C, C]), np.vstack([model.D, D]), model.inputs, outputs, model.name
-    )
+    return System(model.A, model.B, np.vstack([model.C, C]), np.vstack([model.D, D]), model.inputs, outputs, model.name)

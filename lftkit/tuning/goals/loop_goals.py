@@ -16,7 +16,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.systems.filters import transfer
 from lftkit.systems.ports import Port
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import HinfGain, Requirement
 
@@ -35,7 +35,7 @@ class _AtLoop:
             raise ValueError("location must name at least one command or measurement of the controller, got none")
         object.__setattr__(self, "location", location)
 
-    def prepared(self, model: StateSpace) -> StateSpace:
+    def prepared(self, model: System) -> System:
         """The model with ``added``, ``applied`` and ``returned`` at the location.
 
         Raises
@@ -50,7 +50,7 @@ class _AtLoop:
     def _ports(self, kind: str) -> tuple[str, ...]:
         return tuple(f"{name}.{kind}" for name in self.location)
 
-    def _size(self, model: StateSpace) -> int:
+    def _size(self, model: System) -> int:
         return len(model.input_indices(self._ports("added")))
 
     def _name(self, given: str) -> str:
@@ -66,7 +66,7 @@ class Sensitivity(_AtLoop):
     location : tuple of str (or one str)
         Commands or measurements of the controller.
     bound : float
-    weight : StateSpace, optional
+    weight : System, optional
         Stable, of the size of the location or 1: ``weight S`` is at most `bound`.
     complementary : bool
         T instead of S.
@@ -75,12 +75,12 @@ class Sensitivity(_AtLoop):
     """
 
     bound: float = 1.0
-    weight: StateSpace | None = None
+    weight: System | None = None
     complementary: bool = False
     hard: bool = False
     name: str = ""
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         weight = None if self.weight is None else _repeated(self.weight, self._size(model))
         out = self._ports("returned" if self.complementary else "applied")
@@ -137,7 +137,7 @@ class Margins(_AtLoop):
         gain = 2.0 * (self.gain_margin - 1.0) / (self.gain_margin + 1.0)
         return max(gain, 2.0 * float(np.tan(0.5 * np.deg2rad(self.phase_margin))))
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         middle = self._ports("middle")
         common = {"hard": self.hard, "name": self._name(self.name)}
@@ -165,7 +165,7 @@ class MinLoopGain(_AtLoop):
         super().__post_init__()
         _refuse_crossover(self.crossover)
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         weight = _repeated(_integrator(self.crossover), self._size(model))
         common = {"weight_out": weight, "hard": self.hard, "name": self._name(self.name)}
@@ -190,7 +190,7 @@ class MaxLoopGain(_AtLoop):
         super().__post_init__()
         _refuse_crossover(self.crossover)
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         weight = _repeated(_differentiator(self.crossover), self._size(model))
         common = {"weight_out": weight, "hard": self.hard, "name": self._name(self.name)}
@@ -217,7 +217,7 @@ class LoopShape(_AtLoop):
         super().__post_init__()
         _refuse_crossover(self.crossover)
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain of both."""
         size = self._size(model)
         low, high = _repeated(_integrator(self.crossover), size), _repeated(_differentiator(self.crossover), size)
@@ -231,29 +231,29 @@ def _refuse_crossover(crossover: float) -> None:
         raise ValueError(f"crossover must be positive [rad/s], got {crossover}")
 
 
-def _integrator(crossover: float) -> StateSpace:
+def _integrator(crossover: float) -> System:
     return transfer([crossover], [1.0, SLOWEST * crossover])
 
 
-def _differentiator(crossover: float) -> StateSpace:
+def _differentiator(crossover: float) -> System:
     return transfer([1.0 / crossover, 0.0], [1.0 / (FASTEST * crossover), 1.0])
 
 
-def _repeated(weight: StateSpace, size: int) -> StateSpace:
+def _repeated(weight: System, size: int) -> System:
     """A weight of one signal for each of `size`; others as they are."""
     return weight if weight.D.shape != (1, 1) else _side_by_side(*(weight for _ in range(size)))
 
 
-def _side_by_side(*weights: StateSpace) -> StateSpace:
+def _side_by_side(*weights: System) -> System:
     parts = [w.matrices for w in weights]
     n, m, p = sum(w.order for w in weights), *(sum(w.D.shape[k] for w in weights) for k in (1, 0))
     blocks = [linalg.block_diag(*(part[k] for part in parts)) for k in range(4)]
     shapes = ((n, n), (n, m), (p, n), (p, m))
     A, B, C, D = (np.asarray(block).reshape(shape) for block, shape in zip(blocks, shapes))
-    return StateSpace(A, B, C, D, (Port("in", m),), (Port("out", p),), "weights")
+    return System(A, B, C, D, (Port("in", m),), (Port("out", p),), "weights")
 
 
-def _opened(model: StateSpace, name: str) -> StateSpace:
+def _opened(model: System, name: str) -> System:
     """The model with ``added``, ``applied``, ``returned`` and ``middle`` (their mean) at a command or a measurement."""
     if any(p.name == f"{name}.added" for p in model.inputs):
         return model
@@ -276,7 +276,7 @@ def _opened(model: StateSpace, name: str) -> StateSpace:
         rows = model.output_indices([name])
         size, own, C_own = len(rows), model.D[rows], model.C[rows]
         B, D = np.zeros((model.order, size)), np.eye(len(model.D))[:, rows]
-    wide = StateSpace(
+    wide = System(
         model.A,
         np.hstack([model.B, B]),
         model.C,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.systems.filters import transfer
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import H2Gain, HinfGain, Requirement
 
@@ -22,7 +22,7 @@ class _FromReference:
     reference: str
     output: str
 
-    def prepared(self, model: StateSpace) -> StateSpace:
+    def prepared(self, model: System) -> System:
         """The model with the output ``output-reference``.
 
         Raises
@@ -76,7 +76,7 @@ class Tracking(_FromReference):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         w, size = 2.0 / self.response_time, len(model.input_indices([self.reference]))
         weight = transfer([1.0, w], [self.peak_error, w * self.dc_error], size)
@@ -115,7 +115,7 @@ class StepTracking(_FromReference):
     def _mismatch(self) -> str:
         return f"{self._error}.mismatch {self.time_constant:g} s"
 
-    def prepared(self, model: StateSpace) -> StateSpace:
+    def prepared(self, model: System) -> System:
         """The model with the difference of the output and the reference model's."""
         model = super().prepared(model)
         if any(p.name == self._mismatch for p in model.outputs):
@@ -126,11 +126,11 @@ class StepTracking(_FromReference):
         B = np.vstack([model.B, np.zeros((size, model.B.shape[1]))])
         B[n:, columns] = np.eye(size) / tau
         C = np.hstack([model.C, np.zeros((len(model.C), size))])
-        wide = StateSpace(A, B, C, model.D, model.inputs, model.outputs, model.name)
+        wide = System(A, B, C, model.D, model.inputs, model.outputs, model.name)
         difference = np.hstack([model.C[rows], -np.eye(size)])
         return with_output(wide, self._mismatch, difference, model.D[rows])
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One H2 norm."""
         size, leak = len(model.input_indices([self.reference])), GAP_LEAK / self.time_constant
         # (1 - M) / s = tau / (tau s + 1): its norm is the root of tau / 2 for each reference
@@ -176,11 +176,11 @@ class Overshoot(_FromReference):
         z = decay / float(np.hypot(np.pi, decay))
         return 1.0 if z >= np.sqrt(0.5) else 0.5 / (z * float(np.sqrt(1.0 - z * z)))
 
-    def prepared(self, model: StateSpace) -> StateSpace:
+    def prepared(self, model: System) -> System:
         """The model as it is."""
         return model
 
-    def requirements_on(self, model: StateSpace) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""
         common = {"hard": self.hard, "name": self._name(self.name)}
         return (HinfGain((self.reference,), (self.output,), self.peak_gain, **common),)  # type: ignore[arg-type]

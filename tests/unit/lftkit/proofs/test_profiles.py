@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
-from lftkit import Port, RealParameter, UncertainSystem
+from lftkit import Port, RealParameter, System
 from lftkit.proofs import (
     check_proof,
     gain_profile,
@@ -31,7 +31,7 @@ def test_the_profile_of_a_margin_has_its_peak_at_the_margin() -> None:
     assert profile.upper.max() == profile.upper[3] == pytest.approx(1.0 / 3.41740, rel=2e-3)
     assert profile.lower.max() == pytest.approx(1.0 / 3.41740, rel=1e-4)
     best = int(np.argmax(profile.lower))
-    poles = linalg.eigvals(system.data_at(profile.points[best], beyond_range=True).A)
+    poles = linalg.eigvals(system.at(profile.points[best], beyond_range=True).A)
     assert np.abs(poles - 1j * omega[best]).min() < 1e-7, "the member has a pole there"
 
 
@@ -41,7 +41,7 @@ def test_the_profile_of_a_gain_is_reached_and_bounded() -> None:
     profile = gain_profile(system, omega)
     assert np.all(profile.lower <= profile.upper) and np.all(profile.upper <= 1.35 * profile.lower)
     for w, gain, point in zip(omega, profile.lower, profile.points):
-        member = system.data_at(point)
+        member = system.at(point)
         response = member.C @ np.linalg.solve(1j * w * np.eye(member.order) - member.A, member.B.astype(complex))
         assert abs(complex(response[0, 0])) == pytest.approx(gain, rel=1e-9)
     bounds = worst_case_gain(system)
@@ -49,7 +49,7 @@ def test_the_profile_of_a_gain_is_reached_and_bounded() -> None:
     assert bounds.lower * (1.0 - 1e-6) <= at_peak.upper[0] and at_peak.lower[0] <= bounds.upper
     rng = np.random.default_rng(0)
     for values in system.sample_values(rng, 200):
-        member = system.data_at(values)
+        member = system.at(values)
         for w, upper in zip(omega, profile.upper):
             assert abs(member.C @ np.linalg.solve(1j * w * np.eye(4) - member.A, member.B)) <= upper
 
@@ -58,7 +58,7 @@ def test_a_discrete_system_is_taken_on_the_circle() -> None:
     """x+ = p x + u, p in [0, 0.6]: gain 1 / |exp(j w dt) - p|."""
     p = RealParameter("p", 0.3, 0.0, 0.6)
     ports = (Port("u", 1),), (Port("y", 1),)
-    system = UncertainSystem([[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports, ("p",), (p,))
+    system = System([[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
     omega, dt = np.array([0.0, 10.0, np.pi / 0.1]), 0.1
     profile = gain_profile(system, omega, dt=dt)
     grid = np.linspace(0.0, 0.6, 2001)
@@ -70,18 +70,20 @@ def test_a_discrete_system_is_taken_on_the_circle() -> None:
 
 
 def test_a_pole_at_a_frequency_is_an_error() -> None:
-    system = UncertainSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]], (), (), ("p",), (RealParameter("p", 0.0, -1.0, 1.0),))
+    system = System(
+        [[0.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(RealParameter("p", 0.0, -1.0, 1.0),)
+    )
     with pytest.raises(ValueError, match="no pole"):
         stability_profile(system, [0.0])
 
 
-def third_order_loop() -> UncertainSystem:
+def third_order_loop() -> System:
     """``k / (s + 1)^3`` with k in [1, 3], nominal 2."""
     A = np.array([[-1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
     B, C = np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     k = RealParameter("k", 2.0, 1.0, 3.0)
     D = np.array([[0.0, 1.0], [0.0, 0.0]])
-    return UncertainSystem(A, B, C, D, (Port("u", 1),), (Port("y", 1),), ("k",), (k,))
+    return System(A, B, C, D, (Port("u", 1),), (Port("y", 1),), ("k",), (k,))
 
 
 @pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lftkit.systems.filters import transfer
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
     Goal,
@@ -32,21 +32,21 @@ from lftkit.tuning import (
 from lftkit.tuning.goals import resolved
 
 
-def plant(numerator: Any, denominator: Any) -> StateSpace:
+def plant(numerator: Any, denominator: Any) -> System:
     """Reference r, command u -> output z, error e = r - z, the controller's measurement."""
     G = transfer(numerator, denominator)
     assert not G.D.any()
     B = np.hstack([np.zeros_like(G.B), G.B])
     C = np.vstack([G.C, -G.C])
     D = np.array([[0.0, 0.0], [1.0, 0.0]])
-    return StateSpace(G.A, B, C, D, [("r", 1), ("u", 1)], [("z", 1), ("e", 1)])
+    return System(G.A, B, C, D, [("r", 1), ("u", 1)], [("z", 1), ("e", 1)])
 
 
-def feedback(k: float) -> StateSpace:
-    return StateSpace.static([[k]], [("e", 1)], [("u", 1)])
+def feedback(k: float) -> System:
+    return System.static([[k]], [("e", 1)], [("u", 1)])
 
 
-def value(goal: Goal, model: StateSpace, controller: StateSpace) -> float:
+def value(goal: Goal, model: System, controller: System) -> float:
     (ready,), needs = resolved([model], [goal])
     certificate = certify([ready], controller, needs, rtol=1e-9)
     assert certificate.stable
@@ -91,10 +91,10 @@ def test_sensitivities_of_a_lag() -> None:
 def test_loops_of_two_commands_are_looked_at_together() -> None:
     """Two integrators with gains 2 and 5, one goal: the worse of them."""
     B = np.hstack([np.zeros((2, 1)), np.eye(2)])
-    model = StateSpace(
+    model = System(
         np.zeros((2, 2)), B, np.eye(2), np.zeros((2, 3)), [("w", 1), ("a", 1), ("b", 1)], [("x", 1), ("y", 1)]
     )
-    K = StateSpace.static(np.diag([-2.0, -5.0]), [("x", 1), ("y", 1)], [("a", 1), ("b", 1)])
+    K = System.static(np.diag([-2.0, -5.0]), [("x", 1), ("y", 1)], [("a", 1), ("b", 1)])
     assert value(MinLoopGain(("a", "b"), crossover=4.0), model, K) == pytest.approx(2.0, rel=1e-3)
     assert value(MaxLoopGain(("x", "y"), crossover=4.0), model, K) == pytest.approx(1.25, rel=1e-3)
 
@@ -161,7 +161,7 @@ def test_goals_are_tuned_beside_requirements() -> None:
     assert result.certificate is not None and result.hard <= 1.0 + 1e-6
 
 
-def build(values: Any) -> StateSpace:
+def build(values: Any) -> System:
     return plant([values["gain"]], [1.0, 2.0, 0.0])
 
 

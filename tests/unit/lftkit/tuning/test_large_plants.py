@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning import HinfGain, state_space
 from lftkit.tuning.gains import plant_responses
 from lftkit.tuning.gains.prefeedback import prefeedback
@@ -17,7 +17,7 @@ from lftkit.tuning.nested_orders import lower_order
 from lftkit.tuning.problem import Problem
 
 
-def chain(masses: int) -> StateSpace:
+def chain(masses: int) -> System:
     """Free chain of equal masses and springs without dampers: force and rate at one end, disturbance at the other."""
     stiffness = 2.0 * np.eye(masses) - np.eye(masses, k=1) - np.eye(masses, k=-1)
     stiffness[0, 0] = stiffness[-1, -1] = 1.0
@@ -26,7 +26,7 @@ def chain(masses: int) -> StateSpace:
     B[-1, 0], B[masses, 1] = 1.0, 1.0
     C = np.zeros((2, 2 * masses))
     C[0, 0] = C[1, masses] = 1.0
-    return StateSpace(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.state_space import StateSpace
+from lftkit.systems.system import System
 from lftkit.tuning import Decentralised, HinfGain, StableStateSpace, TuningOptions, controller, gain, pid, tune
 from lftkit.tuning.structures import AffineStructure, state_space
 
 
-def frequency_response(K: StateSpace, omega: float) -> complex:
+def frequency_response(K: System, omega: float) -> complex:
     return complex((K.C @ np.linalg.solve(1j * omega * np.eye(K.order) - K.A, K.B) + K.D).item())
 
 
@@ -95,10 +95,10 @@ def test_part_that_can_hold_nothing_is_refused() -> None:
         structure.with_fixed({"u.x[0]": 1.0})
 
 
-def lag() -> StateSpace:
+def lag() -> System:
     """1 / (s + 1) with the disturbance at its input; outputs: state, command, measurement."""
     D = [[0, 0], [0, 1], [0, 0]]
-    return StateSpace([[-1]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
+    return System([[-1]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
 
 
 STATIC = gain([("y", 1)], [("u", 1)])
