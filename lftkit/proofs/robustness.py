@@ -64,7 +64,7 @@ def worst_case_gain(
     >>> from lftkit.proofs import check_proof
     >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
-    >>> mode = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("stiffness",), elements=(k,))
+    >>> mode = System(A, B, C, np.zeros((2, 2)), [("force", 1)], [("x", 1)], channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
     >>> check_proof(bounds.proof).level == bounds.upper
     True

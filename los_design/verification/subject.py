@@ -25,7 +25,7 @@ class Subject:
         """Of controllers and the :func:`titop_plant.telescope.parameters.parameters_hash` of their telescope."""
         return cls(digest(k_fsm), digest(k_pma), telescope)
 
-    def covers(self, flown: Subject, stage: str) -> bool:
+    def covers(self, other: Subject, stage: str) -> bool:
         """Whether a statement is about what flies; without proof-mass actuators K_PMA does not count."""
-        same = self.k_fsm == flown.k_fsm and self.telescope == flown.telescope
-        return same and (stage not in FORCE_STAGES or self.k_pma == flown.k_pma)
+        same = self.k_fsm == other.k_fsm and self.telescope == other.telescope
+        return same and (stage not in FORCE_STAGES or self.k_pma == other.k_pma)

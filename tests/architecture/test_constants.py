@@ -107,7 +107,7 @@ def test_constants_of_the_loop_are_written_down_in_one_place(path: Path) -> None
         "limit = -0.0053",
         "f(limit=31.6)",
         "S = ('none', 'isolator', 'fsm', 'fsm+pma')",
-        "S = ['worst_case', 'design', 'imbalance', 'ramp']",
+        "S = ['worst_case', 'unit_norm', 'design', 'imbalance', 'ramp']",
         "if loop in ('fsm', 'fsm+pma'): pass",
         "CAMERA = slice(18, 20)",
         "y[18:20] = 0.0",

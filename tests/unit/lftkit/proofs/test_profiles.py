@@ -83,7 +83,7 @@ def third_order_loop() -> System:
     B, C = np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     k = RealParameter("k", 2.0, 1.0, 3.0)
     D = np.array([[0.0, 1.0], [0.0, 0.0]])
-    return System(A, B, C, D, (Port("u", 1),), (Port("y", 1),), ("k",), (k,))
+    return System(A, B, C, D, [("u", 1)], [("y", 1)], channels=("k",), elements=(k,))
 
 
 @pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0])
