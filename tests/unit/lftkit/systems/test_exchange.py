@@ -159,8 +159,9 @@ def test_connections_take_whatever_is_a_system() -> None:
     ):
         assert isinstance(made, System)
     assert lk.feedback(theirs, 2.0).poles().real.tolist() == [-3.0]
+    both: dict[str, Any] = {"a": theirs, "b": lk.real("k", 1.0, percent=10)}
     whole = lk.connect(
-        {"a": theirs, "b": lk.real("k", 1.0, percent=10)},
+        both,
         [("r", "a.u"), ("a.y", "b.u")],
         inputs=[Port("r", 1)],
         outputs={"y": "b.y"},
