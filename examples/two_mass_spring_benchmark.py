@@ -4,7 +4,7 @@ python examples/two_mass_spring_benchmark.py
 
 A force on the first mass, the position of the second one measured; masses and stiffness are uncertain by 20 %. The
 problem is that of Wie and Bernstein (JGCD 15, 1992), the controller that of the ACC benchmark example in the manual of
-MATLAB's Robust Control Toolbox, which prints a margin between 2.8803 and 2.8864.
+MATLAB's Robust Control Toolbox, which prints a margin between 2.8826 and 2.8864.
 """
 
 from lftkit import feedback, matrix, real, s

@@ -26,7 +26,7 @@ def test_the_example_of_slicot_ab13md() -> None:
 
 
 def test_four_scalars_whose_upper_bound_is_not_reached() -> None:
-    """Packard and Doyle, Automatica 29 (1993), 71-109, section 9: 1 for all scalings D, mu itself about 0.87."""
+    """Packard and Doyle, Automatica 29 (1993), 71-109: the best scalings D give 1, mu itself is about 0.87."""
     g, b = 3.0 + np.sqrt(3.0), np.sqrt(3.0) - 1.0
     a, c, d, f = np.sqrt(2.0 / g), np.sqrt(1.0 / g), -np.sqrt(b / g), (1.0 + 1.0j) * np.sqrt(1.0 / (g * b))
     U = np.array([[a, 0.0], [c, c], [c, 1j * c], [d, f]])
