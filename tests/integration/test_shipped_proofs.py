@@ -105,7 +105,6 @@ def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
     assert checked.stable == (BANDS[figure] == WHOLE), "poles above half of the sampling rate included"
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bundle]:
     path = tmp_path_factory.mktemp("bundle") / "bundle.zip"
@@ -132,6 +131,7 @@ def test_the_bundle_passes_and_says_what_is_shipped(bundle: Bundle) -> None:
     assert json.loads(json.dumps(found)) == said
 
 
+@pytest.mark.slow
 def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
     assert nominal_stable(loop)
 

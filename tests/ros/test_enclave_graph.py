@@ -1,5 +1,7 @@
 """What the nodes of a run send and hear is what their permissions for DDS security say, no less."""
 
+import contextlib
+import os
 import time
 from fnmatch import fnmatchcase
 
@@ -42,6 +44,17 @@ def enclave_of(node):
     return "live" if node.startswith("live_control") else "control" if node.startswith("control_") else node
 
 
+@contextlib.contextmanager
+def environment_kept():
+    """What a remote control sets for its process is undone."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
 def look(domain):
     """Names of all nodes of the run, and of ``los-testbed control``."""
     with middleware():
@@ -50,7 +63,7 @@ def look(domain):
     node = Node("looking", context=context, start_parameter_services=False, enable_rosout=False)
     found, end = {}, time.monotonic() + SECONDS
     try:
-        with remote_control(domain, SPACE, 20.0):
+        with environment_kept(), remote_control(domain, SPACE, 20.0):
             while time.monotonic() < end:
                 listed = [each for each in node.get_node_names_and_namespaces() if each[0] != "looking"]
                 found = {each: names_in_the_middleware(node, *each) for each in listed}

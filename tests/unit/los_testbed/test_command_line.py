@@ -5,11 +5,11 @@ import os
 import subprocess
 import sys
 
-import los_testbed.loop.simulate
 import numpy as np
 import pytest
 from command_line import call_command
 from los_testbed.cli.run import configure
+from los_testbed.factories import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port
@@ -21,11 +21,12 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     """Run a command in an empty folder with the small telescope; exit code, output, error output."""
-    monkeypatch.setattr(
-        los_testbed.loop.simulate,
-        "build_plant",
-        lambda c: SimpleTelescope(c.frame_ticks, c.seed, c.noise, c.camera_dropout),
-    )
+
+    def plant(parts):
+        config = parts.config
+        return SimpleTelescope(config.frame_ticks, config.seed, config.noise, config.camera_dropout)
+
+    monkeypatch.setattr(RunParts, "plant", plant)
     (tmp_path / "files").mkdir()
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")

@@ -31,7 +31,7 @@ def test_agrees_with_control_at_and_between_resonances(zeta: float) -> None:
     data = system.at({})
     omega = frequency_grid(np.linalg.eigvals(data.A), 1e-2, 1e4, points=60)
     ours = frequency_response(data, omega)
-    theirs = control.frequency_response(system.nominal(), omega).complex.transpose(2, 0, 1)
+    theirs = control.frequency_response(system.nominal().to_control(), omega).complex.transpose(2, 0, 1)
     size = np.abs(theirs).max(axis=(1, 2), keepdims=True)
     assert np.max(np.abs(ours - theirs) / size) < 1e-9
 
