@@ -21,7 +21,6 @@ STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
 EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
 WORTH_REPEATING = 0.05  # relative decrease by a smooth phase that is worth another one
-BUNDLE_STEPS = 100  # of the bundle method at a time: where it has not ended by then, smooth phases are faster
 MAX_CYCLES = 4  # of smooth phase and bundle method
 VISIBLE = 1e-3  # relative decrease that refutes optimality
 ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
@@ -123,24 +122,19 @@ class _Run:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
         confirmed = False
         limits = replace(limits, target=max(limits.target, negligible)) if negligible else limits
-        cycles = 0
-        while cycles < MAX_CYCLES:
+        for _ in range(MAX_CYCLES):
             if time.monotonic() > limits.deadline:
                 return TuningStatus.OUT_OF_TIME
             left = max(limits.iterations - self.steps, 1)
-            own = replace(limits, iterations=min(left, BUNDLE_STEPS))
-            found = minimise(self._oracle, self.point.x, own, self._rng)
+            found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
             self.stationarity = found.stationarity
             self._take(point_at(self._problem, found.x))
             self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
             if self._at_limit():
                 return TuningStatus.UNBOUNDED
-            if found.reason is StopReason.ITERATIONS and self.steps < limits.iterations:
-                self.point = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
-                continue
             if found.reason in ENDS or self.steps >= limits.iterations:
                 break
-            confirmed, cycles = self._confirmed(), cycles + 1
+            confirmed = self._confirmed()
             if confirmed or time.monotonic() > limits.deadline:
                 break
         if found.reason is StopReason.TARGET and self._limits.target < limits.target:

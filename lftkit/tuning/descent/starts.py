@@ -41,9 +41,9 @@ class Start:
 
 
 def start_sizes(problem: Problem, given: Sequence[FloatArray], seed: int) -> FloatArray:
-    """Magnitudes of the parameters of starts (size,), at least 1: the given ones and a large random one."""
-    largest = random_starts(len(SIZES), seed, 0)[int(np.argmax(SIZES))]
-    return np.asarray(np.abs([*given, largest.parameters(problem)]).max(axis=0, initial=1.0))
+    """Magnitudes of the parameters of starts (size,), at least 1: the given ones and a random one of each size."""
+    random = [start.parameters(problem) for start in random_starts(len(SIZES), seed, 0)]
+    return np.asarray(np.abs([*given, *random]).max(axis=0, initial=1.0))
 
 
 def given_starts(points: Sequence[FloatArray], seed: int) -> list[Start]:
