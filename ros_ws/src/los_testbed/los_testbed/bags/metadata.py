@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 import yaml
 
 from los_design.synthesis.provenance import commit
-from los_testbed.config import physical_hash
+from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import RunParts
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
@@ -19,7 +19,7 @@ from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADA
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.interface import FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, RATE
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
 from titop_plant.telescope.sensors import noise_of_samples
 
@@ -71,7 +71,7 @@ def proof_of(parts: RunParts) -> dict[str, str]:
     from los_design.verification.subject import Subject
 
     found = None
-    if not (parts.code or config.plant) and config.frame_ticks == FRAME_TICKS:
+    if not (parts.code or config.plant) and config.frame_ticks == RunConfig().frame_ticks:
         folders = {path.parent for path in parts.files.values()}
         folder = folders.pop() if len(folders) == 1 else None
         found = statement_of(
