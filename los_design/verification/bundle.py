@@ -385,8 +385,10 @@ def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stabili
 
 def as_mapping(checked: CheckedBundle) -> dict[str, Any]:
     """For JSON; an infinite frequency is null."""
+    content = asdict(replace(checked, stable={}))
+    del content["stable"]
     return {
-        **asdict(replace(checked, stable={})),
+        **content,
         "figures": [{**asdict(figure), "text": figure.text} for figure in checked.figures],
         "stable_below": {stage: at if math.isfinite(at) else None for stage, at in checked.stable.items()},
     }
