@@ -8,7 +8,7 @@ MATLAB's Robust Control Toolbox, which prints a margin between 2.8826 and 2.8864
 """
 
 from lftkit import feedback, matrix, real, s
-from lftkit.proofs.state_space import check_proof, robust_stability
+from lftkit.proofs import check_proof, robust_stability
 
 k, m1, m2 = (real(name, 1.0, percent=20) for name in ("k", "m1", "m2"))
 plant = matrix([[m1 * s**2 + k, -k], [-k, m2 * s**2 + k]]).inverse()[1, 0].system("force", "position")

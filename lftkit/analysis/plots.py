@@ -1,7 +1,7 @@
 """Pictures of uncertain systems: band of the frequency response, singular values, poles.
 
 Each function returns a `matplotlib.figure.Figure`; nothing is shown or written. A band is the envelope of the members
-that were evaluated, not a bound over the box: for that see `lftkit.proofs.state_space`.
+that were evaluated, not a bound over the box: for that see `lftkit.proofs`.
 """
 
 from __future__ import annotations

@@ -8,9 +8,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.axis.bounds import axis_gain, axis_stability, axis_takes, gain_of_intervals
-from lftkit.proofs.state_space import bounds as cells
-from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, checked_band, factor_of, intervals_of
+from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
+from lftkit.proofs.state_space.bounds import (
+    SHARE,
+    WHOLE,
+    Bounds,
+    GainByCells,
+    checked_band,
+    factor_of,
+    intervals_of,
+    stability_by_cells,
+)
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
@@ -33,18 +41,38 @@ def worst_case_gain(
     gap: float = 0.05,
     *,
     wall_limit: float = 600.0,
+    max_tests: int = 5000,
     seed: int = 0,
     progress: bool = False,
+    method: str | None = None,
 ) -> Bounds:
     """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
 
-    Up to :data:`FEW_STATES` states it is proven by :func:`lftkit.proofs.state_space.worst_case_gain`, beyond by
-    :func:`lftkit.proofs.axis.axis_gain`, as far as the nominal member is stable and in the box.
-
     Parameters
     ----------
-    system, box, inputs, outputs, band, level, gap, wall_limit, seed, progress
-        As there.
+    system : System
+        In continuous time.
+    box : mapping of str to (lowest, highest), optional
+        Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
+    inputs, outputs : sequence of str, optional
+        Ports; all by default.
+    band : (lower, upper)
+        Frequencies [rad/s]; upper may be infinite. Only for the whole axis is every member shown to be stable.
+    level : float, optional
+        Prove the gain below this level, or find a member that exceeds it; without it the bounds are brought together.
+    gap : float
+        Relative distance of the bounds that ends the computation.
+    wall_limit : float
+        Seconds. Then the best bounds so far are given, with what is not covered.
+    max_tests : int
+        Most cells that are tried; as the wall limit, but the same on every machine.
+    seed : int
+        Of the search.
+    progress : bool
+    method : {"cells", "axis"}, optional
+        Cells of parameters and frequency, or scalings over the frequency axis. By default cells up to
+        :data:`FEW_STATES` states, and where the other cannot be used: it needs parameters, and a nominal member in the
+        box that is stable with separate poles.
 
     Returns
     -------
@@ -54,7 +82,8 @@ def worst_case_gain(
     Raises
     ------
     ValueError
-        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense.
+        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense; a
+        method that cannot be used.
 
     Examples
     --------
@@ -66,19 +95,28 @@ def worst_case_gain(
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
     >>> mode = System(A, B, C, np.zeros((2, 2)), [("force", 1)], [("x", 1)], channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
+    >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
+    ('closed', True, 0.8)
     >>> check_proof(bounds.proof).level == bounds.upper
     True
     """
     checked_band(band, level, gap, wall_limit)
-    chosen = system.select(inputs=inputs, outputs=outputs)
-    gains = bool(chosen.inputs and chosen.outputs)
-    if gains and system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box)):
-        return axis_gain(
-            chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
-        )
-    return cells.worst_case_gain(
-        chosen, box, band=band, level=level, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress
-    )
+    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
+    ends = intervals_of(chosen, box)
+    over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
+    with one_thread():
+        if over_axis:
+            return gain_over_axis(chosen, ends, band, level, gap, wall_limit, seed)
+        return GainByCells(chosen, ends, band, level, gap, wall_limit, max_tests, seed, progress).run()
+
+
+def _over_axis(system: System, box: list[tuple[float, float]], method: str | None, usual: bool = True) -> bool:
+    """Whether the frequency axis is the method; what is chosen by size where none is given."""
+    if method not in (None, "cells", "axis"):
+        raise ValueError(f"method must be cells or axis, got {method!r}")
+    if method is not None:
+        return method == "axis"
+    return usual and system.order > FEW_STATES and axis_takes(system, box)
 
 
 def robust_stability(
@@ -88,8 +126,10 @@ def robust_stability(
     largest: float = 10.0,
     gap: float = 0.05,
     wall_limit: float = 600.0,
+    max_tests: int = 5000,
     seed: int = 0,
     progress: bool = False,
+    method: str | None = None,
 ) -> Bounds:
     """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
 
@@ -98,9 +138,9 @@ def robust_stability(
 
     Parameters
     ----------
-    system, box, largest, gap, wall_limit, seed, progress
-        As for :func:`lftkit.proofs.state_space.robust_stability`, which is used up to :data:`FEW_STATES` states;
-        beyond it is :func:`lftkit.proofs.axis.axis_stability`.
+    system, box, gap, wall_limit, max_tests, seed, progress, method
+        As for :func:`worst_case_gain`; ports do not matter.
+    largest : float
 
     Returns
     -------
@@ -111,7 +151,7 @@ def robust_stability(
     Raises
     ------
     ValueError
-        Unknown names; intervals outside the ranges; numbers that make no sense.
+        As for :func:`worst_case_gain`.
 
     Examples
     --------
@@ -121,13 +161,19 @@ def robust_stability(
     >>> p = RealParameter("p", 0.0, -0.5, 0.5)
     >>> lag = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
     >>> bounds = robust_stability(lag)
-    >>> bounds.lower <= 2.0, round(bounds.upper, 6)
-    (True, 2.0)
+    >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
+    (True, 2.0, True)
     """
-    chosen = system.select(inputs=(), outputs=())
-    posed = system.order > FEW_STATES and axis_takes(chosen, intervals_of(chosen, box))
-    method = axis_stability if posed else cells.robust_stability
-    return method(chosen, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed, progress=progress)
+    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
+        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
+    chosen = system.select(inputs=(), outputs=()).sorted_channels()
+    ends = intervals_of(chosen, box)
+    until = time.monotonic() + wall_limit
+    over_axis = _over_axis(chosen, ends, method)
+    with one_thread():
+        if over_axis:
+            return stability_over_axis(chosen, ends, largest, gap, until, seed)
+        return stability_by_cells(chosen, ends, largest, gap, until, max_tests, seed, progress)
 
 
 def robust_performance(
@@ -191,7 +237,7 @@ def robust_performance(
             left = until - time.monotonic()
             if left <= 0.0 or aim <= 0.0:
                 break
-            found = gain_of_intervals(chosen, scaled_box(chosen, ends, aim), WHOLE, level, gap, 0.6 * left, seed)
+            found = gain_over_axis(chosen, scaled_box(chosen, ends, aim), WHOLE, level, gap, 0.6 * left, seed)
             if found.status == "closed":
                 lower, proof = aim, found.proof
                 break

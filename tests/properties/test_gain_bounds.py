@@ -7,7 +7,7 @@ import pytest
 from support.uncertain_examples import aligned_modes, tangent_crossing
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import check_proof, robust_stability, worst_case_gain
 
 LONG = 3600.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
-from lftkit.proofs.state_space import check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
 
 LONG = 3600.0

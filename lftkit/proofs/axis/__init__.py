@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.proofs.axis.bounds import axis_gain, axis_stability
     from lftkit.proofs.axis.checker import check_axis_proof
     from lftkit.proofs.axis.proof import AxisProof
 
-__all__ = ["AxisProof", "axis_gain", "axis_stability", "check_axis_proof"]
+__all__ = ["AxisProof", "check_axis_proof"]
 
 __getattr__ = names_on_demand(
     __name__,
-    {"bounds": ("axis_gain", "axis_stability"), "checker": ("check_axis_proof",), "proof": ("AxisProof",)},
+    {"checker": ("check_axis_proof",), "proof": ("AxisProof",)},
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.bounds import prove_level
 from lftkit.proofs.sampled_loop.proof import Interval, Strip
-from lftkit.proofs.state_space.bounds import SHARE, SMALLEST, WHOLE, Bounds, checked_band, intervals_of
+from lftkit.proofs.state_space.bounds import SHARE, SMALLEST, WHOLE, Bounds
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.search import (
     Member,
@@ -30,8 +30,6 @@ from lftkit.proofs.state_space.search import (
     smallest_unstable_factor,
     worst_member,
 )
-from lftkit.support.progress import Progress
-from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 
 PART = 0.1
@@ -149,41 +147,7 @@ def axis_takes(system: System, box: Sequence[Interval]) -> bool:
     return True
 
 
-def axis_gain(
-    system: System,
-    box: Mapping[str, tuple[float, float]] | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    band: tuple[float, float] = WHOLE,
-    level: float | None = None,
-    gap: float = 0.05,
-    *,
-    wall_limit: float = 600.0,
-    seed: int = 0,
-    progress: bool = False,
-) -> Bounds:
-    """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
-
-    As :func:`lftkit.proofs.state_space.worst_case_gain`, for more states and parameters.
-
-    Parameters
-    ----------
-    system, box, inputs, outputs, band, level, gap, wall_limit, seed, progress
-        As there. The box must contain the nominal values.
-
-    Raises
-    ------
-    ValueError
-        As there; also a nominal member that is not stable, or whose poles can't be separated.
-    """
-    checked_band(band, level, gap, wall_limit)
-    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
-    ends = intervals_of(chosen, box)
-    with one_thread(), Progress("worst-case gain", progress):
-        return gain_of_intervals(chosen, ends, band, level, gap, wall_limit, seed)
-
-
-def gain_of_intervals(
+def gain_over_axis(
     system: System,
     box: list[Interval],
     band: Interval,
@@ -192,7 +156,15 @@ def gain_of_intervals(
     wall_limit: float,
     seed: int,
 ) -> Bounds:
-    """As :func:`axis_gain` for intervals in the order of the parameters, which may leave their ranges."""
+    """Worst-case gain of a system with sorted channels.
+
+    `box` has intervals in the order of the parameters, which may leave their ranges.
+
+    Raises
+    ------
+    ValueError
+        The nominal member is not in the box, is not stable, or its poles can't be separated; no parameter.
+    """
     start = time.monotonic()
     worst = worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
@@ -239,41 +211,10 @@ def _improved(system: System, box: list[Interval], band: Interval, met: Member, 
     return member if member.gain > worst.gain else worst
 
 
-def axis_stability(
-    system: System,
-    box: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    largest: float = 10.0,
-    gap: float = 0.05,
-    wall_limit: float = 600.0,
-    seed: int = 0,
-    progress: bool = False,
-) -> Bounds:
-    """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
-
-    As :func:`lftkit.proofs.state_space.robust_stability`, for more states and parameters.
-
-    Parameters
-    ----------
-    system, box, largest, gap, wall_limit, seed, progress
-        As there.
-
-    Raises
-    ------
-    ValueError
-        As there; also a box without the nominal values, or a nominal member whose poles can't be separated.
-    """
-    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
-        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
-    chosen = system.select(inputs=(), outputs=()).sorted_channels()
-    ends = intervals_of(chosen, box)
-    with one_thread(), Progress("robust stability", progress):
-        return _stability_bounds(chosen, ends, largest, gap, time.monotonic() + wall_limit, seed)
-
-
-def _stability_bounds(
+def stability_over_axis(
     system: System, box: list[Interval], largest: float, gap: float, until: float, seed: int
 ) -> Bounds:
+    """Factor of the box that stays stable; system, box and errors as for :func:`gain_over_axis`."""
     nominal = np.array([p.nominal for p in system.parameters])
 
     def named(point: FloatArray) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Guaranteed bounds of an uncertain system: worst-case gain and robust stability, with a proof.
+"""Bounds of an uncertain system by cells, for :func:`lftkit.proofs.worst_case_gain` and ``robust_stability``.
 
 Branch and bound over the parameters and frequency: a cell whose inequality holds at the level is proven; one whose
 inequality fails is bisected where that helps most, and looked into for a member with a larger gain.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,7 +29,6 @@ from lftkit.proofs.state_space.search import (
     worst_member,
 )
 from lftkit.support.progress import Progress
-from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 
 WHOLE = (0.0, np.inf)
@@ -74,117 +73,6 @@ class Bounds:
     proof: Any
     status: str
     uncovered: tuple[Cell, ...] = ()
-
-
-def worst_case_gain(
-    system: System,
-    box: Mapping[str, tuple[float, float]] | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    band: tuple[float, float] = WHOLE,
-    level: float | None = None,
-    gap: float = 0.05,
-    *,
-    wall_limit: float = 600.0,
-    max_tests: int = 5000,
-    seed: int = 0,
-    progress: bool = False,
-) -> Bounds:
-    """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
-
-    Parameters
-    ----------
-    system : System
-    box : mapping of str to (lowest, highest), optional
-        Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
-    inputs, outputs : sequence of str, optional
-        Ports; all by default.
-    band : (lower, upper)
-        Frequencies [rad/s]; upper may be infinite. Only for the whole axis is every member shown to be stable.
-    level : float, optional
-        Prove the gain below this level, or find a member that exceeds it; without it the bounds are brought together.
-    gap : float
-        Relative distance of the bounds that ends the computation.
-    wall_limit : float
-        Seconds. Then the best bounds so far are given, with what is not covered.
-    max_tests : int
-        Most cells that are tried; as the wall limit, but the same on every machine.
-    seed : int
-        Of the search.
-    progress : bool
-
-    Returns
-    -------
-    Bounds
-
-    Raises
-    ------
-    ValueError
-        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense.
-
-    Examples
-    --------
-    A resonance of damping ratio 0.05 with an uncertain stiffness; its peak is 1 / (2 zeta sqrt(1 - zeta^2) k):
-
-    >>> from lftkit import Port, RealParameter
-    >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
-    >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
-    >>> ports = (Port("force", 1),), (Port("x", 1),)
-    >>> mode = System(A, B, C, np.zeros((2, 2)), *ports, channels=("stiffness",), elements=(k,))
-    >>> bounds = worst_case_gain(mode)
-    >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
-    ('closed', True, 0.8)
-    """
-    checked_band(band, level, gap, wall_limit)
-    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
-    with one_thread():
-        state = _GainBounds(chosen, intervals_of(chosen, box), band, level, gap, wall_limit, max_tests, seed, progress)
-        return state.run()
-
-
-def robust_stability(
-    system: System,
-    box: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    largest: float = 10.0,
-    gap: float = 0.05,
-    wall_limit: float = 600.0,
-    max_tests: int = 5000,
-    seed: int = 0,
-    progress: bool = False,
-) -> Bounds:
-    """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
-
-    Above 1 the box itself is stable. Factors up to `largest` are looked at: `upper` is infinite if no unstable
-    member was found there.
-
-    Parameters
-    ----------
-    system, box, gap, wall_limit, max_tests, seed, progress
-        As for :func:`worst_case_gain`; ports do not matter.
-    largest : float
-
-    Returns
-    -------
-    Bounds
-
-    Examples
-    --------
-    ``x' = (-1 + p) x`` with p in [-0.5, 0.5] is stable up to p = 1, twice the box:
-
-    >>> from lftkit import RealParameter
-    >>> p = RealParameter("p", 0.0, -0.5, 0.5)
-    >>> lag = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], (), (), channels=("p",), elements=(p,))
-    >>> bounds = robust_stability(lag)
-    >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
-    (True, 2.0, True)
-    """
-    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
-        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
-    chosen = system.select(inputs=(), outputs=()).sorted_channels()
-    ends = intervals_of(chosen, box)
-    with one_thread():
-        return _stability_bounds(chosen, ends, largest, gap, time.monotonic() + wall_limit, max_tests, seed, progress)
 
 
 def checked_band(band: tuple[float, float], level: float | None, gap: float, wall_limit: float) -> None:
@@ -286,8 +174,8 @@ class _Cover:
 
 
 @dataclass
-class _GainBounds:
-    """State of :func:`worst_case_gain`."""
+class GainByCells:
+    """Worst-case gain of a system with sorted channels; `box`: intervals in the order of its parameters."""
 
     system: System
     box: list[tuple[float, float]]
@@ -300,33 +188,34 @@ class _GainBounds:
     progress: bool
 
     def run(self) -> Bounds:
+        """The bounds, with the proof of the upper one."""
         start = time.monotonic()
         self.worst = worst_member(self.system, self.box, self.band, seed=self.seed)
         if np.isinf(self.worst.gain):
-            return self.bounds(np.inf, None, "unstable")
+            return self._bounds(np.inf, None, "unstable")
         if self._violated():
-            return self.bounds(np.inf, None, "violated")
+            return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.band)
         cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.band))
         with Progress("worst-case gain", self.progress) as bar:
-            closed = cover.run(self.target, self._failed, start + 0.8 * self.wall_limit, self.max_tests, bar)
+            closed = cover.run(self._target, self._failed, start + 0.8 * self.wall_limit, self.max_tests, bar)
         if np.isinf(self.worst.gain):
-            return self.bounds(np.inf, None, "unstable")
+            return self._bounds(np.inf, None, "unstable")
         if self._violated():
-            return self.bounds(np.inf, None, "violated")
-        upper = self.target()
+            return self._bounds(np.inf, None, "violated")
+        upper = self._target()
         if not closed:
             upper = cover.leftover(upper, start + self.wall_limit)
         if np.isinf(upper):
-            return self.bounds(np.inf, None, "out_of_time", tuple(cell for *_, cell in cover.open))
+            return self._bounds(np.inf, None, "out_of_time", tuple(cell for *_, cell in cover.open))
         point = np.array([0.5 * (low + high) for low, high in self.box])
         stable = stable_member(self.system, claim, point) if self.band == WHOLE else None
         if self.band == WHOLE and stable is None:
-            return self.bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.band),))
+            return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.band),))
         proof = finished({**claim, "level": upper}, cover.proven, stable)
-        return self.bounds(upper, proof, "closed" if closed else "out_of_time")
+        return self._bounds(upper, proof, "closed" if closed else "out_of_time")
 
-    def target(self) -> float:
+    def _target(self) -> float:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
@@ -344,13 +233,13 @@ class _GainBounds:
             self.worst = member
         return bool(np.isinf(self.worst.gain)) or self._violated()
 
-    def bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
+    def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
         return Bounds(
             self.worst.gain, upper, _named(self.system, self.worst), self.worst.frequency, proof, status, uncovered
         )
 
 
-def _stability_bounds(
+def stability_by_cells(
     system: System,
     box: list[tuple[float, float]],
     largest: float,
@@ -360,6 +249,7 @@ def _stability_bounds(
     seed: int,
     progress: bool,
 ) -> Bounds:
+    """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it."""
     nominal = np.array([p.nominal for p in system.parameters])
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.uncertain_examples import aligned_modes
 
-from lftkit.proofs.state_space import robust_stability
+from lftkit.proofs import robust_stability
 
 Content = dict[str, Any]
 

@@ -13,7 +13,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
-from lftkit.proofs.state_space import ProofError, check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import ProofError, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest, exact_product
 from lftkit.proofs.verdict import uncovered
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from lftkit import Port, RealParameter, SampledSystem, System
+from lftkit.proofs import ProofError, check_proof, worst_case_gain
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, bounds, check_loop_proof, loop_model, premises, prove_level
 from lftkit.proofs.sampled_loop.above import beyond, channels, commands_bound, windows_above
 from lftkit.proofs.sampled_loop.checker import stable_below
 from lftkit.proofs.sampled_loop.nominal import nominal_windows
-from lftkit.proofs.state_space import ProofError, check_proof, worst_case_gain
 
 DT = 0.01
 NYQUIST = math.pi / DT

@@ -11,7 +11,7 @@ from scipy import linalg
 import lftkit as lk
 from lftkit import ComplexParameter, DynamicElement, Port, RealParameter, System
 from lftkit.analysis.frequency_response import frequency_response
-from lftkit.proofs.state_space import robust_stability
+from lftkit.proofs import robust_stability
 
 K = RealParameter("k", 0.5, 0.2, 1.4)
 C = ComplexParameter("c", 0.3, 0.4)
