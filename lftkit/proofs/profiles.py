@@ -57,7 +57,6 @@ def stability_profile(
     omega: ArrayLike,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
-    dt: float | None = None,
     rtol: float = 1e-3,
     starts: int = 6,
     seed: int = 0,
@@ -71,12 +70,11 @@ def stability_profile(
     Parameters
     ----------
     system : System
+        In continuous or discrete time.
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
         Intervals with the nominal values inside.
-    dt : float, optional
-        Sampling time [s] of matrices in discrete time.
     rtol, starts, seed
         As for :func:`lftkit.proofs.mu`.
 
@@ -102,7 +100,7 @@ def stability_profile(
     frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
     lower, upper, points = [], [], []
     for w in frequencies:
-        M = _response(unit, float(w), dt)
+        M = _response(unit, float(w))
         found = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
         lower.append(found.lower)
         upper.append(found.upper)
@@ -119,7 +117,6 @@ def gain_profile(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     *,
-    dt: float | None = None,
     rtol: float = 1e-3,
     samples: int = 20,
     seed: int = 0,
@@ -129,14 +126,13 @@ def gain_profile(
     Parameters
     ----------
     system : System
+        In continuous or discrete time.
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
         Intervals with the nominal values inside.
     inputs, outputs : sequence of str, optional
         Ports; all by default.
-    dt : float, optional
-        Sampling time [s] of matrices in discrete time.
     rtol : float
         Relative precision of the upper bound.
     samples, seed : int
@@ -171,7 +167,7 @@ def gain_profile(
     rng = np.random.default_rng(seed)
     with one_thread():
         for w in frequencies:
-            M = _response(unit, float(w), dt)
+            M = _response(unit, float(w))
             gain, point = _worst_at(M, list(unit.occurrences().values()), rng, samples)
             lower.append(gain)
             upper.append(_upper_at(M, list(unit.occurrences().values()), gain, rtol))
@@ -186,11 +182,11 @@ def _boxed(system: System, box: Mapping[str, tuple[float, float]] | None) -> Sys
     return replace(system, elements=parameters)
 
 
-def _response(system: System, omega: float, dt: float | None) -> ComplexArray:
+def _response(system: System, omega: float) -> ComplexArray:
     n = system.order
     if not n or math.isinf(omega):
         return np.asarray(system.D, complex)
-    at = 1j * omega if dt is None else np.exp(1j * omega * dt)
+    at = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
     matrix = at * np.eye(n) - system.A
     factors, pivots, _ = linalg.lapack.zgetrf(matrix)
     if not np.abs(np.diag(factors)).min() > 1e-14 * np.abs(matrix).max():

@@ -101,6 +101,7 @@ def worst_case_gain(
     True
     """
     checked_band(band, level, gap, wall_limit)
+    system.require_continuous()
     chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
     ends = intervals_of(chosen, box)
     over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
@@ -166,6 +167,7 @@ def robust_stability(
     """
     if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
         raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
+    system.require_continuous()
     chosen = system.select(inputs=(), outputs=()).sorted_channels()
     ends = intervals_of(chosen, box)
     until = time.monotonic() + wall_limit
@@ -227,6 +229,7 @@ def robust_performance(
         raise ValueError(f"largest must be positive, got {largest}")
     if not (system.inputs and system.outputs):
         return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
+    system.require_continuous()
     chosen = system.sorted_channels()
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():

@@ -89,10 +89,9 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
     Raises
     ------
     ValueError
-        Unknown names, ends in the wrong order or outside the range of the parameter.
+        Complex or dynamic elements; unknown names, ends in the wrong order or outside the range of the parameter.
     """
     system.require_real()
-    system.require_continuous()
     given = dict(box or {})
     for name, (low, high) in given.items():
         parameter = system.parameter(name)

@@ -58,14 +58,16 @@ def test_a_discrete_system_is_taken_on_the_circle() -> None:
     """x+ = p x + u, p in [0, 0.6]: gain 1 / |exp(j w dt) - p|."""
     p = RealParameter("p", 0.3, 0.0, 0.6)
     ports = (Port("u", 1),), (Port("y", 1),)
-    system = System([[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
-    omega, dt = np.array([0.0, 10.0, np.pi / 0.1]), 0.1
-    profile = gain_profile(system, omega, dt=dt)
+    dt = 0.1
+    matrices = [[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))
+    system = System(*matrices, *ports, channels=("p",), elements=(p,), dt=dt)
+    omega = np.array([0.0, 10.0, np.pi / 0.1])
+    profile = gain_profile(system, omega)
     grid = np.linspace(0.0, 0.6, 2001)
     exact = [(1.0 / np.abs(np.exp(1j * w * dt) - grid)).max() for w in omega]
     np.testing.assert_allclose(profile.lower, exact, rtol=1e-6)
     np.testing.assert_allclose(profile.upper, exact, rtol=2e-3)
-    stable = stability_profile(system, omega[:1], dt=dt)  # z = 1 is reached at p = 1: 0.7 / 0.3 times the box
+    stable = stability_profile(system, omega[:1])  # z = 1 is reached at p = 1: 0.7 / 0.3 times the box
     assert stable.upper[0] == pytest.approx(0.3 / 0.7, rel=2e-3)
 
 
