@@ -16,11 +16,12 @@ from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
 from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.proof import LoopProof
+from lftkit.proofs.state_space.checker import DISCRETE
 from lftkit.proofs.state_space.checker import FORMAT as CELLS
 from lftkit.proofs.state_space.checker import check_proof as check_cells
 from lftkit.proofs.verdict import CheckedProof, ProofError
 
-FORMATS = (CELLS, LOOP, AXIS)
+FORMATS = (CELLS, DISCRETE, LOOP, AXIS)
 
 
 def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> CheckedProof | CheckedLoop:
@@ -46,7 +47,7 @@ def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> C
     if isinstance(proof, (str, Path)):
         path = Path(proof)
         name = proof_format(path)
-        return check_cells(path) if name == CELLS else _check_strips(path, name, each)
+        return check_cells(path) if name in (CELLS, DISCRETE) else _check_strips(path, name, each)
     if isinstance(proof, AxisProof):
         return check_axis_proof(proof, each)
     if isinstance(proof, LoopProof):

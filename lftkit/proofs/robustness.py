@@ -51,7 +51,7 @@ def worst_case_gain(
     Parameters
     ----------
     system : System
-        In continuous time.
+        In continuous or discrete time.
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
     inputs, outputs : sequence of str, optional
@@ -101,7 +101,6 @@ def worst_case_gain(
     True
     """
     checked_band(band, level, gap, wall_limit)
-    system.require_continuous()
     chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
     ends = intervals_of(chosen, box)
     over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
@@ -115,9 +114,11 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
     """Whether the frequency axis is the method; what is chosen by size where none is given."""
     if method not in (None, "cells", "axis"):
         raise ValueError(f"method must be cells or axis, got {method!r}")
+    if method == "axis":
+        system.require_continuous()
     if method is not None:
         return method == "axis"
-    return usual and system.order > FEW_STATES and axis_takes(system, box)
+    return usual and not system.dt and system.order > FEW_STATES and axis_takes(system, box)
 
 
 def robust_stability(
@@ -167,7 +168,6 @@ def robust_stability(
     """
     if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
         raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
-    system.require_continuous()
     chosen = system.select(inputs=(), outputs=()).sorted_channels()
     ends = intervals_of(chosen, box)
     until = time.monotonic() + wall_limit

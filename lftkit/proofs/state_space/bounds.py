@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +18,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
-from lftkit.proofs.state_space.checker import Inequality
+from lftkit.proofs.state_space.checker import Inequality, frequencies
+from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
 from lftkit.proofs.state_space.proof import Proof, finished, proven_cell, stable_member, statement
 from lftkit.proofs.state_space.search import (
     Member,
@@ -115,8 +116,9 @@ class _Cover:
     number: Any = field(default_factory=itertools.count)
 
     @classmethod
-    def of(cls, system: System, claim: dict[str, Any], cell: Cell) -> _Cover:
-        cover = cls(CellTest(system, claim["kind"] == "gain"), Inequality(claim), [])
+    def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> _Cover:
+        part = static_part(system) if static else over_axis(system)
+        cover = cls(CellTest(part, claim["kind"] == "gain" and not static), Inequality(claim, static), [])
         cover.push(0.0, cell)
         return cover
 
@@ -172,9 +174,23 @@ class _Cover:
         return np.inf
 
 
+def _posed(
+    system: System, claim: dict[str, Any], box: Sequence[tuple[float, float]], until: float, tests: int
+) -> list[dict[str, Any]] | None:
+    """Cells that show that members are well posed, of a system in discrete time; None if they do not cover the box."""
+    if not system.dt:
+        return []
+    cover = _Cover.of(system, claim, Cell(tuple(box), WHOLE), static=True)
+    with Progress("well-posed members", False) as bar:
+        return cover.proven if cover.run(lambda: 1.0, lambda cell: False, until, tests, bar) else None
+
+
 @dataclass
 class GainByCells:
-    """Worst-case gain of a system with sorted channels; `box`: intervals in the order of its parameters."""
+    """Worst-case gain of a system with sorted channels; `box`: intervals in the order of its parameters.
+
+    Members are searched over the axis that the frequencies of a system in discrete time are mapped to.
+    """
 
     system: System
     box: list[tuple[float, float]]
@@ -189,13 +205,14 @@ class GainByCells:
     def run(self) -> Bounds:
         """The bounds, with the proof of the upper one."""
         start = time.monotonic()
-        self.worst = worst_member(self.system, self.box, self.band, seed=self.seed)
+        self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
+        self.worst = worst_member(self.axis, self.box, self.over, seed=self.seed)
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
         if self._violated():
             return self._bounds(np.inf, None, "violated")
-        claim = statement(self.system, "gain", self.box, 1.0, self.band)
-        cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.band))
+        claim = statement(self.system, "gain", self.box, 1.0, self.over)
+        cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.over))
         with Progress("worst-case gain", self.progress) as bar:
             closed = cover.run(self._target, self._failed, start + 0.8 * self.wall_limit, self.max_tests, bar)
         if np.isinf(self.worst.gain):
@@ -208,10 +225,12 @@ class GainByCells:
         if np.isinf(upper):
             return self._bounds(np.inf, None, "out_of_time", tuple(cell for *_, cell in cover.open))
         point = np.array([0.5 * (low + high) for low, high in self.box])
-        stable = stable_member(self.system, claim, point) if self.band == WHOLE else None
-        if self.band == WHOLE and stable is None:
-            return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.band),))
-        proof = finished({**claim, "level": upper}, cover.proven, stable)
+        whole = self.over == WHOLE
+        stable = stable_member(self.system, claim, point) if whole else None
+        posed = _posed(self.system, claim, self.box, start + self.wall_limit, self.max_tests)
+        if posed is None or (whole and stable is None):
+            return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.over),))
+        proof = finished({**claim, "level": upper}, cover.proven, stable, posed)
         return self._bounds(upper, proof, "closed" if closed else "out_of_time")
 
     def _target(self) -> float:
@@ -225,17 +244,16 @@ class GainByCells:
 
     def _failed(self, cell: Cell) -> bool:
         """Look for a larger gain in a cell that was not proven; True when there is nothing left to prove."""
-        member = member_gain(self.system, cell.middle(), self.band)
+        member = member_gain(self.axis, cell.middle(), self.over)
         if member.gain > 0.98 * self.worst.gain:
-            member = climbed(self.system, self.box, self.band, member, 60)
+            member = climbed(self.axis, self.box, self.over, member, 60)
         if member.gain > self.worst.gain:
             self.worst = member
         return bool(np.isinf(self.worst.gain)) or self._violated()
 
     def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
-        return Bounds(
-            self.worst.gain, upper, _named(self.system, self.worst), self.worst.frequency, proof, status, uncovered
-        )
+        worst, left = reached(self.system, self.worst), cells_of_system(self.system, uncovered)
+        return Bounds(worst.gain, upper, _named(self.system, worst), worst.frequency, proof, status, left)
 
 
 def stability_by_cells(
@@ -249,11 +267,11 @@ def stability_by_cells(
     progress: bool,
 ) -> Bounds:
     """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it."""
-    nominal = np.array([p.nominal for p in system.parameters])
-    first = member_gain(system, nominal, WHOLE, gain=False)
+    nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
+    first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
         return Bounds(0.0, 0.0, _named(system, first), first.frequency, None, "unstable")
-    factor, point, frequency = smallest_unstable_factor(system, box, largest, seed=seed)
+    factor, point, frequency = smallest_unstable_factor(axis, box, largest, seed=seed)
     worst = Member(np.inf, point, frequency)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
@@ -268,7 +286,7 @@ def stability_by_cells(
             found: list[Member] = []
 
             def unstable(cell: Cell, found: list[Member] = found) -> bool:
-                member = member_gain(system, cell.middle(), WHOLE, gain=False)
+                member = member_gain(axis, cell.middle(), WHOLE, gain=False)
                 if np.isinf(member.gain):
                     found.append(member)
                 return bool(found)
@@ -281,12 +299,19 @@ def stability_by_cells(
                 target = factor / (1.0 + SHARE * gap)
                 continue
             stable = stable_member(system, claim, nominal) if closed else None
-            if stable is not None:
-                proof, lower = finished(claim, cover.proven, stable), target
+            posed = _posed(system, claim, ends, until, max_tests) if stable is not None else None
+            if stable is not None and posed is not None:
+                proof, lower = finished(claim, cover.proven, stable, posed), target
                 break
             target *= 0.7
     status = "closed" if proof is not None and (np.isinf(factor) or factor <= (1.0 + gap) * lower) else "out_of_time"
-    return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, () if proof else left)
+    worst, left = reached(system, worst), cells_of_system(system, () if proof else left)
+    return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, left)
+
+
+def cells_of_system(system: System, cells: Sequence[Cell]) -> tuple[Cell, ...]:
+    """Cells with frequencies in rad/s."""
+    return tuple(Cell(cell.intervals, frequencies(cell.band, system.dt)) for cell in cells)
 
 
 def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray) -> float:

@@ -12,6 +12,12 @@ negative definite in (x, w, d), P and D positive definite, Q and G Hermitian: on
 term are not negative, so the first one is negative. For a band from a to infinity the term of P is
 ``2 Re (v - j a x)* P j x``.
 
+In discrete time the states of the system are s, and its next states A s + B1 w + B2 d. Then ``x`` stands for the sum of
+both and ``v`` for their difference, the second less the first: on the unit circle, z = exp(j omega dt), they satisfy
+``v = j tan(omega dt / 2) x``, and this tangent is the frequency of bands and cells. What infinite frequency is in
+continuous time, a member that is not well posed, is no point of the circle. So a list of cells of its own, `posed`,
+shows that ``w = delta D11 w`` has no solution but zero anywhere in the box.
+
 Rounding: every matrix is kept with a bound of its error (products: gamma_k |A| |B|), and is positive definite if the
 Cholesky factorisation of it, lowered by the bound of everything that can be wrong, runs to the end (Demmel 1989; Rump
 2006). Complex numbers are real matrices of twice the size.
@@ -28,10 +34,11 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.verdict import CheckedProof, ProofError, uncovered
 
 FORMAT = "los-testbed proof 1"
+DISCRETE = "los-testbed proof in discrete time 1"
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
 
@@ -119,10 +126,13 @@ def definite_ratio(matrix: Ball) -> float:
 
 
 class Inequality:
-    """The inequality of a cell of one system."""
+    """The inequality of a cell of one system; `static`: of its channels without states, inputs and outputs."""
 
-    def __init__(self, proof: dict[str, Any]) -> None:
+    def __init__(self, proof: dict[str, Any], static: bool = False) -> None:
         system = proof["system"]
+        self.dt = float(system.get("dt", 0.0))
+        if not 0.0 <= self.dt < math.inf or (proof["format"] == DISCRETE) != (self.dt > 0.0):
+            raise ProofError(f"format must be {DISCRETE!r} with dt > 0, {FORMAT!r} without dt, got dt {self.dt}")
         self.names = [str(p["name"]) for p in system["parameters"]]
         self.nominal = {p["name"]: float(p["nominal"]) for p in system["parameters"]}
         channels = list(enumerate(system["channels"]))
@@ -135,11 +145,21 @@ class Inequality:
         A, B, C = A.reshape(n, n), B.reshape(n, D.shape[1]), C.reshape(len(D), n)
         if not all(np.isfinite(matrix).all() for matrix in (A, B, C, D)):
             raise ProofError("the system's matrices must be finite")
+        if static:
+            A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0))
+            self.gain, n, m, p = False, 0, 0, 0
         self.n, self.q = n, q
         unit = np.eye(n + q + m)
-        self.x, self.w, self.d = unit[:n], unit[n : n + q], unit[n + q :]
-        self.v = np.hstack([A, B[:, : q + m]])
+        self.w, self.d = unit[n : n + q], unit[n + q :]
+        self.states, self.after = unit[:n], np.hstack([A, B[:, : q + m]])
         self.z, self.e = np.hstack([C[:q], D[:q, : q + m]]), np.hstack([C[q : q + p], D[q : q + p, : q + m]])
+
+    def signal(self, of_v: complex, of_x: complex) -> list[ComplexArray]:
+        """Factors of ``of_v v + of_x x`` as rows over (x, w, d), without rounding: one number is real, or zero."""
+        if not self.dt:
+            return [of_v * self.after + of_x * self.states]
+        ahead, back = ((of_x + sign * of_v) * np.eye(self.n, dtype=complex) for sign in (1.0, -1.0))
+        return [np.hstack([ahead, back]), np.vstack([self.after, self.states]).astype(complex)]
 
     def delta(self, name: str, value: float) -> Ball:
         """``value - nominal`` with its rounding."""
@@ -149,10 +169,11 @@ class Inequality:
         """Smallest :func:`definite_ratio` of the cell's matrices."""
         low, high = cell["band"]
         coordinates = embedded(*self.coordinates(cell))
-        x, v = (exact_product(embedded(part), coordinates) for part in (self.x, self.v))
-        below = exact_product(embedded(self.v, -low * self.x), coordinates)
-        ahead = embedded(0.0 * self.x, self.x) if high is None else embedded(-self.v, high * self.x)
-        above = exact_product(ahead, coordinates)
+        ahead = (0.0, 1j) if high is None else (-1.0, 1j * high)
+        x, v, below, above = (
+            exact_product(*(embedded(factor.real, factor.imag) for factor in self.signal(*parts)), coordinates)
+            for parts in ((0.0, 1.0), (1.0, 0.0), (1.0, -1j * low), ahead)
+        )
         P, Q = (hermitian(cell[key], self.n, key) for key in "PQ")
         total = below.transposed() @ (Ball(P) @ above) + x.transposed() @ (Ball(Q) @ v)
         ratios = [definite_ratio(Ball(P))]
@@ -180,7 +201,8 @@ class Inequality:
         middle = np.repeat(0.0, self.q)
         for name, (lower, upper) in zip(self.names, cell["intervals"]):
             middle[self.rows[name]] = 0.5 * (lower + upper) - self.nominal[name]
-        offsets = [self.v - 1j * float(cell["centre"]) * self.x, self.w - middle[:, None] * self.z, self.d]
+        states = self.signal(1.0, -1j * float(cell["centre"]))
+        offsets = [states[0] @ states[1] if self.dt else states[0], self.w - middle[:, None] * self.z, self.d]
         factors, pivots, _ = linalg.lapack.zgetrf(np.vstack(offsets))
         basis = linalg.lapack.zgetri(factors, pivots)[0]
         return basis.real, basis.imag
@@ -188,13 +210,14 @@ class Inequality:
     def stable_ratio(self, stable: dict[str, Any]) -> float:
         """Lyapunov inequality of one member: ``(L x)* (L v) + (L v)* (L x) < 0`` where ``w = delta z``.
 
-        Written in coordinates ``x = T y``, with a multiplier of ``|w - delta z|^2`` for each channel.
+        Written in coordinates ``T y`` of the states, with a multiplier of ``|w - delta z|^2`` for each channel.
         """
         n, q = self.n, self.q
         L, T = (np.array(stable[key], dtype=float).reshape(n, n) for key in "LT")
         basis = np.block([[T, np.zeros((n, q))], [np.zeros((q, n)), np.eye(q)]])
         part = slice(0, n + q)
-        x, v = (exact_product(L, rows[:, part], basis) for rows in (self.x, self.v))
+        signals = [[factor.real for factor in self.signal(*parts)] for parts in ((0.0, 1.0), (1.0, 0.0))]
+        x, v = (exact_product(L, *before, rows[:, part], basis) for *before, rows in signals)
         total = x.transposed() @ v
         total = total + total.transposed()
         for name, value in zip(self.names, stable["point"]):
@@ -241,29 +264,18 @@ def _band(ends: Any) -> tuple[float, float]:
 
 
 def _checked(proof: dict[str, Any]) -> CheckedProof:
-    if proof["format"] != FORMAT or proof["kind"] not in ("gain", "stability"):
+    if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
         raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
     if proof["sha256"] != digest(proof):
         raise ProofError("the content must match its SHA-256, got another: the file was altered")
     inequality, band = Inequality(proof), _band(proof["band"])
     box = [(float(proof["box"][name][0]), float(proof["box"][name][1])) for name in inequality.names]
-    whole = [*box, band]
-    cells = [[*((float(a), float(b)) for a, b in c["intervals"]), _band(c["band"])] for c in proof["cells"]]
-    for i, cell in enumerate(cells):
-        if len(cell) != len(whole) or not all(lo <= a <= b <= hi for (a, b), (lo, hi) in zip(cell, whole)):
-            raise ProofError(f"cell {i} must be inside the box, got {cell}")
-    ends = np.array(cells).reshape(len(cells), -1, 2)
-    for i, cell_ends in enumerate(ends):
-        if np.sum(np.all((ends[:, :, 0] < cell_ends[:, 1]) & (ends[:, :, 1] > cell_ends[:, 0]), axis=1)) > 1:
-            raise ProofError(f"cells must not overlap, got another one that overlaps cell {i}")
-    hole = uncovered(whole, cells)
-    if hole is not None:
-        raise ProofError(f"the cells must cover the box and the band, got a hole at {hole}")
-    level, worst = float(proof["level"]) if proof["kind"] == "gain" else None, math.inf
-    for i, content in enumerate(proof["cells"]):
-        worst = min(worst, inequality.ratio(content, level))
-        if not worst >= 1.0:
-            raise ProofError(f"the inequality of cell {i} must hold beyond rounding, got no margin at {cells[i]}")
+    level = float(proof["level"]) if proof["kind"] == "gain" else None
+    worst = _smallest_ratio(inequality, proof["cells"], [*box, band], level)
+    if inequality.dt:
+        worst = min(
+            worst, _smallest_ratio(Inequality(proof, static=True), proof["posed"], [*box, (0.0, math.inf)], None)
+        )
     stable = False
     if proof.get("stable") is not None:
         point = proof["stable"]["point"]
@@ -274,4 +286,34 @@ def _checked(proof: dict[str, Any]) -> CheckedProof:
             raise ProofError("the Lyapunov inequality of the stable member must hold beyond rounding, got no margin")
     if proof["kind"] == "stability" and not stable:
         raise ProofError("a proof of stability must have a stable member and a band from zero to infinity")
-    return CheckedProof(proof["kind"], level, dict(zip(inequality.names, box)), band, len(cells), worst, stable)
+    named, omega = dict(zip(inequality.names, box)), frequencies(band, inequality.dt)
+    return CheckedProof(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable)
+
+
+def _smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:
+    """Smallest ratio of the cells, which must cover the box and the band without overlap."""
+    cells = [[*((float(a), float(b)) for a, b in c["intervals"]), _band(c["band"])] for c in contents]
+    for i, cell in enumerate(cells):
+        if len(cell) != len(whole) or not all(lo <= a <= b <= hi for (a, b), (lo, hi) in zip(cell, whole)):
+            raise ProofError(f"cell {i} must be inside the box, got {cell}")
+    ends = np.array(cells).reshape(len(cells), -1, 2)
+    for i, cell_ends in enumerate(ends):
+        if np.sum(np.all((ends[:, :, 0] < cell_ends[:, 1]) & (ends[:, :, 1] > cell_ends[:, 0]), axis=1)) > 1:
+            raise ProofError(f"cells must not overlap, got another one that overlaps cell {i}")
+    hole = uncovered(whole, cells)
+    if hole is not None:
+        raise ProofError(f"the cells must cover the box and the band, got a hole at {hole}")
+    worst = math.inf
+    for i, content in enumerate(contents):
+        worst = min(worst, inequality.ratio(content, level))
+        if not worst >= 1.0:
+            raise ProofError(f"the inequality of cell {i} must hold beyond rounding, got no margin at {cells[i]}")
+    return worst
+
+
+def frequencies(band: tuple[float, float], dt: float) -> tuple[float, float]:
+    """Frequencies [rad/s] inside a band; in discrete time `band` has the tangents of half their angles."""
+    if not dt:
+        return band
+    low, high = (2.0 / dt * math.atan(end) for end in band)
+    return (1.0 + 8.0 * UNIT) * low, (1.0 - 8.0 * UNIT * math.isfinite(band[1])) * high

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
-from lftkit.proofs.state_space.checker import FORMAT, Inequality, digest
+from lftkit.proofs.state_space.checker import DISCRETE, FORMAT, Inequality, digest
 from lftkit.systems.system import System
 
 
@@ -46,15 +46,19 @@ def statement(
     level: float | None,
     band: tuple[float, float],
 ) -> dict[str, Any]:
-    """What a proof claims, without cells: the system, the box, the band and the level."""
+    """What a proof claims, without cells: the system, the box, the band and the level.
+
+    The band is that of the axis: in discrete time ``tan(omega dt / 2)``.
+    """
     q = len(system.channels)
     return {
-        "format": FORMAT,
+        "format": DISCRETE if system.dt else FORMAT,
         "kind": kind,
         "level": level,
         "band": [band[0], None if np.isinf(band[1]) else band[1]],
         "box": {p.name: list(ends) for p, ends in zip(system.parameters, box)},
         "system": {
+            **({"dt": system.dt} if system.dt else {}),
             "order": system.order,
             "inputs": system.B.shape[1] - q,
             "outputs": system.C.shape[0] - q,
@@ -75,9 +79,12 @@ def proven_cell(cell: Cell, scalings: CellScalings) -> dict[str, Any]:
     }
 
 
-def finished(claim: dict[str, Any], cells: list[dict[str, Any]], stable: dict[str, Any] | None) -> Proof:
-    """The claim with its cells, the stable member and the SHA-256 of it all."""
-    content = json.loads(json.dumps({**claim, "cells": cells, "stable": stable}))
+def finished(
+    claim: dict[str, Any], cells: list[dict[str, Any]], stable: dict[str, Any] | None, posed: list[dict[str, Any]]
+) -> Proof:
+    """The claim with its cells, the stable member, in discrete time what is well posed, and the SHA-256 of it all."""
+    discrete = {"posed": posed} if claim["format"] == DISCRETE else {}
+    content = json.loads(json.dumps({**claim, "cells": cells, "stable": stable, **discrete}))
     return Proof({**content, "sha256": digest(content)})
 
 
@@ -85,15 +92,22 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
     """Factor of a Lyapunov matrix and weights that prove the member at `point` stable; None if none were found."""
     values = {p.name: float(v) for p, v in zip(system.parameters, point)}
     inequality, q = Inequality(claim), len(system.channels)
-    A = np.array(system.at(values, beyond_range=True).A)
     deviation = np.array([values[c] - system.parameter(c).nominal for c in system.channels])
     loop = np.eye(q) - system.D[:q, :q] * deviation
     through = np.eye(q) + deviation[:, None] * linalg.solve(loop, system.D[:q, :q]) if q else np.eye(0)
-    for L, T in _lyapunov_factors(A):
-        rates = np.maximum(-np.diag(L @ A @ T), 1e-300)
-        channel = L @ system.B[:, :q] @ through
-        weights = 4.0 * max(q, 1) * np.sum(channel**2 / rates[:, None], axis=0)
-        weights = np.maximum(weights, 1e-12 * max(float(weights.max(initial=0.0)), 1e-300))
+    A, channels = np.array(system.at(values, beyond_range=True).A), system.B[:, :q] @ through
+    if system.dt:  # what follows is for the sum and the difference of next states and states
+        ahead, step, (above, below) = A + np.eye(len(A)), A - np.eye(len(A)), (channels, channels)
+    else:
+        ahead, step, (above, below) = np.eye(len(A)), A, (0.0 * channels, channels)
+    rate = linalg.solve(ahead.T, step.T).T
+    for L, inverse in _lyapunov_factors(rate):
+        T = linalg.solve(ahead, inverse) if system.dt else inverse
+        rates = np.maximum(-np.diag(L @ rate @ inverse), 1e-300)
+        channel = (L @ ahead @ T).T @ L @ below + (L @ step @ T).T @ L @ above
+        own = 2.0 * q * np.sum(np.abs(L @ above) * np.abs(L @ below), axis=0)
+        weights = 4.0 * max(q, 1) * np.sum(channel**2 / rates[:, None], axis=0) + own
+        weights = np.maximum(weights, 1e-12 * float(weights.max(initial=0.0)) or 1.0)
         for factor in 8.0 ** np.arange(6):
             content = {
                 "point": point.tolist(),

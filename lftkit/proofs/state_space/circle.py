@@ -1,0 +1,77 @@
+"""Systems in discrete time as systems in continuous time, where members are searched and scalings are found.
+
+On the unit circle ``z = exp(j omega dt)`` the sum x and the difference v of the next states and the states satisfy
+``v = j tan(omega dt / 2) x``. With x as states a system in discrete time is one in continuous time, whose axis is the
+circle. What is found is checked with the matrices that were given (:mod:`lftkit.proofs.state_space.checker`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.proofs.state_space.search import Member
+from lftkit.systems.system import System
+
+OUTWARD = 1e-14
+"""Relative amount by which a band is widened, for the rounding of the tangent."""
+
+
+def over_axis(system: System) -> System:
+    """The system in continuous time whose frequency is ``tan(omega dt / 2)``; itself, if it is in continuous time.
+
+    Raises
+    ------
+    ValueError
+        The nominal member has a pole at z = -1, where the sum of states and next states is no state.
+    """
+    if not system.dt:
+        return system
+    n = system.order
+    ahead = system.A + np.eye(n)
+    sizes = linalg.svdvals(ahead) if n else np.ones(1)
+    if not sizes.min() > 1e-13 * sizes.max():
+        raise ValueError(f"{system.name}: the nominal member must have no pole at z = -1, got one")
+    back = linalg.solve(ahead, np.hstack([np.eye(n), system.B])) if n else np.hstack([np.eye(n), system.B])
+    A, B = (system.A - np.eye(n)) @ back[:, :n], 2.0 * back[:, n:]
+    C, D = system.C @ back[:, :n], system.D - system.C @ back[:, n:]
+    return replace(system, A=A, B=B, C=C, D=D, dt=0.0)
+
+
+def static_part(system: System) -> System:
+    """The channels of the parameters without states, inputs and outputs: members are well posed where it is stable."""
+    q = len(system.channels)
+    matrices = np.zeros((0, 0)), np.zeros((0, q)), np.zeros((q, 0)), system.D[:q, :q]
+    return System(*matrices, (), (), system.name, channels=system.channels, elements=system.elements)
+
+
+def band_over_axis(band: tuple[float, float], dt: float) -> tuple[float, float]:
+    """The band of ``tan(omega dt / 2)`` that contains a band [rad/s], in discrete time.
+
+    Raises
+    ------
+    ValueError
+        The band begins above pi / dt.
+    """
+    if not dt:
+        return band
+    low, high = band
+    if not 0.5 * low * dt < 0.5 * math.pi:
+        raise ValueError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {low}")
+    upper = math.tan(0.5 * high * dt) if 0.5 * high * dt < 0.5 * math.pi else math.inf
+    return (1.0 - OUTWARD) * math.tan(0.5 * low * dt), (1.0 + OUTWARD) * upper
+
+
+def reached(system: System, found: Member) -> Member:
+    """A member found over the axis, with frequency [rad/s] and gain of the system that was given."""
+    if not system.dt:
+        return found
+    omega = 2.0 / system.dt * math.atan(found.frequency)
+    if np.isinf(found.gain) or not (system.inputs and system.outputs):
+        return replace(found, frequency=omega)
+    values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
+    response = system.at(values, beyond_range=True).response(omega)[0]
+    return Member(float(linalg.norm(response, 2)), found.point, omega)
