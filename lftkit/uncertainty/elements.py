@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lftkit.uncertainty.parameters import RealParameter, parameter_table
+from lftkit.uncertainty.parameters import RealParameter
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,9 @@ def element_table(elements: Iterable[Element]) -> dict[str, Element]:
     for element in elements:
         known = table.setdefault(element.name, element)
         if known != element:
-            if isinstance(known, RealParameter) and isinstance(element, RealParameter):
-                parameter_table([known, element])  # says what differs
+            kind = "parameter" if isinstance(known, RealParameter) and isinstance(element, RealParameter) else "element"
             raise ValueError(
-                f"element {element.name!r} must have one definition, got two: {description(known)} and "
+                f"{kind} {element.name!r} must have one definition, got two: {description(known)} and "
                 f"{description(element)}"
             )
     return table

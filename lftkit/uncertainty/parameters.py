@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -93,26 +93,6 @@ class RealParameter:
         a, b = self.bilinear
         deviation = self.check(value) - self.nominal
         return 0.0 if deviation == 0.0 else deviation / (a - b * deviation)
-
-
-def parameter_table(parameters: Iterable[RealParameter]) -> dict[str, RealParameter]:
-    """Parameters by name.
-
-    Raises
-    ------
-    ValueError
-        One name with two different definitions.
-    """
-    table: dict[str, RealParameter] = {}
-    for parameter in parameters:
-        known = table.setdefault(parameter.name, parameter)
-        if known != parameter:
-            raise ValueError(
-                f"parameter {parameter.name!r} must have one definition, got two: nominal {known.nominal:g} in "
-                f"[{known.lower:g}, {known.upper:g}] {known.unit} and nominal {parameter.nominal:g} in "
-                f"[{parameter.lower:g}, {parameter.upper:g}] {parameter.unit}"
-            )
-    return table
 
 
 def checked_values(

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.sampled_loop import LoopModel, LoopProof, Strip, prove_level
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
-from lftkit.proofs.sampled_loop.proof import Interval, packed, unpacked
+from lftkit.proofs.strips import Interval, Strip, packed, unpacked
 from lftkit.proofs.verdict import ProofError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint

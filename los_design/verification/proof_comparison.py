@@ -16,7 +16,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
-from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.strips import Interval
 from lftkit.proofs.verdict import ProofError
 from los_design.verification.certify import box_of, figures_of, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric

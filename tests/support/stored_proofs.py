@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import ComplexArray
-from lftkit.proofs.sampled_loop import LoopProof, Strip
+from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.checker import check_strip
+from lftkit.proofs.strips import Strip
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
 from titop_plant.telescope.parameters import load_parameters

@@ -19,7 +19,6 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.bounds import prove_level
-from lftkit.proofs.sampled_loop.proof import Interval, Strip
 from lftkit.proofs.state_space.bounds import SHARE, SMALLEST, WHOLE, Bounds
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.search import (
@@ -30,6 +29,7 @@ from lftkit.proofs.state_space.search import (
     smallest_unstable_factor,
     worst_member,
 )
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.systems.system import System
 
 PART = 0.1

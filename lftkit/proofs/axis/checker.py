@@ -19,7 +19,7 @@ from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.checker import check_strip, require_cover
 from lftkit.proofs.sampled_loop.premises import require_strip
-from lftkit.proofs.sampled_loop.proof import Interval, Strip
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import CheckedProof, ProofError
 
 

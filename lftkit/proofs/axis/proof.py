@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +11,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
-from lftkit.proofs.sampled_loop.proof import Interval, Strip, packed, unpacked
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.strips import Interval, Strip, packed, read_archive, unpacked, write_archive
 
 FORMAT = "lftkit axis proof 1"
 ARRAYS = ("A", "B", "C", "D", "poles", "T", "X")
@@ -100,9 +98,7 @@ class AxisProof:
         for side in SIDES:
             strips = packed(getattr(self, side), len(self.names))
             arrays |= {f"{side}_{name}": array for name, array in strips.items()}
-        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-        with path.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+        write_archive(path, header, arrays)
 
     @classmethod
     def from_file(cls, path: Path) -> AxisProof:
@@ -113,12 +109,7 @@ class AxisProof:
         ProofError
             No such file, or not a proof.
         """
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-            header = json.loads(bytes(arrays["header"]).decode())
-            if header["format"] != FORMAT:
-                raise ProofError(f"format must be {FORMAT!r}, got {header['format']!r}")
+        with read_archive(path, FORMAT, "a proof") as (header, arrays):
             box = tuple((float(a), float(b)) for a, b in header["box"])
             low, high = header["band"]
             below, above = (_strips(arrays, side, len(box)) for side in SIDES)
@@ -135,9 +126,6 @@ class AxisProof:
                 above=above,
                 **{name: arrays[name] for name in ARRAYS},
             )
-        except Exception as error:  # of a damaged file numpy raises a dozen kinds
-            known = isinstance(error, ProofError)
-            raise ProofError(str(error) if known else f"the file must be a proof, got {type(error).__name__}") from None
 
 
 def _strips(arrays: dict[str, Any], side: str, parameters: int) -> tuple[Strip, ...]:

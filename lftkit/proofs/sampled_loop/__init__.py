@@ -9,14 +9,13 @@ if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop.build import box_of, loop_model
     from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
-    from lftkit.proofs.sampled_loop.proof import LoopProof, Strip
+    from lftkit.proofs.sampled_loop.proof import LoopProof
 
 __all__ = [
     "CheckedLoop",
     "LoopBounds",
     "LoopModel",
     "LoopProof",
-    "Strip",
     "box_of",
     "check_loop_proof",
     "loop_model",
@@ -30,6 +29,6 @@ __getattr__ = names_on_demand(
         "build": ("box_of", "loop_model"),
         "checker": ("CheckedLoop", "check_loop_proof"),
         "model": ("LoopModel",),
-        "proof": ("LoopProof", "Strip"),
+        "proof": ("LoopProof",),
     },
 )

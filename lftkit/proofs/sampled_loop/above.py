@@ -28,7 +28,7 @@ from lftkit.proofs.sampled_loop.polynomials import (
     inverse,
     weighted_share,
 )
-from lftkit.proofs.sampled_loop.proof import Interval
+from lftkit.proofs.strips import Interval
 
 Box = tuple[Interval, ...]
 PARTS = 32

@@ -21,9 +21,9 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.premises import require_box
-from lftkit.proofs.sampled_loop.proof import Interval, Strip
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.support.threads import one_thread
 
 Box = tuple[Interval, ...]

@@ -16,9 +16,9 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle
-from lftkit.proofs.sampled_loop.proof import Interval
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
+from lftkit.proofs.strips import Interval
 
 Box = tuple[Interval, ...]
 HELD = 0.02

@@ -30,8 +30,9 @@ from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from lftkit.proofs.sampled_loop.premises import require_premises
-from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
+from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.sampled_loop.responses import Responses
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError, uncovered
 
 PIECES = 4

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.sampled_loop.proof import Interval, LoopProof, Strip
+from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.sampled_loop.responses import Responses
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError
 
 COMPLEX = ("poles", "C", "B", "K_poles", "K_C", "K_B")

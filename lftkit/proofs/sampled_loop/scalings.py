@@ -11,7 +11,6 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
-from lftkit.proofs.sampled_loop.proof import Interval
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.state_space.barrier import (
     ANY_REAL,
@@ -25,6 +24,7 @@ from lftkit.proofs.state_space.barrier import (
 )
 from lftkit.proofs.state_space.cells import balanced
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.strips import Interval
 
 PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
