@@ -16,6 +16,7 @@ from support.skip_remedies import summary
 from support.unjudged import UnjudgedWarning, unjudged_lines
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
+os.environ.setdefault("LOS_TESTBED_QUIET", "1")  # lines of progress come by the clock: no test may depend on them
 
 from hypothesis import settings
 

@@ -1,23 +1,75 @@
-"""One progress bar for every long computation."""
+"""How every long computation shows that it goes on: a bar on a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
 import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TextIO
+
+FIRST_S = 2.0
+"""Time until the first line, where there is no terminal: what is over sooner says nothing."""
+
+
+@dataclass
+class ProgressOutput:
+    """Where progress goes; one for a process (:func:`choose_output`).
+
+    Parameters
+    ----------
+    quiet : bool
+        No bar and no lines on the error output.
+    interval : float
+        Time between two lines [s].
+    log : Path, optional
+        File that gets the lines, with the time of day, at its end; also when quiet.
+    """
+
+    quiet: bool = False
+    interval: float = 10.0
+    log: Path | None = None
+
+
+_output = ProgressOutput()
+_active: list[Progress] = []
+
+
+def choose_output(*, quiet: bool = False, interval: float = 10.0, log: Path | None = None) -> None:
+    """Choose where progress goes from now on, in this process; fields of :class:`ProgressOutput`.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    if log is not None:
+        with log.open("a"):
+            pass
+    _output.quiet, _output.interval, _output.log = quiet, interval, log
+
+
+def write_log(line: str) -> None:
+    """A line with the time of day at the end of the log, if one was chosen."""
+    if _output.log is not None:
+        with _output.log.open("a", encoding="utf-8") as file:
+            file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {line}\n")
 
 
 class Progress:
-    """Context with a progress bar on the error output: done, total, elapsed and remaining time.
+    """Context that shows done, total, elapsed and remaining time of a computation on the error output.
 
-    Without the package rich, which is optional, there is no bar, and lines are printed plainly.
+    On a terminal it is a bar (without the package rich, which is optional, lines as elsewhere); elsewhere a line after
+    two seconds and then one every ten (:func:`choose_output`). A context inside another one is shown in its place.
 
     Parameters
     ----------
     what : str
-        What is computed, before the bar.
+        What is computed, before the numbers.
     shown : bool
-        Whether the bar is asked for; it is drawn on a terminal only.
+        Whether anything is shown.
 
     Examples
     --------
@@ -26,49 +78,107 @@ class Progress:
     """
 
     def __init__(self, what: str, shown: bool = True) -> None:
-        self._what, self._shown = what, shown
-        self._bar = _bar() if shown else None
-        if self._bar is not None:
-            self._task = self._bar.add_task(what, total=1.0)
+        self._what, self._text, self._shown = what, what, shown
+        self._done, self._total = 0.0, 0.0
+        self._first = (0.0, 0.0)  # time and amount from which the rate is counted
+        self._bar: Any = None
+        self._ended = threading.Event()
+        self._lines: threading.Thread | None = None
+        self._start = time.monotonic()
 
     def __enter__(self) -> Progress:
-        if self._bar is not None:
-            self._bar.start()
+        self._start = time.monotonic()
+        if self._shown:
+            if _active:
+                _active[-1]._hide()
+            _active.append(self)
+            self._show()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        if self._shown:
+            self._hide()
+            _active.remove(self)
+            if _active:
+                _active[-1]._show()
 
     def report(self, done: float, total: float, *, what: str = "", best: float | None = None) -> None:
         """Show `done` of `total`, with a part's name `what` and the best value so far where they are given."""
-        text = (what or self._what) + ("" if best is None else f", best {best:.6g}")
+        self._text = (what or self._what) + ("" if best is None else f", best {best:.6g}")
+        if float(total) != self._total:
+            self._first = (time.monotonic(), float(done))
+        self._done, self._total = float(done), float(total)
         if self._bar is not None:
-            self._bar.update(self._task, description=text, completed=done, total=total)
+            self._bar.update(self._bar.task_ids[0], description=self._text, completed=done, total=total)
 
     def print(self, line: str) -> None:
         """Print a line that stays above the bar."""
+        if not self._shown:
+            return
+        write_log(line)
         if self._bar is not None:
-            self._bar.console.print(line, highlight=False, soft_wrap=True)
-        elif self._shown:
+            self._bar.console.print(line, highlight=False, soft_wrap=True, markup=False)
+        elif not _output.quiet:
             sys.stderr.write(line + "\n")
+            sys.stderr.flush()
+
+    def _show(self) -> None:
+        drawn = None if _output.quiet else _bar(sys.stderr)
+        if drawn is not None:
+            drawn.add_task(self._text, total=self._total or None, completed=self._done)
+            drawn.start()
+        self._bar = drawn
+        if (drawn is None and not _output.quiet) or _output.log is not None:
+            self._ended = threading.Event()
+            self._lines = threading.Thread(target=self._write_lines, args=(self._ended,), daemon=True)
+            self._lines.start()
+
+    def _hide(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+        if self._lines is not None:
+            self._ended.set()
+            self._lines.join()
+            self._lines = None
+
+    def _write_lines(self, ended: threading.Event) -> None:
+        wait = max(FIRST_S - (time.monotonic() - self._start), 0.0) or _output.interval
+        while not ended.wait(wait):
+            line = self._line(time.monotonic() - self._start)
+            write_log(line)
+            if self._bar is None and not _output.quiet:
+                sys.stderr.write(line + "\n")
+                sys.stderr.flush()
+            wait = _output.interval
+
+    def _line(self, elapsed: float) -> str:
+        """The numbers in words."""
+        if not self._total:
+            return f"{self._text}: {elapsed:.0f} s"
+        since, before = self._first
+        passed, left = time.monotonic() - since, ""
+        if self._done > before:
+            left = f", about {passed * (self._total - self._done) / (self._done - before):.0f} s left"
+        return f"{self._text}: {self._done:.0f} of {self._total:.0f}, {elapsed:.0f} s{left}"
 
 
-def _bar() -> Any:
-    """The bar, drawn on a terminal only; None without rich."""
+def _bar(stream: TextIO) -> Any:
+    """The bar; None without rich or where there is no terminal."""
     try:
         from rich import progress
         from rich.console import Console
     except ImportError:
         return None
-    console = Console(stderr=True)
+    console = Console(file=stream)
+    if not console.is_terminal:
+        return None
     return progress.Progress(
         progress.TextColumn("{task.description}"),
         progress.BarColumn(),
-        progress.TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+        progress.MofNCompleteColumn(),
         progress.TimeElapsedColumn(),
         progress.TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     )

@@ -196,3 +196,23 @@ def test_help_has_examples(command):
     assert done.returncode == 0
     assert "Examples" in done.stdout
     assert f"los-testbed {command}" in done.stdout
+
+
+def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):
+    log = tmp_path / "los.log"
+    code, _, err = run("analyse", "absent.csv", "--quiet", "--log", str(log))
+    assert code == 2 and err in log.read_text() and len(log.read_text().splitlines()) == 1
+    assert run("--quiet", "analyse", "absent.csv")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--quiet", "--verbose"], "must not be given together"),
+        (["--log", "absent/los.log"], "--log must be a file that can be written"),
+        (["--log"], "must be followed by a FILE"),
+    ],
+)
+def test_options_of_all_commands_are_checked(run, given, message):
+    code, out, err = run("stages", *given)
+    assert code == 2 and out == "" and message in err and len(err.splitlines()) == 1

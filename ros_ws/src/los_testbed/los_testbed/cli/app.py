@@ -7,13 +7,14 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from lftkit.support.progress import choose_output, write_log
 from los_testbed import __version__
 from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
 from los_testbed.cli.bag import bag_app
@@ -74,8 +75,48 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress; warnings and errors stay.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Progress each second; errors with their place.")] = False,
+    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Also append progress to a file.")] = None,
 ) -> None:
     """Testbed for fine line-of-sight control of a flexible space telescope."""
+    if quiet and verbose:
+        raise ValueError("--quiet and --verbose must not be given together, got both")
+    if verbose:
+        os.environ[TRACEBACK] = "1"
+    try:
+        choose_output(quiet=quiet or bool(os.environ.get(QUIET)), interval=1.0 if verbose else 10.0, log=log)
+    except OSError as error:
+        raise ValueError(f"--log must be a file that can be written, got {log}: {error.strerror}") from None
+
+
+QUIET, TRACEBACK = "LOS_TESTBED_QUIET", "LOS_TESTBED_TRACEBACK"
+"""Variables of the environment: as ``--quiet``; unexpected errors with their place."""
+COMMON = ("--quiet", "--verbose", "--log")
+"""Options of all commands, which may stand anywhere on the command line."""
+
+
+def with_common_options_first(arguments: Sequence[str]) -> list[str]:
+    """The command line with the options of all commands before the command.
+
+    Examples
+    --------
+    >>> with_common_options_first(["run", "--seed", "3", "--quiet", "--log", "run.log"])
+    ['--quiet', '--log', 'run.log', 'run', '--seed', '3']
+    """
+    first, rest, waiting = [], [], iter(arguments)
+    for argument in waiting:
+        if argument == "--":
+            rest += [argument, *waiting]
+        elif argument.split("=")[0] in COMMON:
+            first.append(argument)
+            if argument == "--log":
+                if (file := next(waiting, None)) is None:
+                    raise ValueError("--log must be followed by a FILE, got nothing")
+                first.append(file)
+        else:
+            rest.append(argument)
+    return first + rest
 
 
 NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP)
@@ -117,7 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _not_raised
     try:
-        given = with_lone_options(sys.argv[1:] if arguments is None else arguments)
+        given = with_common_options_first(with_lone_options(sys.argv[1:] if arguments is None else arguments))
         result = command_line()(args=given, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))
@@ -152,8 +193,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _unexpected(error: BaseException) -> str:
-    """One line about an error that no check has foreseen; the whole of it where LOS_TESTBED_TRACEBACK asks for it."""
-    if os.environ.get("LOS_TESTBED_TRACEBACK"):
+    """One line about an error that no check has foreseen; the whole of it where it is asked for."""
+    if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
@@ -167,7 +208,9 @@ def _leave(code: int) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    sys.stderr.write(f"los-testbed: {printable(' '.join(message.split()))}\n")
+    line = f"los-testbed: {printable(' '.join(message.split()))}"
+    sys.stderr.write(f"{line}\n")
+    write_log(line)
     sys.exit(code)
 
 

@@ -40,6 +40,7 @@ def repair(
     json_: Json = False,
 ) -> None:
     """See REPAIR_EXAMPLES."""
+    from lftkit.support.progress import Progress
     from los_testbed.bags.repair import repair_bag
 
     limit = chunk_limit(max_chunk)
@@ -47,7 +48,8 @@ def repair(
     if output is None and not whole.name:
         raise ValueError(f"--output must be given for {source}, which has no name")
     target = output or whole.with_name(f"{whole.stem if source.is_file() else whole.name}-repaired")
-    found = repair_bag(source, target, limit)
+    with Progress("repair"):
+        found = repair_bag(source, target, limit)
     console = Screen(stderr=json_)
     say(console, f"{found.messages} messages of {len(found.copied)} topics copied")
     for sentence in found.sentences():

@@ -93,7 +93,8 @@ def campaign(
     base = RunConfig.from_mapping({name: value for name, value in given.items() if value is not None})
     warn(check_controllers(base))
     check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
-    asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
+    with Progress("parameters of the members"):
+        asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
     if resume:
         folder.compare(asked)
     console = Screen(stderr=json_)
@@ -103,9 +104,10 @@ def campaign(
         if client.dashboard_link:
             console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         _evaluate(asked, folder, client, done)
-    summary = campaign_summary(asked, folder, max(keep, 5))
-    summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
-    summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))
+    with Progress("summary and report"):
+        summary = campaign_summary(asked, folder, max(keep, 5))
+        summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
+        summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))
     _show(console, summary, folder)
     if json_:
         print_json(summary)

@@ -105,7 +105,7 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
         wall_limit=time_limit,
         seed=seed,
         starts=starts,
-        progress=sys.stderr.isatty(),
+        progress=True,
     )
 
 
@@ -128,24 +128,19 @@ def _make(
     path = output or design_file(kind, options.variant)
     check_output(path, "--output")
     parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
-    with one_thread():
+    with one_thread(), Progress(kind) as bar:
         if kind == "k-fsm":
-            system = design_observer(assembled, parameters, options, _say)
+            system = design_observer(assembled, parameters, options, bar.print)
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
             warn(design_warnings([k_fsm], design_basis(parameters), closed=True))
-            system = design_actuators(assembled, parameters, k_fsm, options, _say)
+            system = design_actuators(assembled, parameters, k_fsm, options, bar.print)
     system.to_file(path)
     _show_design(system, path, json_)
     if not_met := _not_met(system):
         for text in not_met:
             sys.stderr.write(f"not met: {text}\n")
         raise typer.Exit(1)
-
-
-def _say(text: str) -> None:
-    """Progress of a design, one line for each round, on the error output."""
-    sys.stderr.write(f"{text}\n")
 
 
 def _not_met(system: SampledSystem) -> list[str]:
@@ -318,6 +313,7 @@ def figures(
 
     number("--samples", samples, 0, 10_000)
     check_output(output, "--output", folder=True)
-    with one_thread():
-        for path in draw(output, samples):
-            sys.stdout.write(f"{path}\n")
+    with one_thread(), Progress("figures"):
+        paths = list(draw(output, samples))
+    for path in paths:
+        sys.stdout.write(f"{path}\n")

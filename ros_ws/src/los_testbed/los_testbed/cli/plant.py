@@ -83,9 +83,10 @@ def figures(
     from pointing_analysis.files.atomic_output import check_output
 
     check_output(output, "--output", folder=True)
+    from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
 
-    with one_thread():
+    with one_thread(), Progress("figures"):
         paths = draw_figures(output, str(parameters) if parameters else context.obj or None)
     console = Screen()
     for path in paths:

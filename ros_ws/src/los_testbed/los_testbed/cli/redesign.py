@@ -89,17 +89,18 @@ def design_all(
     check_output(output, parameters)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
-    summary = redesign.design_all(
-        load_parameters(parameters or REFERENCE),
-        output,
-        seed=seed,
-        effort=effort,
-        resume=resume,
-        report=_say,
-        nominal=nominal,
-        wall_limit=time_limit,
-        workers=processes(workers),
-    )
+    with Progress("design") as bar:
+        summary = redesign.design_all(
+            load_parameters(parameters or REFERENCE),
+            output,
+            seed=seed,
+            effort=effort,
+            resume=resume,
+            report=bar.print,
+            nominal=nominal,
+            wall_limit=time_limit,
+            workers=processes(workers),
+        )
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
 
 
@@ -107,11 +108,6 @@ def processes(workers: int) -> int:
     """The number of processes that an option asks for."""
     number("--workers", workers, 0, 1000)
     return workers or len(os.sched_getaffinity(0))
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
 
 
 def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None:
