@@ -9,6 +9,7 @@ loop gain L of negative feedback, ``applied = S added`` and ``returned = -T adde
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import linalg
@@ -145,7 +146,34 @@ class Margins(_AtLoop):
 
 
 @dataclass(frozen=True)
-class MinLoopGain(_AtLoop):
+class _LoopGain(_AtLoop):
+    """A goal for the loop gain, relative to that of an integrator, ``crossover / s``.
+
+    A lower bound weighs what is ``applied``, an upper one what is ``returned``.
+    """
+
+    crossover: float = 1.0
+    hard: bool = False
+    name: str = ""
+
+    bounds: ClassVar[tuple[str, ...]]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (np.isfinite(self.crossover) and self.crossover > 0.0):
+            raise ValueError(f"crossover must be positive [rad/s], got {self.crossover}")
+
+    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+        """One gain, of all bounds."""
+        weights = {"applied": _integrator, "returned": _differentiator}
+        parts = (_repeated(weights[kind](self.crossover), self._size(model)) for kind in self.bounds)
+        out = tuple(port for kind in self.bounds for port in self._ports(kind))
+        weight, name = _side_by_side(*parts), self._name(self.name)
+        return (HinfGain(self._ports("added"), out, weight_out=weight, hard=self.hard, name=name),)
+
+
+@dataclass(frozen=True)
+class MinLoopGain(_LoopGain):
     """Loop gain at a location of at least ``crossover / omega`` where it is large: ``(crossover / s) S`` below 1.
 
     Parameters
@@ -157,23 +185,11 @@ class MinLoopGain(_AtLoop):
     name : str
     """
 
-    crossover: float = 1.0
-    hard: bool = False
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_crossover(self.crossover)
-
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
-        """One gain."""
-        weight = _repeated(_integrator(self.crossover), self._size(model))
-        common = {"weight_out": weight, "hard": self.hard, "name": self._name(self.name)}
-        return (HinfGain(self._ports("added"), self._ports("applied"), **common),)  # type: ignore[arg-type]
+    bounds = ("applied",)
 
 
 @dataclass(frozen=True)
-class MaxLoopGain(_AtLoop):
+class MaxLoopGain(_LoopGain):
     """Loop gain at a location of at most ``crossover / omega`` where it is small: ``(s / crossover) T`` below 1.
 
     Parameters
@@ -182,23 +198,11 @@ class MaxLoopGain(_AtLoop):
         As in :class:`MinLoopGain`.
     """
 
-    crossover: float = 1.0
-    hard: bool = False
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_crossover(self.crossover)
-
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
-        """One gain."""
-        weight = _repeated(_differentiator(self.crossover), self._size(model))
-        common = {"weight_out": weight, "hard": self.hard, "name": self._name(self.name)}
-        return (HinfGain(self._ports("added"), self._ports("returned"), **common),)  # type: ignore[arg-type]
+    bounds = ("returned",)
 
 
 @dataclass(frozen=True)
-class LoopShape(_AtLoop):
+class LoopShape(_LoopGain):
     """Loop gain at a location like that of an integrator, ``crossover / s``: both bounds at once.
 
     The gain of ``[(crossover / s) S; (s / crossover) T]`` is 1 for that loop at all frequencies.
@@ -209,26 +213,7 @@ class LoopShape(_AtLoop):
         As in :class:`MinLoopGain`.
     """
 
-    crossover: float = 1.0
-    hard: bool = False
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_crossover(self.crossover)
-
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
-        """One gain of both."""
-        size = self._size(model)
-        low, high = _repeated(_integrator(self.crossover), size), _repeated(_differentiator(self.crossover), size)
-        out = (*self._ports("applied"), *self._ports("returned"))
-        common = {"weight_out": _side_by_side(low, high), "hard": self.hard, "name": self._name(self.name)}
-        return (HinfGain(self._ports("added"), out, **common),)  # type: ignore[arg-type]
-
-
-def _refuse_crossover(crossover: float) -> None:
-    if not (np.isfinite(crossover) and crossover > 0.0):
-        raise ValueError(f"crossover must be positive [rad/s], got {crossover}")
+    bounds = ("applied", "returned")
 
 
 def _integrator(crossover: float) -> System:
