@@ -8,6 +8,7 @@ compares it with systune.
 from lftkit.tuning.bounds import Bounds
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.decentralised import Decentralised
+from lftkit.tuning.descent.minimax import Descent, DescentOptions, DescentState, descend
 from lftkit.tuning.goals import (
     Goal,
     LoopShape,
@@ -34,6 +35,9 @@ __all__ = [
     "ClosedLoopPoles",
     "ControllerPoles",
     "Decentralised",
+    "Descent",
+    "DescentOptions",
+    "DescentState",
     "Goal",
     "H2Gain",
     "HinfGain",
@@ -56,6 +60,7 @@ __all__ = [
     "WorstCaseOptions",
     "certify",
     "controller",
+    "descend",
     "gain",
     "pid",
     "state_space",

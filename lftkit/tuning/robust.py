@@ -1,14 +1,15 @@
-"""Robust structured design: tune on a few models, find the worst others, add them, repeat.
+"""Robust structured design: rounds of tuning on a few models and a search for the worst others.
 
-The scheme of Apkarian, Dao and Noll (2015): the active set stays small because only parameter values that are really
-worst enter it, of every requirement one for each of its highest peaks; it ends when nothing worse is found.
+What enters is, of every requirement, one model for each of its highest peaks.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,8 @@ from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.rounds import Worse, in_rounds
+from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures import Structure
 from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_from, limits_of, result_of, tune
 from lftkit.tuning.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
@@ -46,9 +49,9 @@ class RobustResult:
 
     Parameters
     ----------
-    status : str
+    status : TuningStatus
         ``converged``: nothing worse than `slack` was found, and the last tuning was ``converged`` or ``target``;
-        otherwise the status of the tuner, ``iterations`` (rounds ran out) or ``out_of_time``.
+        otherwise the status of the tuner, ``rounds`` or ``out_of_time``: see :func:`lftkit.tuning.rounds.in_rounds`.
     advice : str
     tuning : TuningResult
         Controller, values and certificate on the active models.
@@ -59,7 +62,7 @@ class RobustResult:
     rounds : tuple of Round
     """
 
-    status: str
+    status: TuningStatus
     advice: str
     tuning: TuningResult
     worst: tuple[WorstCase, ...]
@@ -116,13 +119,18 @@ def tune_robust(
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
     ready, needs = resolved_build(build, requirements, chosen[0])
-    state = _Rounds(ready, box, needs, structure, loop_delay, options, search, start_time)
-    return state.run(chosen, [start_checked(x, structure) for x in initial], slack, max_rounds)
+    given = [start_checked(x, structure) for x in initial]
+    with one_thread(), Progress("robust design", options.progress) as progress:
+        common = (loop_delay, options, search, start_time, slack, chosen, given, progress)
+        design = _Design(ready, box, needs, structure, *common)
+        found = in_rounds(design, max_rounds, deadline=design.deadline)
+    advice = _advice(found.status, found.tuned)
+    return RobustResult(found.status, advice, found.tuned, design.worst, tuple(chosen), tuple(design.rounds))
 
 
 @dataclass
-class _Rounds:
-    """The outer loop."""
+class _Design:
+    """Models at parameter values: worse is what the search over the box finds."""
 
     build: Build
     box: Box
@@ -132,60 +140,54 @@ class _Rounds:
     options: TuningOptions
     search: WorstCaseOptions
     start_time: float
+    slack: float
+    chosen: list[dict[str, float]]
+    given: list[FloatArray]
+    progress: Progress
+    rounds: list[Round] = field(default_factory=list)
+    worst: tuple[WorstCase, ...] = ()
+    tuning: TuningResult | None = None
 
-    def run(
-        self, chosen: list[dict[str, float]], given: list[FloatArray], slack: float, max_rounds: int
-    ) -> RobustResult:
-        models = [self.build(p).named(_label(p)) for p in chosen]
+    @property
+    def deadline(self) -> float:
+        """Of the whole."""
+        return self.start_time + self.options.wall_limit
+
+    @cached_property
+    def problem(self) -> Problem:
+        """With the models that are active."""
+        models = [self.build(p).named(_label(p)) for p in self.chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
-        problem.limit = limits_from(self.options, start_sizes(problem, given, self.options.seed))
-        rounds: list[Round] = []
-        tuning: TuningResult | None = None
-        worst: tuple[WorstCase, ...] = ()
-        status = "iterations"
-        with one_thread(), Progress("robust design", self.options.progress) as progress:
-            for number in range(max_rounds):
-                left = self.start_time + self.options.wall_limit - time.monotonic()
-                if left <= 0.0 and tuning is not None:
-                    status = "out_of_time"
-                    break
-                tuning = self._tuned(problem, tuning, given, max(left, 1.0))
-                worst = self._worst(tuning, number)
-                rounds.append(self._round(problem, tuning, worst))
-                progress.print(_line(number, rounds[-1]))
-                new = self._new(tuning, worst, chosen, slack)
-                if tuning.status in ("interrupted", "not_stabilised"):
-                    status = tuning.status
-                    break
-                if not new:
-                    status = "converged" if tuning.status in ("converged", "target") else tuning.status
-                    break
-                if number + 1 == max_rounds:
-                    break  # what is found now is a worst case, but was never tuned on
-                for parameters in new:
-                    chosen.append(parameters)
-                    problem.add_model(self.build(parameters).named(_label(parameters)))
-        assert tuning is not None
-        return RobustResult(status, _advice(status, tuning), tuning, worst, tuple(chosen), tuple(rounds))
+        problem.limit = limits_from(self.options, start_sizes(problem, self.given, self.options.seed))
+        return problem
 
-    def _tuned(
-        self, problem: Problem, before: TuningResult | None, given: list[FloatArray], left: float
-    ) -> TuningResult:
-        if before is None:
+    def tuned(self, number: int) -> TuningResult:
+        """All starts in the first round; later ones go on from the best point."""
+        left, problem = max(self.deadline - time.monotonic(), 1.0), self.problem
+        if self.tuning is None:
             options = replace(self.options, wall_limit=left, progress=False)
-            return tune(
-                problem.models,
-                self.requirements,
-                self.structure,
-                initial=given,
-                loop_delay=self.loop_delay,
-                options=options,
-            )
-        start_time = time.monotonic()
+            common: Any = {"initial": self.given, "loop_delay": self.loop_delay, "options": options}
+            self.tuning = tune(problem.models, self.requirements, self.structure, **common)
+            return self.tuning
+        start_time, seed, band = time.monotonic(), self.options.seed, self.options.band
         limits = limits_of(self.options, start_time + left)
-        runs = [tune_from(problem, before.x, self.options.seed, limits, self.options.band)]
-        runs += feasibility_runs(problem, runs, self.options.seed, limits, self.options.band)
-        return result_of(problem, runs, time.monotonic() - start_time)
+        runs = [tune_from(problem, self.tuning.x, seed, limits, band)]
+        runs += feasibility_runs(problem, runs, seed, limits, band)
+        self.tuning = result_of(problem, runs, time.monotonic() - start_time)
+        return self.tuning
+
+    def worse(self, number: int, tuned: TuningResult, last: bool) -> Worse[dict[str, float]]:
+        """Parameters at which a requirement exceeds what the tuning reached."""
+        self.worst = self._worst(tuned, number)
+        self.rounds.append(self._round(self.problem, tuned, self.worst))
+        self.progress.print(_line(number, self.rounds[-1]))
+        return Worse(self._new(tuned, self.worst))
+
+    def add(self, tuned: TuningResult, worse: Worse[dict[str, float]]) -> None:
+        """More models."""
+        for parameters in worse.new:
+            self.chosen.append(parameters)
+            self.problem.add_model(self.build(parameters).named(_label(parameters)))
 
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:
         left = self.start_time + self.options.wall_limit - time.monotonic()
@@ -201,14 +203,12 @@ class _Rounds:
         hard = max((w.value for w, r in zip(worst, self.requirements) if r.hard), default=-np.inf)
         return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.start_time)
 
-    def _new(
-        self, tuning: TuningResult, worst: tuple[WorstCase, ...], chosen: list[dict[str, float]], slack: float
-    ) -> list[dict[str, float]]:
+    def _new(self, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> list[dict[str, float]]:
         new: list[dict[str, float]] = []
         for w, r in zip(worst, self.requirements):
             level = max(1.0, tuning.hard) if r.hard else tuning.soft
             for value, parameters in ((w.value, w.parameters), *w.others):
-                if value > level * (1.0 + slack) and all(self._differs(parameters, c) for c in chosen + new):
+                if value > level * (1.0 + self.slack) and all(self._differs(parameters, c) for c in self.chosen + new):
                     new.append(dict(parameters))
         return new
 
@@ -228,11 +228,7 @@ def _line(number: int, r: Round) -> str:
     )
 
 
-def _advice(status: str, tuning: TuningResult) -> str:
-    if status == "converged":
+def _advice(status: TuningStatus, tuning: TuningResult) -> str:
+    if status is TuningStatus.CONVERGED:
         return "no worse parameters were found; a longer search or other seeds may still find some"
-    if status == "iterations":
-        return "worse parameters were still found in the last round: allow more rounds"
-    if status == "out_of_time":
-        return "the wall limit was reached; the best point so far is given with the worst case found for it"
-    return tuning.advice
+    return tuning.advice if status is tuning.status else status.advice

@@ -13,6 +13,7 @@ class TuningStatus(str, Enum):
     STALLED = "stalled"
     INACCURATE = "inaccurate"
     ITERATIONS = "iterations"
+    ROUNDS = "rounds"
     NOT_STABILISED = "not_stabilised"
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
@@ -34,6 +35,7 @@ _ADVICE = {
     "stalled": "no further progress, optimality not confirmed: try other starts or another form of the structure",
     "inaccurate": "tuned value and certificate differ by more than 0.1 %: trust the certificate",
     "iterations": "still improving when the iterations ran out: allow more",
+    "rounds": "worse parameters were still found in the last round: allow more rounds",
     "target": "the target value was reached",
     "not_stabilised": (
         "no start made every model stable: raise the order, give a stabilising start, use more starts, or check that "

@@ -18,9 +18,9 @@ from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, certify
-from lftkit.tuning.descent.descent import DescentOptions
+from lftkit.tuning.descent.grid_source import FEASIBLE
+from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
-from lftkit.tuning.descent.smooth_phase import FEASIBLE
 from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
@@ -30,6 +30,7 @@ from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures import AffineStructure, Structure, controller
 
@@ -57,7 +58,7 @@ class TuningOptions:
     iterations : int
         Most quadratic programs of a start.
     tolerance : float
-        See :class:`lftkit.tuning.descent.descent.DescentOptions`.
+        See :class:`lftkit.tuning.descent.minimax.DescentOptions`.
     target : float
         Stop as soon as the worst soft value is below, hard ones kept.
     band : float
@@ -284,20 +285,45 @@ def _refined(
     problem: Problem, runs: Sequence[StartResult], options: TuningOptions, deadline: float
 ) -> list[StartResult]:
     """Further runs from the best point, on grids refined at the peaks of the certificate that the tuner had missed."""
-    added: list[StartResult] = []
-    for _ in range(MAX_REFINEMENTS):
-        best = added[-1] if added else min(runs, key=lambda run: run.rank)
-        if best.rank[0] == 2 or time.monotonic() > deadline:
-            break
-        found = problem.evaluate(best.x, gradients=False)
-        K = controller(problem.structure, best.x)
+    design = _Certified(problem, min(runs, key=lambda run: run.rank), options, deadline)
+    in_rounds(design, MAX_REFINEMENTS + 1, deadline=deadline)
+    return design.added
+
+
+@dataclass
+class _Certified:
+    """Frequencies of the grids: worse are the peaks that the certificate finds beside them."""
+
+    problem: Problem
+    best: StartResult
+    options: TuningOptions
+    deadline: float
+    added: list[StartResult] = field(default_factory=list)
+
+    def tuned(self, number: int) -> StartResult:
+        """The best start, then others from it."""
+        if number:
+            limits = limits_of(self.options, self.deadline)
+            self.best = tune_from(self.problem, self.best.x, self.options.seed, limits, self.options.band)
+            self.added.append(self.best)
+        return self.best
+
+    def worse(self, number: int, tuned: StartResult, last: bool) -> Worse[FloatArray]:
+        """Peak frequencies of the certificate (requirements,) of each model where it does not agree."""
+        problem = self.problem
+        if last or tuned.rank[0] == 2 or time.monotonic() > self.deadline:
+            return Worse(())
+        found = problem.evaluate(tuned.x, gradients=False)
+        K = controller(problem.structure, tuned.x)
         certificate = certify(problem.models, K, problem.given, problem.loop_delay)
         if _agree(certificate, found.values[: len(problem.given)]) or not np.all(np.isfinite(certificate.values)):
-            break
-        for k, loop in enumerate(problem.gains):
-            loop.add(certificate.peak_frequencies[list(problem.hinf), k])
-        added.append(tune_from(problem, best.x, options.seed, limits_of(options, deadline), options.band))
-    return added
+            return Worse(())
+        return Worse([certificate.peak_frequencies[list(problem.hinf), k] for k in range(len(problem.models))])
+
+    def add(self, tuned: StartResult, worse: Worse[FloatArray]) -> None:
+        """More frequencies."""
+        for loop, omega in zip(self.problem.gains, worse.new):
+            loop.add(omega)
 
 
 def _agree(certificate: Certificate, values: FloatArray) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import Port
-from lftkit.tuning.frequency_domain import (
+from lftkit.tuning.responses import (
     ControllerBlock,
     GrowingSamples,
     PlantSamples,

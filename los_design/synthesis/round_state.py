@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
-from lftkit.tuning.frequency_domain import DescentState, ResponseDescent
+from lftkit.tuning import Descent, DescentState, TuningStatus
+from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_points import WorstPoint
 from pointing_analysis.files.atomic_output import write_text
 
@@ -35,7 +36,7 @@ class RoundState:
         The worst points of the last search.
     exceeded : list of str
         Requirements with new points in it; empty: no search yet.
-    descent : ResponseDescent, optional
+    descent : Descent, optional
         Of the round whose searches are not all made.
     searched : int
         Searches after it that found nothing worse.
@@ -54,7 +55,7 @@ class RoundState:
     known: dict[str, list[WorstPoint]] = field(default_factory=dict)
     added: list[int] = field(default_factory=list)
     exceeded: list[str] = field(default_factory=list)
-    descent: ResponseDescent | None = None
+    descent: Descent[ResponseLook] | None = None
     searched: int = 0
     watched: list[dict[str, float]] = field(default_factory=list)
     inside: DescentState | None = None
@@ -131,7 +132,7 @@ class Outcome:
     ----------
     x : ndarray
         Entries of both gain matrices.
-    status : {"converged", "rounds", "out_of_time"}
+    status : TuningStatus
         ``rounds``: worse points were still found in the last round, or its descent was above 1 and not at its end;
         without a search the status of the descent.
     tuned : dict of str to float
@@ -147,7 +148,7 @@ class Outcome:
     """
 
     x: FloatArray
-    status: str
+    status: TuningStatus
     tuned: dict[str, float]
     worst: dict[str, WorstPoint]
     values: dict[str, float]
@@ -167,16 +168,16 @@ class Outcome:
         ]
 
 
-def _plain(descent: ResponseDescent) -> dict[str, Any]:
+def _plain(descent: Descent[ResponseLook]) -> dict[str, Any]:
     """For JSON, which keeps every bit of a finite number."""
-    return {f.name: getattr(descent, f.name) for f in fields(descent)} | {
-        name: getattr(descent, name).tolist() for name in ("x", "values", "noise", "worst_pair")
-    }
+    look = descent.point
+    arrays = {name: getattr(look, name).tolist() for name in ("x", "values", "noise")}
+    return {**arrays, "merit": look.merit, "status": str(descent.status), "iterations": descent.iterations}
 
 
-def _descent(content: Mapping[str, Any]) -> ResponseDescent:
+def _descent(content: Mapping[str, Any]) -> Descent[ResponseLook]:
     """As :func:`_plain` made it."""
     x, values, noise = (np.array(content[name], dtype=float) for name in ("x", "values", "noise"))
-    worst_pair = np.array(content["worst_pair"], dtype=np.intp)
-    status, iterations = str(content["status"]), int(content["iterations"])
-    return ResponseDescent(x, float(content["value"]), values, noise, worst_pair, status, iterations)
+    violation, value = content["merit"]
+    look = ResponseLook(x, (violation, value), values, noise)
+    return Descent(look, TuningStatus(content["status"]), int(content["iterations"]))

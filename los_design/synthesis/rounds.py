@@ -1,6 +1,6 @@
 """Design in rounds: tune on samples, search the implemented loop for worse parameters, add them, repeat.
 
-The descent (:mod:`lftkit.tuning.frequency_domain`) sees the implemented loop at the frequencies and parameter points
+The descent (on :mod:`lftkit.tuning.responses`) sees the implemented loop at the frequencies and parameter points
 of :mod:`los_design.synthesis.pair_problem`; the search (:mod:`los_design.search.worst_case_search`) sees it everywhere,
 by ascents. What is added are the worst points of the bands in which a requirement exceeds what the descent reached. A
 design is
@@ -13,27 +13,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
-from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
-from lftkit.support.workers import Workers
-from lftkit.tuning.frequency_domain import (
-    DescentState,
-    ResponseDescent,
-    ResponseDescentOptions,
-    ResponseProblem,
-    descend,
-)
-from los_design.search.worst_case_search import Search, SearchOptions, apart
+from lftkit.tuning import Descent, DescentOptions, DescentState, TuningStatus, descend
+from lftkit.tuning.responses import ResponseLook, ResponseProblem, ResponseSource
+from lftkit.tuning.rounds import Worse, in_rounds
+from los_design.search.worst_case_search import SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
-from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, Samples, limits, named, pair_problem
+from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, limits, named, pair_problem
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Kept, Outcome, RoundState
-from los_loop.implemented_loop import ImplementedLoop
-from los_loop.sampled_loop import sampled_loop
+from los_design.synthesis.task import Task, first_points, sample_around, stable_point
 
 Report = Callable[[str], None]
 MAX_NEW = 16
@@ -44,8 +37,8 @@ UNSEEN = 0.01
 """Where there is one, all points that exceed what the descent reached by this part are added."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
-HALVINGS = 7
-"""Of the way to an unstable point."""
+TOLERANCE = 2e-3
+"""A descent ends when four looks at all samples together lower the value by less than this part."""
 
 
 @dataclass(frozen=True)
@@ -75,52 +68,6 @@ class Effort:
     searches: tuple[SearchOptions, ...]
 
 
-@dataclass(frozen=True)
-class Task:
-    """What is designed.
-
-    Parameters
-    ----------
-    samples : Samples
-    stages : tuple of stages
-        Whose requirements count.
-    tuned : tuple of int
-        Which controllers are tuned.
-    sampled : callable
-        From the parameter vector to the sampled K_FSM and K_PMA.
-    seed : int
-    wall_limit : float
-        Of the whole design [s].
-    workers : Workers
-        Processes of the searches; the result does not depend on them.
-    known : tuple of WorstPoint
-        Of another telescope's design: their parameters are among the first points, the first search climbs from them.
-    """
-
-    samples: Samples
-    stages: tuple[tuple[int, ...], ...]
-    tuned: tuple[int, ...]
-    sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]]
-    seed: int = 0
-    wall_limit: float = np.inf
-    workers: Workers = field(default_factory=Workers)
-    known: tuple[WorstPoint, ...] = ()
-
-    def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
-        """Search of a stage with the controllers of `x`."""
-        return Search(ImplementedLoop(self.samples.open_loop, *self.sampled(x), STAGE_NAMES[stage]), options)
-
-    def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
-        """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
-        loop = self.samples.open_loop
-        plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
-        sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
-        return all(
-            sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity).spectral_radius() < 1.0
-            for stage in self.stages
-        )
-
-
 def design_in_rounds(
     task: Task,
     start: Callable[[], FloatArray],
@@ -144,39 +91,77 @@ def design_in_rounds(
     """
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
-    while True:
-        problem = pair_problem(task.samples, task.stages, task.tuned, task.workers.count)
-        left = task.wall_limit - (time.monotonic() - begin)
-        iterations = effort.first if state.number == 0 else effort.iterations
+    design = _Design(task, state, effort, report, kept, begin)
+    found = in_rounds(design, effort.rounds, state.number - (state.descent is not None))
+    worst, values = _worst(task, design.found)
+    status = found.status if found.worse.goes_on else TuningStatus.CONVERGED
+    status = status if effort.searches else found.tuned.status
+    active = [task.samples.open_loop.values(p) for p in state.points]
+    return Outcome(state.x, status, _tuned(design.problem, found.tuned.point), worst, values, active, state.commits)
 
-        def step(iteration: int, value: float, number: int = state.number + 1) -> None:
-            report(f"round {number}, step {iteration}: {value:.4f} ({time.monotonic() - begin:.0f} s)")
 
-        options = ResponseDescentOptions(
-            iterations=iterations, target=effort.target, wall_limit=left, confirm=not effort.searches
-        )
+@dataclass
+class _Design:
+    """Samples at parameter points: worse is what the search of the implemented loop finds."""
+
+    task: Task
+    state: RoundState
+    effort: Effort
+    report: Report
+    kept: Kept | None
+    begin: float
+    found: dict[str, list[WorstPoint]] = field(default_factory=dict)
+
+    @cached_property
+    def problem(self) -> ResponseProblem:
+        """With the samples that are active."""
+        task = self.task
+        return pair_problem(task.samples, task.stages, task.tuned, task.workers.count)
+
+    def tuned(self, number: int) -> Descent[ResponseLook]:
+        """The descent of a round; the one that is kept if its searches were not all made."""
+        effort, state = self.effort, self.state
         if state.descent is None:
-            state.descent = _stabilising(task, problem, state, options, step, kept)
-            state.x, state.number, state.inside, state.watched = state.descent.x, state.number + 1, None, []
-            state.save(kept)
-        descent = state.descent
-        late = descent.status == "out_of_time"
-        unfinished = descent.value > 1.0 and (late or descent.status == "iterations")
-        last = state.number >= effort.rounds or late
-        searches = _searches(effort, state.searched, last, unfinished)
-        found, new = _searched(task, state, problem, searches, kept)
-        worst, values = _worst(task, found)
-        report(_line(state.number, problem, descent, worst, values, time.monotonic() - begin))
-        if last or not (new or unfinished) or not effort.searches:
-            status = descent.status if not effort.searches else _status(bool(new) or unfinished, late)
-            active = [task.samples.open_loop.values(p) for p in state.points]
-            return Outcome(state.x, status, _tuned(problem, descent), worst, values, active, state.commits)
-        state.known |= {name: points[:3] for name, points in found.items()}
-        state.exceeded = sorted({named(p.requirement, _stage(p)) for p in new})
-        if new:
-            _add(task, state, new)
+            options = DescentOptions(
+                effort.iterations if number else effort.first,
+                TOLERANCE,
+                effort.target,
+                self.begin + self.task.wall_limit,
+                confirm=not effort.searches,
+            )
+            state.descent = _stabilising(
+                self.task, self.problem, state, options, partial(self._step, number), self.kept
+            )
+            state.x, state.number, state.inside, state.watched = state.descent.x, number + 1, None, []
+            state.save(self.kept)
+        return state.descent
+
+    def _step(self, number: int, iteration: int, look: ResponseLook) -> None:
+        self.report(f"round {number + 1}, step {iteration}: {look.merit[1]:.4f} ({self._seconds():.0f} s)")
+
+    def _seconds(self) -> float:
+        return time.monotonic() - self.begin
+
+    def worse(self, number: int, tuned: Descent[ResponseLook], last: bool) -> Worse[WorstPoint]:
+        """Worst points above what the descent reached."""
+        ended = tuned.status not in (TuningStatus.OUT_OF_TIME, TuningStatus.ITERATIONS)
+        unfinished = tuned.point.value > 1.0 and not ended
+        searches = _searches(self.effort, self.state.searched, last, unfinished)
+        self.found, new = _searched(self.task, self.state, self.problem, searches, self.kept)
+        line = _line(number + 1, self.problem, tuned, *_worst(self.task, self.found), self._seconds())
+        self.report(line)
+        return Worse(new, unfinished and bool(self.effort.searches))
+
+    def add(self, tuned: Descent[ResponseLook], worse: Worse[WorstPoint]) -> None:
+        """Sample the worst points."""
+        state = self.state
+        state.known |= {name: points[:3] for name, points in self.found.items()}
+        state.exceeded = sorted({named(p.requirement, _stage(p)) for p in worse.new})
+        if worse.new:
+            _add(self.task, state, worse.new)
         state.descent, state.searched = None, 0
-        state.save(kept)
+        vars(self).pop("problem", None)
+        state.save(self.kept)
 
 
 def _begin(
@@ -201,7 +186,7 @@ def _begin(
     first = len(state.points) - sum(state.added)
     task.samples.add(np.array(state.points[:first]))
     for end, count in zip(np.cumsum(state.added), state.added):
-        _sample(task, state.around[end - count : end])
+        sample_around(task, state.around[end - count : end])
     state.save(kept)
     return state
 
@@ -211,13 +196,9 @@ def _begin_with_known(task: Task, state: RoundState) -> None:
     for point in task.known:
         state.known.setdefault(named(point.requirement, _stage(point)), []).append(point)
         at = np.clip(task.samples.open_loop.point(dict(point.parameters)), 0.0, 1.0)
-        at = _stable_point(task, state.x, at)
+        at = stable_point(task, state.x, at)
         if not any(np.allclose(at, other) for other in state.points):
             state.points.append(at)
-
-
-def _status(worse: bool, late: bool) -> str:
-    return "out_of_time" if worse and late else "rounds" if worse else "converged"
 
 
 def _searches(effort: Effort, done: int, last: bool, unfinished: bool) -> list[tuple[int, SearchOptions, bool]]:
@@ -244,7 +225,9 @@ def _searched(
     assert state.descent is not None
     descent, found = state.descent, {}
     for k, options, final in searches:
-        near = {g.name: bool(final or v > NEAR * descent.value) for g, v in zip(problem.gains, descent.values)}
+        near = {
+            g.name: bool(final or v > NEAR * descent.point.value) for g, v in zip(problem.gains, descent.point.values)
+        }
         if state.exceeded and not final:
             near = {name: name in state.exceeded for name in near}
         found = _search(task, state.x, options, state.known, state.number, near)
@@ -260,10 +243,10 @@ def _stabilising(
     task: Task,
     problem: ResponseProblem,
     state: RoundState,
-    options: ResponseDescentOptions,
-    step: Callable[[int, float], None],
+    options: DescentOptions,
+    step: Callable[[int, ResponseLook], None],
     kept: Kept | None,
-) -> ResponseDescent:
+) -> Descent[ResponseLook]:
     """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
     state.watched = state.watched or [{}]
@@ -277,7 +260,7 @@ def _stabilising(
         state.save(kept)
 
     while True:
-        descent = descend(problem, state.x, stable, options, step, keep, state.inside)
+        descent = descend(ResponseSource(problem, stable), state.x, options, step, keep, state.inside)
         others = [v for v in map(loop.values, state.points) if v not in state.watched]
         with ThreadPoolExecutor(task.workers.count) as pool:
             there = list(pool.map(partial(task.stable, descent.x), others))
@@ -286,14 +269,6 @@ def _stabilising(
             return descent
         state.watched += lost[:3]
         keep(None)
-
-
-def first_points(task: Task, count: int) -> list[FloatArray]:
-    """The nominal point and `count` others of the box, the first half of them random corners."""
-    rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
-    points = rng.uniform(size=(count, len(loop.names)))
-    points[: count // 2] = np.round(points[: count // 2])
-    return [loop.point({}), *points]
 
 
 def _search(
@@ -330,12 +305,12 @@ def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[
     return worst, {name: _value(task, name, point) for name, point in worst.items()}
 
 
-def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: ResponseDescent) -> list[WorstPoint]:
+def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent[ResponseLook]) -> list[WorstPoint]:
     """Worst points above what the descent reached, the largest first; none if none of them is above 1."""
     values = [(_value(task, name, point), point) for name, points in found.items() for point in points]
-    if not any(value > max(1.0, descent.value) * (1.0 + SLACK) for value, _ in values):
+    if not any(value > max(1.0, descent.point.value) * (1.0 + SLACK) for value, _ in values):
         return []
-    excess = [entry for entry in values if entry[0] > descent.value * (1.0 + UNSEEN)]
+    excess = [entry for entry in values if entry[0] > descent.point.value * (1.0 + UNSEEN)]
     new: list[WorstPoint] = []
 
     def pair(point: WorstPoint) -> tuple[float, FloatArray]:
@@ -351,50 +326,29 @@ def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Respons
 def _add(task: Task, state: RoundState, new: Sequence[WorstPoint]) -> None:
     """Sample new points on the whole grid, and closely around their frequency."""
     loop = task.samples.open_loop
-    around = [(float(p.omega), _stable_point(task, state.x, loop.point(dict(p.parameters)))) for p in new]
-    _sample(task, around)
+    around = [(float(p.omega), stable_point(task, state.x, loop.point(dict(p.parameters)))) for p in new]
+    sample_around(task, around)
     state.points += [at for _, at in around]
     state.around += around
     state.added.append(len(around))
 
 
-def _stable_point(task: Task, x: FloatArray, point: FloatArray) -> FloatArray:
-    """A point; where the loop is unstable there, the last stable one on the way from the nominal point.
-
-    Gains are large beside the boundary of stability, so that a descent moves it away; beyond it they are small again.
-    """
-    loop, stable, nominal = task.samples.open_loop, 0.0, task.samples.open_loop.point({})
-    if task.stable(x, loop.values(point)):
-        return point
-    for step in 0.5 ** np.arange(1, HALVINGS + 1):
-        if task.stable(x, loop.values(nominal + (stable + step) * (point - nominal))):
-            stable += step
-    return np.asarray(nominal + stable * (point - nominal))
-
-
-def _sample(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:
-    """Sample the points that a round added: in the same order when a design goes on, for the same bits."""
-    task.samples.add(np.array([at for _, at in around]))
-    for omega, at in around:
-        task.samples.add_around(omega, at)
-
-
-def _tuned(problem: ResponseProblem, descent: ResponseDescent) -> dict[str, float]:
+def _tuned(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
     names = [gain.name for gain in problem.gains] + [noise.name for noise in problem.noises]
-    return dict(zip(names, np.concatenate([descent.values, descent.noise]).tolist()))
+    return dict(zip(names, np.concatenate([look.values, look.noise]).tolist()))
 
 
 def _line(
     number: int,
     problem: ResponseProblem,
-    descent: ResponseDescent,
+    descent: Descent[ResponseLook],
     worst: Mapping[str, WorstPoint],
     values: Mapping[str, float],
     seconds: float,
 ) -> str:
     searched = ", ".join(f"{name} {values[name]:.3f} at {p.omega:.4g} rad/s" for name, p in worst.items())
-    noise = ", ".join(f"{n.name} {v:.3f}" for n, v in zip(problem.noises, descent.noise))
+    noise = ", ".join(f"{n.name} {v:.3f}" for n, v in zip(problem.noises, descent.point.noise))
     return (
-        f"round {number}: {len(problem.samples)} samples, {descent.status} at {descent.value:.4f}, {noise}; "
+        f"round {number}: {len(problem.samples)} samples, {descent.status} at {descent.point.value:.4f}, {noise}; "
         f"worst found: {searched or 'not searched'} ({seconds:.0f} s)"
     )

@@ -14,12 +14,14 @@ import numpy as np
 
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
-from lftkit.tuning.frequency_domain import ResponseDescentOptions, ResponseProblem, descend, parameters_of
+from lftkit.tuning import DescentOptions, descend
+from lftkit.tuning.responses import ResponseProblem, ResponseSource, parameters_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
-from los_design.synthesis.rounds import Task, first_points
+from los_design.synthesis.rounds import TOLERANCE
 from los_design.synthesis.starts import random_law, stored_start
 from los_design.synthesis.store import continuous, load_designs
+from los_design.synthesis.task import Task, first_points
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
@@ -128,7 +130,8 @@ def descended(task: Task, problem: ResponseProblem, x: FloatArray) -> FloatArray
     """Result of a short descent."""
     if not np.isfinite(largest(problem, x)):
         return x
-    return descend(problem, x, task.stable, ResponseDescentOptions(iterations=STEPS, target=0.97)).x
+    options = DescentOptions(iterations=STEPS, tolerance=TOLERANCE, target=0.97)
+    return descend(ResponseSource(problem, task.stable), x, options).x
 
 
 def largest(problem: ResponseProblem, x: FloatArray) -> float:

@@ -21,7 +21,7 @@ from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
 from lftkit.tuning import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
-from lftkit.tuning.frequency_domain import gain_matrices
+from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.options import DesignOptions
@@ -37,11 +37,12 @@ from los_design.synthesis.pair_problem import (
 )
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Outcome
-from los_design.synthesis.rounds import Effort, Task, design_in_rounds
+from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import random_start, screened
 from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
+from los_design.synthesis.task import Task
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from los_loop.open_loop import OpenLoop
@@ -189,7 +190,7 @@ def _implemented(
         "commit": ", ".join(outcome.commits),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
-        "status": outcome.status,
+        "status": str(outcome.status),
         "seconds": round(time.monotonic() - begin, 1),
         "active_models": outcome.active,
     }

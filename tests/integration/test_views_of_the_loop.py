@@ -25,7 +25,7 @@ from scipy import linalg
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, System
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.tuning.frequency_domain import ResponseProblem, parameters_of
+from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.certify import figures_of, telescope_model

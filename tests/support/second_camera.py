@@ -10,7 +10,7 @@ from lftkit import SampledSystem, state_space
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.support.threads import one_thread
-from lftkit.tuning.frequency_domain import ResponseProblem, parameters_of
+from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.certify import figures_of, telescope_model

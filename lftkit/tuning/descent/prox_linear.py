@@ -1,83 +1,84 @@
-"""Prox-linear steps on all gains of a fixed grid at once (Lewis and Wright 2016), in the Gauss-Newton metric.
+"""Prox-linear steps on a working set (Lewis and Wright 2016), the same for every source of values.
 
-A step minimises the largest linearised logarithm of the values plus a quadratic term whose weight replaces the line
-search. Hard requirements enter by the progress function of the bundle method, in logarithms.
+A step minimises the largest linearised value plus a quadratic term, whose weight replaces the line search: it rises
+until the step brings what was predicted, and is carried from step to step. What the values are, what a point must be
+besides, and the metric, is the working set's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
-from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.prox_step import METRIC, prox_step
-from lftkit.tuning.descent.smooth_objective import Linearisation, SmoothObjective
+from lftkit.arrays import FloatArray, IntArray
+from lftkit.tuning.descent.simplex_qp import prox_direction
+from lftkit.tuning.source import LocalModel, Merit, WorkingSet
 
-PLANES = 120  # of the first quadratic program of a step
-STAGNATION = 4  # steps that together must bring more than the tolerance
+TRIALS = 10  # weights that are tried
+ACCEPTED, GOOD, POOR = 0.1, 0.7, 0.3  # of the predicted decrease
+LIGHTER, HEAVIER, REJECTED, LEAST = 1.0 / 3.0, 1.5, 4.0, 1e-5  # weight of the quadratic term
+FIRST_WEIGHT = 1.0
+METRIC = 3  # steps between two metrics
+STAGNATION = 4  # steps that together must bring more than what counts as slow
+
+
+@dataclass(frozen=True)
+class ProxLinear:
+    """Last point (size,), weight of the next step, steps taken."""
+
+    x: FloatArray
+    weight: float
+    taken: int
 
 
 def prox_linear(
-    objective: SmoothObjective,
-    x: FloatArray,
-    *,
-    steps: int,
-    tolerance: float,
-    weight: float = 1.0,
-    stop: Callable[[], bool] = lambda: False,
-) -> tuple[FloatArray, float]:
-    """Lower the largest soft value from `x` (n,), the hard ones kept or lowered: last point, weight of the next step.
+    working: WorkingSet, x: FloatArray, *, weight: float = FIRST_WEIGHT, stop: Callable[[], bool] = lambda: False
+) -> ProxLinear:
+    """Lower the values of a working set from `x` (size,).
 
-    Ends after `steps` steps, when :data:`STAGNATION` steps together bring less than `tolerance`, or at `stop`.
+    Ends after its number of steps, where no weight brings a decrease, when :data:`STAGNATION` steps are slow, or at
+    `stop`.
     """
-    soft, hard = objective.largest(x)
-    history = [(soft, max(hard, 0.0))]
+    history: list[Merit] = []
     factor: Any = None
-    taken = 0
-    while taken < steps and not stop():
-        here = objective.linearised(x)
-        if taken % METRIC == 0 or factor is None:
-            factor = linalg.cho_factor(objective.gauss_newton(x))
-        trial = _Trial(objective, x, soft, max(hard, 0.0))
-        offsets = _offsets(here, soft, trial.violation)
-        step = prox_step(offsets, here.gradients, factor, weight, PLANES, trial, stop)
-        weight = step.weight
-        if not step.taken:
+    for taken in range(working.steps):
+        if stop():
+            return ProxLinear(x, weight, taken)
+        here = working.at(x)
+        history = history or [here.merit]
+        if taken % METRIC == 0:
+            factor = here.factor()
+        found = _step(here, factor, weight, working.planes, stop)
+        if found is None:
+            return ProxLinear(x, FIRST_WEIGHT, taken)
+        weight = found
+        x, merit = here.reached
+        history.append(merit)
+        if len(history) > STAGNATION and _slow(history[-1 - STAGNATION], merit, working.slow):
+            return ProxLinear(x, weight, taken + 1)
+    return ProxLinear(x, weight, working.steps)
+
+
+def _step(here: LocalModel, factor: Any, weight: float, planes: int, stop: Callable[[], bool]) -> float | None:
+    """Try steps of rising weight until one brings a tenth of what is predicted: weight of the next step, or None."""
+    values, gradients = here.values, here.gradients
+    chosen: IntArray = np.argsort(-values, kind="stable")[:planes]
+    predicted = gained = 0.0
+    for _ in range(TRIALS):
+        step, predicted, chosen = prox_direction(values, gradients, factor, weight, chosen)
+        gained = here.decrease(step, predicted) if predicted > 0.0 else -np.inf
+        if gained > ACCEPTED * predicted or stop():
             break
-        x, soft, hard = trial.reached
-        history.append((soft, max(hard, 0.0)))
-        taken += 1
-        if len(history) > STAGNATION and _slow(history[-1 - STAGNATION], history[-1], tolerance):
-            break
-    return x, weight
+        weight *= REJECTED
+    if not gained > ACCEPTED * predicted:
+        return None
+    ratio = gained / predicted
+    return max(weight * (LIGHTER if ratio > GOOD else HEAVIER if ratio < POOR else 1.0), LEAST)
 
 
-@dataclass
-class _Trial:
-    """Decrease of the progress function by a step from a point, and the last point with its values."""
-
-    objective: SmoothObjective
-    start: FloatArray
-    soft: float
-    violation: float
-    reached: tuple[FloatArray, float, float] = field(init=False)
-
-    def __call__(self, step: FloatArray, predicted: float) -> float:
-        x = self.start + step
-        soft, hard = self.objective.largest(x)
-        self.reached = x, soft, hard
-        return -max(soft - self.soft - self.violation, hard - self.violation)
-
-
-def _slow(before: tuple[float, float], now: tuple[float, float], tolerance: float) -> bool:
-    """Neither the violation fell by the tolerance nor, without one, the largest soft value."""
-    return before[1] - now[1] < tolerance and (now[1] > 0.0 or before[0] - now[0] < tolerance)
-
-
-def _offsets(here: Linearisation, soft: float, violation: float) -> FloatArray:
-    """Values of the progress function's pieces at the present point (m,)."""
-    return np.asarray(np.where(here.hard, here.values, here.values - soft) - violation)
+def _slow(before: Merit, now: Merit, least: float) -> bool:
+    """Neither the violation fell by `least` nor, without one, the largest value."""
+    return before[0] - now[0] < least and (now[0] > 0.0 or before[1] - now[1] < least)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.descent import Descent, DescentOptions, StopReason, minimise
+from lftkit.tuning.descent.bundle_method import BundleResult, minimise
 from lftkit.tuning.descent.gain_moves import descended, gain_moves
+from lftkit.tuning.descent.grid_source import FEASIBLE, GridSource, Point, point_at
+from lftkit.tuning.descent.minimax import VISIBLE, DescentOptions, lower_point
 from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
-from lftkit.tuning.descent.smooth_objective import SmoothObjective
-from lftkit.tuning.descent.smooth_phase import FEASIBLE, NEGLIGIBLE, Point, point_at, smooth_phase
+from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
 from lftkit.tuning.descent.starts import lowered_gain
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.status import TuningStatus
@@ -22,9 +23,8 @@ SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
 EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
 WORTH_REPEATING = 0.05  # relative decrease by a smooth phase that is worth another one
 MAX_CYCLES = 4  # of smooth phase and bundle method
-VISIBLE = 1e-3  # relative decrease that refutes optimality
-ENDS = (StopReason.TARGET, StopReason.DEADLINE, StopReason.INTERRUPTED, StopReason.ITERATIONS)
-RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
+ENDS = (TuningStatus.TARGET, TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED, TuningStatus.ITERATIONS)
+CUT = (TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED)
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,12 @@ class _Run:
             self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
             if self._at_limit():
                 return TuningStatus.UNBOUNDED
-            if found.reason in ENDS or self.steps >= limits.iterations:
+            if found.status in ENDS or self.steps >= limits.iterations:
                 break
             confirmed = self._confirmed()
             if confirmed or time.monotonic() > limits.deadline:
                 break
-        if found.reason is StopReason.TARGET and self._limits.target < limits.target:
+        if found.status is TuningStatus.TARGET and self._limits.target < limits.target:
             return TuningStatus.ITERATIONS
         late = time.monotonic() > limits.deadline
         return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
@@ -174,11 +174,10 @@ class _Run:
         """Whether no smooth phase, random direction or descent from more gain lowers the value; if one does, move."""
         other = self._smooth(CONFIRMING_EVALUATIONS)
         if not other.better_than(self.point, VISIBLE):
-            found, tried = _random_directions(self._problem, self.point, self._rng, self._limits.deadline)
-            self.evaluations += tried
-            if found is None and tried < RANDOM_DIRECTIONS:
-                return False
-            found = found or self._with_more_gain()
+            source = GridSource(self._problem, self._rng, self._limits.deadline)
+            x = lower_point(source, self.point)
+            self.evaluations += source.evaluations
+            found = self._with_more_gain() if x is None else point_at(self._problem, x)
             if found is None:
                 return time.monotonic() <= self._limits.deadline
             other = found
@@ -198,61 +197,34 @@ class _Run:
         return None
 
 
-def _random_directions(
-    problem: Problem, point: Point, rng: np.random.Generator, deadline: float
-) -> tuple[Point | None, int]:
-    """A point visibly better among random ones around `point`, or None, and how many were tried by the deadline."""
-    objective = SmoothObjective(problem, point.x, point.found)
-    metric = objective.metric(point.x)
-    soft, hard = objective.largest(point.x)
-    for tried in range(RANDOM_DIRECTIONS):
-        if time.monotonic() > deadline:
-            return None, tried
-        u = rng.standard_normal(len(point.x))
-        x = point.x + metric.step(rng.choice(STEP_LENGTHS) * u / float(np.sqrt(u @ u)))
-        new_soft, new_hard = objective.largest(x)
-        promising = new_soft < soft - VISIBLE and new_hard <= 0.0 if point.feasible else new_hard < hard - VISIBLE
-        if promising:
-            new = point_at(problem, x)
-            if new.better_than(point, VISIBLE):
-                return new, tried + 1
-    return None, RANDOM_DIRECTIONS
-
-
-def unstable(stable: Descent, steps: int) -> StartResult:
+def unstable(stable: BundleResult, steps: int) -> StartResult:
     """Result of a start that stabilised no loop."""
-    status = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}.get(
-        stable.reason, TuningStatus.NOT_STABILISED
-    )
+    status = stable.status if stable.status in CUT else TuningStatus.NOT_STABILISED
     return StartResult(
         status, stable.x, np.inf, np.inf, stable.result.objective, stable.stationarity, stable.evaluations, steps
     )
 
 
-def _status(found: Descent, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
-    early = {StopReason.DEADLINE: TuningStatus.OUT_OF_TIME, StopReason.INTERRUPTED: TuningStatus.INTERRUPTED}
-    if found.reason in early:
-        return early[found.reason]
+def _status(found: BundleResult, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
+    if found.status in CUT:
+        return found.status
     if late and not confirmed:
         return TuningStatus.OUT_OF_TIME
     if not point.feasible:
         return TuningStatus.INFEASIBLE
-    if found.reason is StopReason.TARGET:
-        return TuningStatus.TARGET
-    stationary = found.reason in (StopReason.STATIONARY, StopReason.NEARLY_STATIONARY)
-    if stationary and confirmed:
-        return TuningStatus.CONVERGED
-    return TuningStatus.ITERATIONS if moved and found.reason is StopReason.ITERATIONS else TuningStatus.STALLED
+    if found.status is TuningStatus.TARGET or (found.status is TuningStatus.CONVERGED and confirmed):
+        return found.status
+    return TuningStatus.ITERATIONS if moved and found.status is TuningStatus.ITERATIONS else TuningStatus.STALLED
 
 
 def stabilise(
     problem: Problem, x0: FloatArray, rng: np.random.Generator, limits: DescentOptions
-) -> tuple[Descent, int]:
+) -> tuple[BundleResult, int]:
     """Descend on the spectral abscissa until every model is stable with some margin; at last lower the gain."""
     worst, _ = problem.stability_pieces(x0, 0.0)
     band = max(0.3 * abs(worst), 1e-3)
     if worst < -problem.min_decay:
-        return Descent(x0, OracleResult(worst, -np.inf, ()), StopReason.TARGET, 0.0, 0, 1), 0
+        return BundleResult(x0, OracleResult(worst, -np.inf, ()), TuningStatus.TARGET, 0.0, 0, 1), 0
 
     def oracle(x: FloatArray) -> OracleResult:
         value, pieces = problem.stability_pieces(x, band)
@@ -261,14 +233,11 @@ def stabilise(
     target = min(-0.1 * worst, -2.0 * problem.min_decay)
     own = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
     found = minimise(oracle, x0, own, rng)
-    if found.result.objective >= -problem.min_decay and found.reason not in (
-        StopReason.DEADLINE,
-        StopReason.INTERRUPTED,
-    ):
+    if found.result.objective >= -problem.min_decay and found.status not in CUT:
         lowered = lowered_gain(problem, x0)
         if lowered is not None:
             result = OracleResult(problem.abscissa(lowered), -np.inf, ())
-            return Descent(lowered, result, StopReason.TARGET, 0.0, 0, found.evaluations), found.iterations
+            return BundleResult(lowered, result, TuningStatus.TARGET, 0.0, 0, found.evaluations), found.iterations
     return found, found.iterations
 
 

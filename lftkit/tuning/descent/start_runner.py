@@ -17,7 +17,6 @@ import numpy as np
 
 from lftkit.support.progress import Progress
 from lftkit.support.workers import Workers
-from lftkit.tuning.descent.descent import DescentOptions
 from lftkit.tuning.descent.direct_search import (
     direct_polish,
     direct_restarts,
@@ -25,6 +24,7 @@ from lftkit.tuning.descent.direct_search import (
     negligible_value,
     perturbed,
 )
+from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.gains.exact_value import ExactValue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.tuning.frequency_domain import ResponseProblem, parameters_of
+from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis.pair_problem import (
     ACTUATORS,
     ALONE,

@@ -9,12 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lftkit.tuning.frequency_domain import DescentState, ResponseDescent
+from lftkit.tuning import Descent, DescentState, TuningStatus
+from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis import rounds
 from los_design.synthesis.pair_problem import BOTH
-from los_design.synthesis.rounds import MAX_NEW, Effort, Task, design_in_rounds
+from los_design.synthesis.rounds import MAX_NEW, Effort, design_in_rounds
+from los_design.synthesis.task import Task
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
 SHARES = {"soft tones": 0.5, "hard tones": 1.0}
@@ -63,14 +65,13 @@ class Bench:
         noises = (SimpleNamespace(name="noise"),)
         return SimpleNamespace(samples=samples.points, gains=gains, noises=noises)
 
-    def descend(self, problem, x, stable, options, report, keep, goes_on):
-        assert stable(x)
-        self.tuned.append(len(problem.samples))
-        report(0, 0.9)
-        values, noise = np.array([0.9, 0.5]), np.array([0.8])
-        return ResponseDescent(
-            x + 1.0, self.value, values, noise, np.zeros(2, dtype=int), self.status, options.iterations
-        )
+    def descend(self, source, x, options, report, keep, goes_on):
+        assert source.stable(x)
+        self.tuned.append(len(source.problem.samples))
+        values, noise = np.array([self.value, 0.5]), np.array([0.8])
+        look = ResponseLook(x + 1.0, (0.0, 0.9), values, noise)
+        report(0, look)
+        return Descent(look, TuningStatus(self.status), options.iterations)
 
     def search(self, task, x, stage, options):
         def run(names, known, workers):
@@ -240,13 +241,13 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
     made, looks = bench([[], []], lost=[0.5]), []
     whole = made.descend
 
-    def descend(problem, x, stable, options, report, keep, goes_on):
+    def descend(source, x, options, report, keep, goes_on):
         looks.append(goes_on)
         if made.tuned:  # the descent after that which lost the point
             at = np.array([0.1, 1.0 / 3.0])
-            keep(DescentState(at, at, 0.25, False, np.array([3, 1]), [1.5, 0.97], 6, 1))
+            keep(DescentState(at, at, 0.25, [3, 1], [(0.0, 1.5), (0.0, 0.97)], 6, 1))
             raise StopIteration
-        return whole(problem, x, stable, options, report, keep, goes_on)
+        return whole(source, x, options, report, keep, goes_on)
 
     monkeypatch.setattr(rounds, "descend", descend)
     made.lost = [made.samples.open_loop.point({})[0]]
@@ -264,7 +265,7 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
     assert again.lines[0] == "goes on after 0 rounds, in the descent of the next"
     inside = looks[-1]
     np.testing.assert_array_equal(inside.best, [0.1, 1.0 / 3.0])
-    assert (inside.pairs.tolist(), inside.history, inside.iteration) == ([3, 1], [1.5, 0.97], 6)
+    assert (inside.memory, inside.history, inside.iteration) == ([3, 1], [(0.0, 1.5), (0.0, 0.97)], 6)
 
 
 def test_a_descent_that_the_wall_limit_cut_short_goes_on(bench, tmp_path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
-from lftkit.tuning.frequency_domain import parameters_of
+from lftkit.tuning.responses import parameters_of
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, pair_problem
 from los_design.synthesis.store import continuous, load_designs

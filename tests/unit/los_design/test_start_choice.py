@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from lftkit.tuning.frequency_domain import gain_matrices
+from lftkit.tuning.responses import gain_matrices
 from los_design.synthesis import start_choice, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import BOTH, blocks

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lftkit.systems.system import System
-from lftkit.tuning.descent.smooth_phase import Point, point_at, smooth_phase
+from lftkit.tuning.descent.grid_source import Point, point_at
+from lftkit.tuning.descent.smooth_phase import smooth_phase
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures import gain

@@ -7,7 +7,7 @@ import pytest
 
 from lftkit.systems.system import System
 from lftkit.tuning.descent.gain_moves import FURTHER, GAINS, descended, gain_moves, with_gain
-from lftkit.tuning.descent.smooth_phase import point_at
+from lftkit.tuning.descent.grid_source import point_at
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import HinfGain

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lftkit.systems.system import System
+from lftkit.tuning.descent.grid_source import GridWorkingSet
 from lftkit.tuning.descent.prox_linear import prox_linear
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.descent.smooth_phase import smooth_phase
@@ -68,8 +69,8 @@ def test_the_optimum_on_a_hard_requirement_is_reached_from_both_sides(start: flo
     problem = limited()
     x = np.array([start])
     objective = SmoothObjective(problem, x, problem.evaluate(x))
-    found, _ = prox_linear(objective, x, steps=60, tolerance=1e-9)
-    assert found == pytest.approx([-4.0], rel=2e-3)
+    found = prox_linear(GridWorkingSet(objective, 60, 1e-9), x)
+    assert found.x == pytest.approx([-4.0], rel=2e-3)
 
 
 def test_a_step_never_raises_the_value_and_keeps_what_is_met() -> None:
@@ -79,7 +80,8 @@ def test_a_step_never_raises_the_value_and_keeps_what_is_met() -> None:
     weight = 1.0
     first = soft
     for _ in range(6):
-        x, weight = prox_linear(objective, x, steps=1, tolerance=0.0, weight=weight)
+        found = prox_linear(GridWorkingSet(objective, 1, 0.0), x, weight=weight)
+        x, weight = found.x, found.weight
         new_soft, new_hard = objective.largest(x)
         assert new_soft <= soft + max(hard, 0.0) and new_hard <= max(hard, 0.0)
         soft, hard = new_soft, new_hard

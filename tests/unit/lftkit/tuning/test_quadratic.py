@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.tuning.descent.descent import DescentOptions, minimise
+from lftkit.tuning.descent.bundle_method import minimise
+from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.pieces import HARD_TARGET, OracleResult, Piece
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
 

@@ -22,16 +22,16 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains, singular_triples, solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from lftkit.tuning.frequency_domain.blocks import (
+from lftkit.tuning.responses.blocks import (
     ActiveCommands,
     BlockFactors,
     ControllerBlock,
     ControllerResponse,
     active_commands,
 )
-from lftkit.tuning.frequency_domain.gains import ResponseGain, ResponseNoise
-from lftkit.tuning.frequency_domain.metric import chained, gram_sum
-from lftkit.tuning.frequency_domain.samples import PlantSamples
+from lftkit.tuning.responses.chain import chained, gram_sum
+from lftkit.tuning.responses.gains import ResponseGain, ResponseNoise
+from lftkit.tuning.responses.samples import PlantSamples
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.frequency_domain.samples import PlantSamples
+from lftkit.tuning.responses.samples import PlantSamples
 
 
 @dataclass(frozen=True)

@@ -11,27 +11,27 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit.tuning.frequency_domain import (
+from lftkit.tuning import Descent, DescentOptions, DescentState, descend
+from lftkit.tuning.responses import (
     ControllerBlock,
-    DescentState,
     GrowingSamples,
     PlantSamples,
-    ResponseDescentOptions,
     ResponseGain,
+    ResponseLook,
     ResponseNoise,
     ResponseProblem,
-    descend,
+    ResponseSource,
     gain_matrices,
     parameters_of,
 )
-from lftkit.tuning.frequency_domain.blocks import (
+from lftkit.tuning.responses.blocks import (
     ControllerResponse,
     active_commands,
     entry_sizes,
     with_least_decay,
 )
-from lftkit.tuning.frequency_domain.metric import gram_sum
-from lftkit.tuning.frequency_domain.problem import CHUNK, close
+from lftkit.tuning.responses.chain import gram_sum
+from lftkit.tuning.responses.problem import CHUNK, close
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
 RNG = np.random.default_rng(4)
@@ -274,6 +274,12 @@ def stable(x: np.ndarray) -> bool:
     return bool(np.linalg.eigvals(closed).real.max() < 0.0) and n > 0
 
 
+def descended(
+    one: ResponseProblem, x: np.ndarray, iterations: int = 60, tolerance: float = 1e-4, confirm: bool = False
+) -> Descent[ResponseLook]:
+    return descend(ResponseSource(one, stable), x, DescentOptions(iterations, tolerance, confirm=confirm))
+
+
 def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     """From several starts: lower at every look, the hard gain at most 1, and no plane left that lowers it much."""
     omega = np.geomspace(0.02, 50.0, 150)
@@ -283,13 +289,14 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     for seed in (1, 2, 3):
         x, seen = controller(seed, 0.05), []
         assert stable(x)
-        found = descend(one, x, stable, ResponseDescentOptions(60, 1e-4), lambda i, v, seen=seen: seen.append(v))
+        options = DescentOptions(60, 1e-4)
+        found = descend(ResponseSource(one, stable), x, options, lambda i, v, seen=seen: seen.append(v.merit[1]))
         assert stable(found.x) and found.status in ("stalled", "iterations")
-        assert all(b <= a for a, b in itertools.pairwise(seen)) and found.value < seen[0]
-        assert found.values[1] <= 1.0 + 1e-9
-        ends.append(found.values[0])
+        assert all(b <= a for a, b in itertools.pairwise(seen)) and found.point.value < seen[0]
+        assert found.point.values[1] <= 1.0 + 1e-9
+        ends.append(found.point.values[0])
     assert max(ends) < 0.3 * 3.7  # of the least start
-    again = descend(one, x, stable, ResponseDescentOptions(60, 1e-4))
+    again = descended(one, x)
     np.testing.assert_array_equal(again.x, found.x)
 
 
@@ -297,40 +304,40 @@ def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     """Random directions of another seed than the descent's own find nothing 0.1 % lower; a start is not converged."""
     omega = np.geomspace(0.02, 50.0, 40)
     one = ResponseProblem(BLOCKS, samples(omega), GAINS[:1])
-    found = descend(one, controller(1, 0.05), stable, ResponseDescentOptions(2000, 1e-3, confirm=True))
+    found = descended(one, controller(1, 0.05), 2000, 1e-3, confirm=True)
     assert found.status == "converged"
     rng, sizes = np.random.default_rng(77), entry_sizes(BLOCKS, found.x)
     for length in (1e-3, 1e-2, 1e-1):
         for _ in range(50):
             x = found.x + length * sizes * rng.standard_normal(len(found.x))
-            assert one.values(x).max() > 0.999 * found.value or not stable(x)
-    further = descend(one, found.x, stable, ResponseDescentOptions(60, 1e-6))
-    assert further.value > 0.995 * found.value, "a descent that goes on from there"
-    assert (
-        descend(one, controller(1, 0.05), stable, ResponseDescentOptions(6, 1e-3, confirm=True)).status == "iterations"
-    )
+            assert one.values(x).max() > 0.999 * found.point.value or not stable(x)
+    further = descended(one, found.x, 60, 1e-6)
+    assert further.point.value > 0.995 * found.point.value, "a descent that goes on from there"
+    assert descended(one, controller(1, 0.05), 6, 1e-3, confirm=True).status == "iterations"
 
 
 def test_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
     """From looks at all pairs at the beginning and at the end of a `converged` descent, through JSON."""
     one, states = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1]), []
-    options = ResponseDescentOptions(2000, 1e-3, confirm=True)
-    whole = descend(one, controller(1, 0.05), stable, options, keep=states.append)
+    options = DescentOptions(2000, 1e-3, confirm=True)
+    whole = descend(ResponseSource(one, stable), controller(1, 0.05), options, keep=states.append)
     assert len(states) > 8
     for state in [states[1], states[-2]]:
         kept = DescentState.from_mapping(json.loads(json.dumps(state.to_mapping())))
-        again = descend(one, controller(1, 0.05), stable, options, goes_on=kept)
+        again = descend(ResponseSource(one, stable), controller(1, 0.05), options, goes_on=kept)
         assert again.x.tobytes() == whole.x.tobytes()
-        assert (again.value, again.status, again.iterations) == (whole.value, whole.status, whole.iterations)
+        assert again.point.value == whole.point.value
+        assert (again.status, again.iterations) == (whole.status, whole.iterations)
 
 
 def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:
     one = problem(OMEGA)
     x = controller(1, 0.05)
     start = one.values(x).max()
-    assert descend(one, x, stable, ResponseDescentOptions(target=2.0 * start)).status == "target"
-    assert descend(one, x, stable, ResponseDescentOptions(iterations=0)).status == "iterations"
-    late = descend(one, x, stable, ResponseDescentOptions(wall_limit=0.0))
+    source = ResponseSource(one, stable)
+    assert descend(source, x, DescentOptions(target=2.0 * start)).status == "target"
+    assert descend(source, x, DescentOptions(iterations=0)).status == "iterations"
+    late = descend(source, x, DescentOptions(deadline=0.0))
     assert late.status == "out_of_time"
     np.testing.assert_array_equal(late.x, x)
 
@@ -338,7 +345,7 @@ def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:
 def test_what_is_refused() -> None:
     one = problem(OMEGA)
     with pytest.raises(ValueError, match="start must be a stabilising controller"):
-        descend(one, controller(1), lambda x: False)
+        descend(ResponseSource(one, lambda x: False), controller(1))
     response = samples(OMEGA).response
     with pytest.raises(ValueError, match=r"response must be finite, got a value that is not at 0\.05 rad/s"):
         PlantSamples(OMEGA, np.where(np.arange(len(OMEGA))[:, None, None] == 0, np.nan, response), MEASURED, COMMANDS)
@@ -393,7 +400,7 @@ def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
     for decay in (None, 1.2):
         own = tuple(replace(b, least_decay=decay) for b in BLOCKS)
         one = ResponseProblem(own, samples(np.geomspace(0.02, 50.0, 150)), gains)
-        found = descend(one, controller(1, 0.05), stable, ResponseDescentOptions(60, 1e-4))
+        found = descended(one, controller(1, 0.05))
         poles = [np.linalg.eigvals(M[: b.order, : b.order]) for b, M in zip(own, gain_matrices(own, found.x))]
         slowest[decay] = max(p.real.max() for p in poles)
     assert slowest[None] > -1.1 and slowest[1.2] <= -1.2 + 1e-9

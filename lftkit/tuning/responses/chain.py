@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.tuning.frequency_domain.blocks import ControllerResponse, active_commands
+from lftkit.tuning.responses.blocks import ControllerResponse, active_commands
 
 
 def chained(

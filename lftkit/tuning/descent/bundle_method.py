@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from enum import Enum
 from typing import cast
 
 import numpy as np
@@ -22,8 +21,10 @@ from lftkit.arrays import FloatArray, Matrix
 from lftkit.tuning.descent.bundle import Bundle
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
+from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.pieces import Oracle, OracleResult
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
+from lftkit.tuning.status import TuningStatus
 
 ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25  # of the predicted decrease
 MIN_PROXIMITY, MAX_PROXIMITY = 1e-8, 1e14
@@ -36,56 +37,19 @@ MAX_SAMPLINGS, MAX_SAMPLINGS_NEAR = 6, 2
 NEAR_STATIONARY = 10.0  # times the tolerance
 MAX_REJECTED = 12  # rejected steps in a row after which a stationary point is not improved any more
 ACTIVE_REACH, ACTIVE_RADIUS = 3.0, 0.1
-
-
-class StopReason(str, Enum):
-    """Why a descent ended."""
-
-    STATIONARY = "stationary"
-    NEARLY_STATIONARY = "nearly stationary"
-    TARGET = "target"
-    STALLED = "stalled"
-    ITERATIONS = "iterations"
-    DEADLINE = "deadline"
-    INTERRUPTED = "interrupted"
+RADIUS = 1e-3  # in the metric, within which pieces count as nearly active in the certificate of a stationary point
 
 
 @dataclass(frozen=True)
-class DescentOptions:
-    """Limits and tolerances of :func:`minimise`.
+class BundleResult:
+    """Outcome of :func:`minimise`: best point, its oracle result, why it ended, certificate and counts.
 
-    Parameters
-    ----------
-    iterations : int
-        Largest number of quadratic programs.
-    tolerance : float
-        Stationary when the smallest convex combination of nearly active gradients, in the metric, is
-        below this fraction of the value.
-    radius : float
-        Radius in the metric within which pieces count as nearly active in that certificate.
-    target : float
-        Stop as soon as the objective is below (and the constraints hold).
-    deadline : float
-        Value of ``time.monotonic()`` at which to stop.
-    evaluations : int
-        Largest number of evaluations.
+    ``converged`` is a point that is stationary for the pieces found there, ``stalled`` one that is not nearly so.
     """
-
-    iterations: int = 300
-    tolerance: float = 1e-4
-    radius: float = 1e-3
-    target: float = -np.inf
-    deadline: float = np.inf
-    evaluations: int = 1_000_000
-
-
-@dataclass(frozen=True)
-class Descent:
-    """Outcome of :func:`minimise`: best point, its oracle result, why it stopped, certificate and counts."""
 
     x: FloatArray
     result: OracleResult
-    reason: StopReason
+    status: TuningStatus
     stationarity: float
     iterations: int
     evaluations: int
@@ -97,7 +61,7 @@ def minimise(
     options: DescentOptions,
     rng: np.random.Generator,
     metric: MetricSource = diagonal_metric,
-) -> Descent:
+) -> BundleResult:
     """Minimise the largest soft piece from `x0` (n,), inside the domain.
 
     The hard pieces are to be at most :data:`lftkit.tuning.descent.pieces.HARD_TARGET`.
@@ -118,24 +82,24 @@ def minimise(
     ValueError
         The start is outside the domain.
     """
-    descent = _BundleDescent(oracle, np.array(x0, dtype=float), options, rng, metric)
-    reason: StopReason | None = None
+    descent = _Running(oracle, np.array(x0, dtype=float), options, rng, metric)
+    status: TuningStatus | None = None
     try:
-        while reason is None and descent.iterations < options.iterations:
-            reason = descent.step()
+        while status is None and descent.iterations < options.iterations:
+            status = descent.step()
     except KeyboardInterrupt:
-        reason = StopReason.INTERRUPTED
-    return Descent(
+        status = TuningStatus.INTERRUPTED
+    return BundleResult(
         descent.x,
         descent.result,
-        reason or StopReason.ITERATIONS,
+        status or TuningStatus.ITERATIONS,
         descent.stationarity,
         descent.iterations,
         descent.evaluations,
     )
 
 
-class _BundleDescent:
+class _Running:
     """The running minimisation."""
 
     def __init__(
@@ -167,16 +131,16 @@ class _BundleDescent:
         """Such that a step along the largest gradient has about the length 1 / 2."""
         return 2.0 * max(float(linalg.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces) + 1e-9
 
-    def step(self) -> StopReason | None:
+    def step(self) -> TuningStatus | None:
         """One quadratic program and one trial; the reason to stop or None."""
         self.iterations += 1
         options = self._options
         if time.monotonic() > options.deadline:
-            return StopReason.DEADLINE
+            return TuningStatus.OUT_OF_TIME
         if self.evaluations >= options.evaluations:
-            return StopReason.ITERATIONS
+            return TuningStatus.ITERATIONS
         if self.result.objective < options.target and self.result.constraint <= 0:
-            return StopReason.TARGET
+            return TuningStatus.TARGET
         offsets, G = self._bundle.linear_model(self.x, self.result, self._metric)
         self.stationarity = self._stationarity(offsets, G)
         feasible = self.result.constraint <= 0
@@ -185,9 +149,9 @@ class _BundleDescent:
         weights, d = self._direction(offsets, G)
         predicted = float((offsets + G @ d).max())
         if stationary and (self._rejected > MAX_REJECTED or predicted >= -1e-3 * options.tolerance * level):
-            return StopReason.STATIONARY
+            return TuningStatus.CONVERGED
         if predicted > -1e-12 * level or self._proximity > MAX_PROXIMITY:
-            return StopReason.STATIONARY if stationary else self._sample_gradients()
+            return TuningStatus.CONVERGED if stationary else self._sample_gradients()
         trial = self.x + self._metric.step(d)
         found = self._ask(trial)
         gained = _progress(found, self.result)
@@ -199,7 +163,7 @@ class _BundleDescent:
 
     def _stationarity(self, offsets: FloatArray, G: FloatArray) -> float:
         """Norm of the smallest convex combination of the gradients that are active within the radius."""
-        r = self._options.radius
+        r = RADIUS
         reach = ACTIVE_REACH * r * float(np.sqrt(np.sum(G**2, axis=1).max()))
         near = offsets >= offsets.max() - max(reach, 1e-14)
         G, offsets = G[near], offsets[near] - offsets.max()
@@ -267,11 +231,11 @@ class _BundleDescent:
             len(recent) == SLOW_STEPS and self.result.constraint <= 0 and recent[0] - recent[-1] < SLOW_DECREASE * level
         )
 
-    def _sample_gradients(self) -> StopReason | None:
+    def _sample_gradients(self) -> TuningStatus | None:
         """Sample gradients around the point; give up when that has been done at every radius."""
         nearly = self.stationarity <= NEAR_STATIONARY * self._options.tolerance * abs(self.result.objective)
         if self._bundle.rounds >= (MAX_SAMPLINGS_NEAR if nearly else MAX_SAMPLINGS):
-            return StopReason.NEARLY_STATIONARY if nearly else StopReason.STALLED
+            return TuningStatus.CONVERGED if nearly else TuningStatus.STALLED
         deadline = self._options.deadline
         self.evaluations += self._bundle.sample(
             self._oracle, self.x, self._metric, self._rng, lambda: time.monotonic() > deadline

@@ -1,0 +1,246 @@
+"""Responses as the source of a descent: a look takes all pairs, the steps those near the largest value.
+
+The metric is the Gauss-Newton matrix of errors and noise, plus a share of every entry's own size. Hard gains that are
+met stay met: in a step they count as much above the largest soft value as they are above 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray, IntArray
+from lftkit.tuning.descent.prox_linear import ACCEPTED, FIRST_WEIGHT, prox_linear
+from lftkit.tuning.responses.blocks import entry_sizes, with_least_decay
+from lftkit.tuning.responses.problem import ResponseProblem
+from lftkit.tuning.source import Merit
+
+STEPS = 6
+"""Between two looks at all pairs."""
+KEEP, FEWEST, MOST = 0.4, 2000, 8000
+"""Pairs above this part of the largest value are looked at, but not fewer and not more than these numbers."""
+ENTRIES, NEAR = 4000, 0.5
+"""Gains that are linearised: those above this part of the largest value, and their largest number."""
+PLANES = 300
+"""Of the first quadratic program of a step; others are added while they are violated."""
+OTHER_METRIC = 4
+"""Working sets that are descended on in the metric of the entries' sizes where a minimum is confirmed."""
+RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
+"""Directions that are tried at a local minimum, and the lengths of the steps, of the entries' sizes."""
+SHARPNESS = 6.0
+RIDGE, PROPORTION = 1e-4, 1e-2
+
+
+@dataclass(frozen=True)
+class ResponseLook:
+    """Values of a point at all pairs.
+
+    Parameters
+    ----------
+    x : ndarray
+        Entries of all gain matrices.
+    merit : (0, value)
+        Largest value, hard gains as much above the largest soft one as they are above 1.
+    values : ndarray, shape (gains,)
+        Largest value of each gain.
+    noise : ndarray, shape (noises,)
+    raw : ndarray, shape (gains, pairs)
+        Empty where only the largest ones are known.
+    """
+
+    x: FloatArray
+    merit: Merit
+    values: FloatArray
+    noise: FloatArray
+    raw: FloatArray = field(default_factory=lambda: np.zeros((0, 0)), repr=False, compare=False)
+
+    @property
+    def value(self) -> float:
+        """Largest value of all gains and noises, hard ones as they are."""
+        return max(float(self.values.max()), float(self.noise.max(initial=0.0)))
+
+
+class ResponseSource:
+    """A problem on responses, as a descent sees it.
+
+    Parameters
+    ----------
+    problem : ResponseProblem
+    stable : callable
+        Whether the loop is stable with these parameters; steps to others are not taken.
+    """
+
+    def __init__(self, problem: ResponseProblem, stable: Callable[[FloatArray], bool]) -> None:
+        self.problem, self.stable = problem, stable
+        self._pairs: IntArray = np.zeros(0, dtype=np.intp)
+
+    def begin(self, x: FloatArray) -> FloatArray:
+        """A start with the least decay of the controllers' own poles."""
+        if not self.stable(x):
+            raise ValueError("start must be a stabilising controller, got one that is not")
+        moved = with_least_decay(self.problem.blocks, np.array(x, dtype=float))
+        if not np.array_equal(x, moved) and not self.stable(moved):
+            raise ValueError(
+                "start must be a stabilising controller, got one that is not with poles of the least decay"
+            )
+        return moved
+
+    def look(self, x: FloatArray) -> ResponseLook:
+        """Values at all pairs."""
+        raw, noise = self.problem.values(x), self.problem.noise(x)
+        return ResponseLook(x, (0.0, _merit(self.problem, raw, noise)), raw.max(axis=1), noise, raw)
+
+    def note(self, look: ResponseLook, level: float) -> None:
+        """Add the pairs above a part of the level to those of the next working sets."""
+        largest = look.raw.max(axis=0)
+        fewest = np.sort(largest)[-min(FEWEST, len(largest))]
+        near = np.flatnonzero(largest >= min(KEEP * level, fewest))
+        near = near[np.argsort(-largest[near], kind="stable")[:MOST]]
+        self._pairs = np.union1d(self._pairs, near) if len(self._pairs) < MOST else np.sort(near)
+
+    def working_set(self, look: ResponseLook) -> PairsWorkingSet:
+        """The pairs so far."""
+        return PairsWorkingSet(self.problem.at(self._pairs), self.stable)
+
+    def trials(self, look: ResponseLook) -> Iterator[FloatArray]:
+        """Steps in the metric of the entries' sizes, then random directions."""
+        other, x, weight = ResponseSource(self.problem, self.stable), look.x.copy(), FIRST_WEIGHT
+        other.note(other.look(x), look.merit[1])
+        for _ in range(OTHER_METRIC):
+            working = PairsWorkingSet(self.problem.at(other._pairs), self.stable, plain=True)
+            found = prox_linear(working, x, weight=weight)
+            x, weight = found.x, found.weight
+            yield x
+        rng, sizes = np.random.default_rng(len(x)), entry_sizes(self.problem.blocks, look.x) * self.problem.free
+        for _ in range(RANDOM_DIRECTIONS):
+            direction = sizes * rng.standard_normal(len(x))
+            for length in STEP_LENGTHS:
+                yield with_least_decay(self.problem.blocks, np.asarray(look.x + length * direction))
+
+    def memory(self) -> list[Any]:
+        """Pairs of the next working set."""
+        return list(self._pairs.tolist())
+
+    def recall(self, memory: list[Any]) -> None:
+        """Continue with these pairs."""
+        self._pairs = np.array(memory, dtype=np.intp)
+
+
+@dataclass
+class PairsWorkingSet:
+    """Some pairs of a problem.
+
+    Parameters
+    ----------
+    problem : ResponseProblem
+        With these pairs alone.
+    stable : callable
+    plain : bool
+        Take the metric of the entries' sizes.
+    known : (point, values), optional
+        The last point that was tried, with its scaled gains.
+    """
+
+    problem: ResponseProblem
+    stable: Callable[[FloatArray], bool]
+    plain: bool = False
+    planes: int = PLANES
+    steps: int = STEPS
+    slow: float = -np.inf
+    known: tuple[FloatArray, FloatArray] | None = None
+
+    def at(self, x: FloatArray) -> PairsModel:
+        """Linearised at the stable point `x`."""
+        if self.known is None or self.known[0] is not x:
+            self.known = x, self.problem.values(x)
+        return PairsModel(self, x, self.known[1])
+
+
+class PairsModel:
+    """Linearised logarithms of gains and noise at a point.
+
+    Parameters
+    ----------
+    working : PairsWorkingSet
+    x : ndarray
+    raw : ndarray, shape (gains, pairs)
+        Scaled gains there.
+    """
+
+    def __init__(self, working: PairsWorkingSet, x: FloatArray, raw: FloatArray) -> None:
+        self._working, self._problem, self._x = working, working.problem, x
+        noise, self._noise_gradients = self._problem.noise_slopes(x)
+        self._noise, self._level = noise, _level(self._problem, raw, noise)
+        self._lifted = _lifted(self._problem, raw, self._level)
+        self.reached: tuple[FloatArray, Merit] = x, (0.0, np.inf)
+
+    @cached_property
+    def _linear(self) -> tuple[FloatArray, FloatArray]:
+        problem, lifted = self._problem, self._lifted
+        entries = np.argwhere(lifted > NEAR * lifted.max())
+        order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
+        values, gradients, owners = problem.slopes(self._x, entries[order])
+        lift = np.where(problem.hard[owners], max(self._level, 1.0), 1.0)
+        f = np.concatenate([values * lift, self._noise])
+        own = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
+        G = np.vstack([own, self._noise_gradients / self._noise[:, None]])
+        return np.log(np.maximum(f, 1e-12)), G[:, problem.free]
+
+    @property
+    def values(self) -> FloatArray:
+        """Logarithms (m,), hard ones lifted."""
+        return self._linear[0]
+
+    @property
+    def gradients(self) -> FloatArray:
+        """Of the logarithms by the free entries (m, n)."""
+        return self._linear[1]
+
+    @property
+    def merit(self) -> Merit:
+        """Largest value, hard ones lifted."""
+        return 0.0, float(self.values.max())
+
+    def factor(self) -> Any:
+        """Of a metric in which changes of the size of an entry count, even if the gains do not feel them."""
+        free = self._problem.free
+        sizes = entry_sizes(self._problem.blocks, self._x)[free]
+        H: FloatArray = np.zeros((len(sizes), len(sizes)))
+        if not self._working.plain:
+            H = self._problem.metric(self._x, self._lifted, SHARPNESS)[free][:, free]
+        return linalg.cho_factor(H + RIDGE * np.diag(np.diag(H)) + PROPORTION * np.diag(1.0 / sizes**2))
+
+    def decrease(self, step: FloatArray, predicted: float) -> float:
+        """Of the largest value; minus infinity where it is too small, or else where the loop is not stable."""
+        x = self._x.copy()
+        x[self._problem.free] += step
+        x = with_least_decay(self._problem.blocks, x)
+        raw, current = self._problem.values(x), float(self.values.max())
+        self._working.known = x, raw
+        found = np.concatenate([_lifted(self._problem, raw, self._level).ravel(), self._problem.noise(x)])
+        value = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
+        self.reached = x, (0.0, value)
+        admitted = value < current - ACCEPTED * predicted and self._working.stable(x)
+        return current - value if admitted else -np.inf
+
+
+def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
+    """Largest value, hard gains lifted."""
+    level = _level(problem, raw, noise)
+    return max(float(_lifted(problem, raw, level).max()), float(noise.max(initial=0.0)))
+
+
+def _level(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
+    """Largest soft value."""
+    soft = raw[~problem.hard]
+    return max(float(soft.max(initial=0.0)), float(noise.max(initial=0.0)))
+
+
+def _lifted(problem: ResponseProblem, raw: FloatArray, level: float) -> FloatArray:
+    """Hard gains as much above the largest soft value as they are above 1."""
+    return np.asarray(np.where(problem.hard[:, None], raw * max(level, 1.0), raw))

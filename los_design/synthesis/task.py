@@ -1,0 +1,95 @@
+"""What is designed: samples, stages, controllers, and the parameter points that are sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lftkit import SampledSystem
+from lftkit.arrays import FloatArray
+from lftkit.support.workers import Workers
+from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.search.worst_points import WorstPoint
+from los_design.synthesis.pair_problem import STAGE_NAMES, Samples
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.sampled_loop import sampled_loop
+
+HALVINGS = 7
+"""Of the way to an unstable point."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is designed.
+
+    Parameters
+    ----------
+    samples : Samples
+    stages : tuple of stages
+        Whose requirements count.
+    tuned : tuple of int
+        Which controllers are tuned.
+    sampled : callable
+        From the parameter vector to the sampled K_FSM and K_PMA.
+    seed : int
+    wall_limit : float
+        Of the whole design [s].
+    workers : Workers
+        Processes of the searches; the result does not depend on them.
+    known : tuple of WorstPoint
+        Of another telescope's design: their parameters are among the first points, the first search climbs from them.
+    """
+
+    samples: Samples
+    stages: tuple[tuple[int, ...], ...]
+    tuned: tuple[int, ...]
+    sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]]
+    seed: int = 0
+    wall_limit: float = np.inf
+    workers: Workers = field(default_factory=Workers)
+    known: tuple[WorstPoint, ...] = ()
+
+    def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
+        """Search of a stage with the controllers of `x`."""
+        return Search(ImplementedLoop(self.samples.open_loop, *self.sampled(x), STAGE_NAMES[stage]), options)
+
+    def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
+        """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
+        loop = self.samples.open_loop
+        plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
+        sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
+        return all(
+            sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity).spectral_radius() < 1.0
+            for stage in self.stages
+        )
+
+
+def first_points(task: Task, count: int) -> list[FloatArray]:
+    """The nominal point and `count` others of the box, the first half of them random corners."""
+    rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
+    points = rng.uniform(size=(count, len(loop.names)))
+    points[: count // 2] = np.round(points[: count // 2])
+    return [loop.point({}), *points]
+
+
+def stable_point(task: Task, x: FloatArray, point: FloatArray) -> FloatArray:
+    """A point; where the loop is unstable there, the last stable one on the way from the nominal point.
+
+    Gains are large beside the boundary of stability, so that a descent moves it away; beyond it they are small again.
+    """
+    loop, stable, nominal = task.samples.open_loop, 0.0, task.samples.open_loop.point({})
+    if task.stable(x, loop.values(point)):
+        return point
+    for step in 0.5 ** np.arange(1, HALVINGS + 1):
+        if task.stable(x, loop.values(nominal + (stable + step) * (point - nominal))):
+            stable += step
+    return np.asarray(nominal + stable * (point - nominal))
+
+
+def sample_around(task: Task, around: Sequence[tuple[float, FloatArray]]) -> None:
+    """Sample the points that a round added: in the same order when a design goes on, for the same bits."""
+    task.samples.add(np.array([at for _, at in around]))
+    for omega, at in around:
+        task.samples.add_around(omega, at)
