@@ -1,0 +1,205 @@
+"""Figures of a star's image: closed forms, images on a grid, poppy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special
+
+from pointing_analysis.image import quadrature
+from pointing_analysis.image.motion_blur import centred
+from pointing_analysis.image.optics import Optics
+from pointing_analysis.image.pupil import AnnularPupil, with_spider
+from pointing_analysis.image.quadrature import Quadrature
+from pointing_analysis.image.quality import encircled_energy, encircled_radius, figures, moments, strehl
+from pointing_analysis.image.star_image import blurred, star_image, widths
+from pointing_analysis.units import RAD_PER_MAS
+
+MAS = RAD_PER_MAS
+CIRCLE = Optics(550e-9, 1e-9 * MAS, 1.5)
+REFERENCE = Optics(550e-9, 38 * MAS, 1.5, 0.3, weight=76 * MAS)
+STILL = np.zeros((1, 21, 2))
+
+
+def random_paths(count: int, step_mas: float, seed: int = 0) -> Any:
+    return np.cumsum(np.random.default_rng(seed).standard_normal((count, 21, 2)), axis=1) * step_mas * MAS
+
+
+def test_encircled_energy_of_a_circle() -> None:
+    """Rayleigh: 1 - J0^2 - J1^2 of pi r D / wavelength."""
+    radii = CIRCLE.resolution * np.array([0.1, 0.5, 1.0, 1.22, 2.0, 3.0])
+    v = math.pi * radii / CIRCLE.resolution
+    expected = 1 - special.j0(v) ** 2 - special.j1(v) ** 2
+    assert np.abs(encircled_energy(STILL, CIRCLE, radii) - expected).max() < 1e-9
+    for percent in (50, 80):
+        found = encircled_radius(STILL, CIRCLE, percent)[0]
+        v = math.pi * found / CIRCLE.resolution
+        assert 1 - special.j0(v) ** 2 - special.j1(v) ** 2 == pytest.approx(percent / 100, abs=1e-9)
+
+
+def test_strehl_of_a_ramp_by_its_integral() -> None:
+    """The peak of a star that moves along x: the mean of the section through the still image."""
+    length = 60 * MAS
+    path = np.column_stack([np.linspace(-0.5, 0.5, 21) * length, np.zeros(21)])[None]
+    node, weight = np.polynomial.legendre.leggauss(60)
+    v = math.pi * np.abs(node) * length / 2 / CIRCLE.resolution
+    section = (2 * special.j1(v) / v) ** 2
+    assert abs(strehl(path, CIRCLE)[0] - np.dot(weight, section) / 2) < 1e-9
+    assert strehl(STILL, REFERENCE)[0] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_what_lies_far_from_the_mean_has_its_peak_found() -> None:
+    """Nine tenths of the time at one place: the peak is there, not at the mean."""
+    path = np.zeros((1, 101, 2))
+    path[0, 91:, 0] = 2000 * MAS
+    found = strehl(path, CIRCLE)[0]
+    assert 0.9 < found < 0.91
+
+
+def test_figures_are_those_of_the_image_on_a_grid() -> None:
+    """Weighted moments, energy and peak summed over a fine picture."""
+    paths, step = random_paths(3, 6.0), 4 * MAS
+    found = figures(paths, REFERENCE, ("strehl", "ee50", "ee80", "size", "e1", "e2"))
+    line = step * np.arange(-150, 151)
+    x, y = np.meshgrid(line, line)
+    for k, path in enumerate(centred(paths)):
+        picture = star_image(path[None], REFERENCE, half=150, step=step) * (step / REFERENCE.pixel) ** 2
+        radius = np.hypot(x, y)
+        for name, part in (("ee50", 0.5), ("ee80", 0.8)):
+            assert picture[radius <= found[name][k]].sum() == pytest.approx(part, abs=0.01)
+        cx = cy = 0.0
+        for _ in range(60):
+            weight = picture * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * REFERENCE.moment_weight**2))
+            cx, cy = (weight * x).sum() / weight.sum(), (weight * y).sum() / weight.sum()
+        xx, xy, yy = (
+            np.sum(weight * a * b) / weight.sum() for a, b in ((x - cx, x - cx), (x - cx, y - cy), (y - cy,) * 2)
+        )
+        assert found["size"][k] == pytest.approx(xx + yy, rel=1e-5)
+        assert found["e1"][k] == pytest.approx((xx - yy) / (xx + yy), abs=1e-5)
+        assert found["e2"][k] == pytest.approx(2 * xy / (xx + yy), abs=1e-5)
+        peak = star_image(path[None], REFERENCE, half=150, step=step, pixels=False).max()
+        still = star_image(STILL, REFERENCE, half=2, step=step, pixels=False).max()
+        assert found["strehl"][k] == pytest.approx(peak / still, rel=2e-3)
+
+
+def test_classes_of_motion_agree_with_more_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each class has enough frequencies: four times as many change nothing."""
+    names = ("strehl", "ee50", "ee80", "size", "e1", "e2")
+    paths = np.concatenate([random_paths(4, step, seed) for seed, step in enumerate((0.5, 3.0, 12.0, 50.0))])
+    few = figures(paths, REFERENCE, names)
+    for name in ("POINTS", "POINTS_PER_PHASE", "ANGLES_PER_PHASE"):
+        monkeypatch.setattr(quadrature, name, 2 * getattr(quadrature, name))
+    monkeypatch.setattr(AnnularPupil, "angles", 16)
+    many = figures(paths, REFERENCE, names)
+    scale = {"ee50": MAS, "ee80": MAS, "size": (50 * MAS) ** 2}
+    for name in names:
+        assert np.abs(few[name] - many[name]).max() / scale.get(name, 1.0) < 2e-6, name
+
+
+def test_motion_beyond_all_classes_counts_as_the_worst() -> None:
+    paths = np.concatenate([random_paths(1, 2.0), random_paths(1, 3000.0)])
+    found = figures(paths, REFERENCE, ("strehl", "ee80", "ellipticity", "size"))
+    assert found["strehl"][0] > 0.9 and found["strehl"][1] == 0.0
+    assert np.isfinite(found["ee80"][0]) and math.isinf(found["ee80"][1]) and math.isinf(found["size"][1])
+    assert found["ellipticity"][0] < 0.1 and found["ellipticity"][1] == 1.0
+
+
+def test_motion_along_x_and_along_the_diagonal_is_ellipticity() -> None:
+    """e1 is positive along x, e2 along x = y; both vanish without motion, and turn with it."""
+    t = np.linspace(-0.5, 0.5, 21) * 40 * MAS
+    paths = np.stack([np.column_stack([t, 0 * t]), np.column_stack([0 * t, t]), np.column_stack([t, t]) / math.sqrt(2)])
+    found = moments(paths, CIRCLE)
+    e = found.e1[0]
+    assert e > 0.02
+    assert np.allclose(found.e1, [e, -e, 0.0], atol=1e-8) and np.allclose(found.e2, [0.0, 0.0, e], atol=1e-8)
+    assert np.allclose(found.ellipticity, e, atol=1e-8)
+    assert moments(STILL, REFERENCE).ellipticity[0] < 1e-9
+
+
+def test_energy_is_kept() -> None:
+    """A wide field holds all but the wings, with motion and without; the pixels see the sum of what lies in them."""
+    for paths in (STILL, random_paths(1, 10.0)):
+        pixels = star_image(paths, REFERENCE, half=60)
+        assert pixels.sum() == pytest.approx(encircled_energy(paths, REFERENCE, np.array([60 * 38 * MAS]))[0], abs=5e-3)
+        points = star_image(paths, REFERENCE, half=4, step=38 * MAS / 9, pixels=False)
+        assert star_image(paths, REFERENCE, half=0)[0, 0] == pytest.approx(points.mean(), rel=2e-3)
+
+
+def test_a_pattern_of_uniform_light_stays_uniform() -> None:
+    flat = blurred(np.full((64, 48), 3.0), 5 * MAS, random_paths(2, 5.0), REFERENCE)
+    assert np.abs(flat - 3.0).max() < 1e-12
+    bars = (np.arange(64) % 32 < 16)[None, :] * np.ones((64, 1))  # a period of 160 mas
+    seen = blurred(bars, 5 * MAS, random_paths(2, 20.0), REFERENCE)
+    assert 0.05 < np.ptp(seen) < 0.95 and seen.mean() == pytest.approx(bars.mean())
+
+
+def test_widths() -> None:
+    """Motion along x widens the image along x."""
+    small, large = widths(STILL, CIRCLE)
+    assert small == pytest.approx(1.02899 * CIRCLE.resolution, rel=1e-4) and large == pytest.approx(small, rel=1e-6)
+    t = np.linspace(-0.5, 0.5, 21) * 60 * MAS
+    moved = widths(np.column_stack([t, 0 * t])[None], CIRCLE)
+    assert moved[0] == pytest.approx(small, rel=0.02) and moved[1] > 1.1 * small
+
+
+def test_an_aperture_with_vanes_and_a_weight() -> None:
+    """Four vanes break the circle of the image into a cross: no ellipticity, a lower peak by the light they take."""
+    crossed = Optics(550e-9, 38 * MAS, 1.5, 0.3, 4, 0.05)
+    assert moments(STILL, crossed).ellipticity[0] < 1e-3
+    assert with_spider(1.5, 0.3, 4, 0.05).in_phase
+    assert encircled_radius(STILL, crossed, 80)[0] > encircled_radius(STILL, Optics(550e-9, 38 * MAS, 1.5, 0.3), 80)[0]
+
+
+def test_an_aberrated_pupil_has_its_peak_off_the_axis() -> None:
+    """A wave front of pure tilt moves the image and changes nothing else."""
+    fits = pytest.importorskip("astropy.io.fits")
+    import io
+
+    disc = (np.hypot(*np.mgrid[-31.5:32, -31.5:32]) < 30).astype(float)
+    tilt = 2e-8 * np.arange(64.0)[None, :] * np.ones((64, 1))
+    files = []
+    for error in (0 * tilt, tilt):
+        unit, stream = fits.PrimaryHDU(disc), io.BytesIO()
+        unit.header["PUPLSCAL"] = 0.025
+        fits.HDUList([unit, fits.ImageHDU(error, name="OPD")]).writeto(stream)
+        files.append(Optics(550e-9, 38 * MAS, pupil_file=stream.getvalue()))
+    plain, tilted = files
+    assert plain.pupil.in_phase and not tilted.pupil.in_phase
+    paths = random_paths(3, 4.0)
+    assert np.abs(strehl(paths, plain) - strehl(paths, tilted)).max() < 1e-3
+
+
+@pytest.mark.parametrize("sigma_mas", [5.0, 15.0])
+def test_against_poppy(sigma_mas: float) -> None:
+    """Gaussian jitter of poppy, a picture convolved with a Gaussian: loss of the peak and profile to 1e-3."""
+    poppy: Any = pytest.importorskip("poppy")
+    units: Any = pytest.importorskip("astropy.units")
+    pixel, oversample = 38e-3, 9
+    system = poppy.OpticalSystem(npix=2048, pupil_diameter=1.5 * units.m)
+    parts = [
+        poppy.CircularAperture(radius=0.75 * units.m),
+        poppy.SecondaryObscuration(secondary_radius=0.225, n_supports=0),
+    ]
+    system.add_pupil(poppy.CompoundAnalyticOptic(parts))
+    system.add_detector(pixelscale=pixel, fov_pixels=25, oversample=oversample)
+    result = system.calc_psf(wavelength=550e-9)
+    instrument = poppy.Instrument()
+    result[0].header["PIXELSCL"] = pixel / oversample
+    instrument._apply_jitter(result, {"jitter": "gaussian", "jitter_sigma": sigma_mas * 1e-3})
+    theirs = result[0].data[len(result[0].data) // 2]
+    line = (np.arange(len(theirs)) - len(theirs) // 2) * pixel / oversample * 1e3 * MAS
+    ours, still = (gaussian_profile(sigma * MAS, line) for sigma in (sigma_mas, 0.0))
+    assert theirs.argmax() == len(theirs) // 2
+    assert np.abs(ours / ours.max() - theirs / theirs.max()).max() < 1e-3
+    assert ours.max() / still.max() == pytest.approx(result[0].header["JITRSTRL"], abs=1e-3)
+
+
+def gaussian_profile(sigma: float, x: Any) -> Any:
+    """Section through the image with Gaussian motion, by the transfer function of that motion."""
+    q = Quadrature.of(REFERENCE, 120.0)
+    blur = np.exp(-2 * math.pi**2 * sigma**2 * np.sum(q.frequencies**2, axis=1))
+    places = np.column_stack([x, np.zeros(len(x))])
+    return q.over_plane(q.diffraction * blur * np.exp(2j * math.pi * places @ q.frequencies.T))

@@ -1,0 +1,199 @@
+"""Diffraction of pupils: closed forms, sums written out, files of others."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pointing_analysis.image import optics as optics_module
+from pointing_analysis.image.fits_files import read_pupil
+from pointing_analysis.image.optics import Optics, OpticsError, from_mapping, load_optics
+from pointing_analysis.image.pupil import AnnularPupil, PixelPupil, with_spider
+from pointing_analysis.units import RAD_PER_MAS
+
+GOOD = {"aperture_diameter": 1.5, "obscuration": 0.3, "wavelength": 550e-9, "pixel_mas": 38.0}
+
+
+def along_x(shift: Any) -> Any:
+    return np.stack([np.asarray(shift, dtype=float), np.zeros(np.size(shift))], axis=-1)
+
+
+def o_neill(nu: float, e: float) -> float:
+    """Transfer function of an annular aperture, O'Neill, J. Opt. Soc. Am. 46 (1956) 285, errata 46 (1956) 1096."""
+
+    def circle(x: float) -> float:
+        return 2 / math.pi * (math.acos(x) - x * math.sqrt(1 - x * x)) if x < 1 else 0.0
+
+    a, b = circle(nu), e**2 * circle(nu / e)
+    if nu <= (1 - e) / 2:
+        c = -2 * e**2
+    elif nu < (1 + e) / 2:
+        chi = math.acos((1 + e**2 - 4 * nu**2) / (2 * e))
+        part = math.atan((1 + e) / (1 - e) * math.tan(chi / 2))
+        c = 2 * e / math.pi * math.sin(chi) + (1 + e**2) / math.pi * chi - 2 * (1 - e**2) / math.pi * part - 2 * e**2
+    else:
+        c = 0.0
+    return (a + b + c) / (1 - e**2)
+
+
+@pytest.mark.parametrize("e", [0.1, 0.3, 0.5, 0.8])
+def test_the_annulus_is_that_of_o_neill(e: float) -> None:
+    nu = np.linspace(0.0, 1.2, 247)  # off the places where circles touch: there the formula loses its digits
+    found = AnnularPupil(1.5, e).autocorrelation(along_x(1.5 * nu))
+    assert np.abs(found - [o_neill(x, e) for x in nu]).max() < 1e-9
+
+
+def test_the_circle() -> None:
+    nu = np.linspace(0.0, 1.0, 101)
+    expected = 2 / math.pi * (np.arccos(nu) - nu * np.sqrt(1 - nu**2))
+    assert np.abs(AnnularPupil(2.4).autocorrelation(along_x(2.4 * nu)) - expected).max() < 1e-12
+    assert AnnularPupil(2.4).autocorrelation(along_x([2.5, 1e9])).tolist() == [0.0, 0.0]
+
+
+def test_pixels_against_the_sum_written_out() -> None:
+    """Whole pixels by sums, between them by an integral of the overlapping squares."""
+    rng = np.random.default_rng(0)
+    amplitude = rng.random((5, 7)) * np.exp(2j * rng.random((5, 7)))
+    pupil = PixelPupil(amplitude, 0.1)
+    total = np.sum(np.abs(amplitude) ** 2)
+    padded = np.pad(amplitude, 8)
+    for dy in range(-5, 6):
+        for dx in range(-7, 8):
+            shifted = np.roll(padded, (dy, dx), axis=(0, 1))
+            expected = np.sum(padded * shifted.conj()) / total
+            assert abs(pupil.autocorrelation(np.array([[0.1 * dx, 0.1 * dy]]))[0] - expected) < 1e-9
+    fine = PixelPupil(np.kron(amplitude, np.ones((10, 10))), 0.01)
+    shift = 0.01 * rng.integers(-80, 80, (200, 2)).astype(float)
+    assert np.abs(fine.autocorrelation(shift) - pupil.autocorrelation(shift)).max() < 1e-9
+    conjugate = pupil.autocorrelation(-shift).conj()
+    assert np.abs(pupil.autocorrelation(shift) - conjugate).max() < 1e-12
+
+
+def test_a_raster_of_the_annulus_comes_near_the_closed_form() -> None:
+    shift = np.random.default_rng(1).uniform(-1.6, 1.6, (500, 2))
+    raster, closed = with_spider(1.5, 0.3, 0, 0.0), AnnularPupil(1.5, 0.3)
+    assert np.abs(raster.autocorrelation(shift) - closed.autocorrelation(shift)).max() < 2e-3
+    assert raster.extent == pytest.approx(1.5, rel=0.01)
+
+
+def test_vanes_take_light() -> None:
+    """Three vanes of 5 cm from the obscuration to the edge."""
+    pupil = with_spider(1.5, 0.3, 3, 0.05)
+    free = np.sum(np.abs(pupil.amplitude)) * pupil.scale**2
+    expected = math.pi / 4 * 1.5**2 * (1 - 0.09) - 3 * 0.05 * (0.75 - 0.225)
+    assert free == pytest.approx(expected, rel=2e-3)
+    with pytest.raises(ValueError, match="spider_width must be at least 0 and below half of the aperture, got 1 m"):
+        with_spider(1.5, 0.3, 3, 1.0)
+
+
+def fits_file(data: Any, error: Any = None, **header: Any) -> bytes:
+    fits = pytest.importorskip("astropy.io.fits")
+    unit = fits.PrimaryHDU(data)
+    unit.header.update(header)
+    units = [unit] + ([] if error is None else [fits.ImageHDU(error, name="OPD")])
+    stream = io.BytesIO()
+    fits.HDUList(units).writeto(stream)
+    return stream.getvalue()
+
+
+def test_a_pupil_of_a_file() -> None:
+    disc = np.hypot(*np.mgrid[-31.5:32, -31.5:32]) < 30
+    content = fits_file(disc.astype(np.float32), PUPLSCAL=1.5 / 60)
+    found = Optics(550e-9, 38 * RAD_PER_MAS, pupil_file=content)
+    assert found.pupil.in_phase and found.pupil.extent == pytest.approx(1.5, rel=0.03)
+    shift = along_x(np.linspace(0.0, 1.4, 20))
+    expected = AnnularPupil(1.5).autocorrelation(shift)
+    assert np.abs(found.pupil.autocorrelation(shift) - expected).max() < 0.02
+    tilt = 1e-7 * np.arange(64.0)[None, :] * np.ones((64, 1))
+    tilted = read_pupil(fits_file(disc.astype(float), tilt, PIXELSCL=0.025), 550e-9)
+    assert not tilted.in_phase
+    per_pixel = 2 * math.pi * 1e-7 / 550e-9
+    one = tilted.autocorrelation(np.array([[0.025, 0.0]]))[0]
+    assert np.angle(one) == pytest.approx(per_pixel)
+
+
+def test_pupils_that_are_none() -> None:
+    ones = np.ones((8, 8))
+    for content, text in (
+        (b"no file", "pupil must be a FITS file, got one that cannot be read"),
+        (fits_file(ones), "metres per pixel as PUPLSCAL or PIXELSCL in its header, got none"),
+        (fits_file(ones, PUPLSCAL=-1.0), r"in its header, got -1\.0"),
+        (fits_file(ones, PUPLSCAL="wide"), "in its header, got 'wide'"),
+        (fits_file(0 * ones, PUPLSCAL=0.1), "pupil must transmit somewhere, got zeros only"),
+        (fits_file(-ones, PUPLSCAL=0.1), "pupil must have amplitudes of 0 or more, got -1"),
+        (fits_file(np.nan * ones, PUPLSCAL=0.1), "pupil must be finite, got 64 pixels that are not"),
+        (fits_file(np.ones((2, 8, 8)), PUPLSCAL=0.1), "pupil must be a picture of real numbers"),
+        (fits_file(ones, np.ones((3, 3)), PUPLSCAL=0.1), "OPD must have the shape of the pupil"),
+        (fits_file(None), "pupil must be a FITS file with a picture, got one without"),
+    ):
+        with pytest.raises(ValueError, match=text) as raised:
+            read_pupil(content, 550e-9)
+        assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"pixel_mas": -38.0}, r"f: optics.pixel_mas must be above 0 mas, got -38\.0"),
+        ({"pixel_mas": math.nan}, "f: optics.pixel_mas must be above 0 mas, got nan"),
+        ({"pixel_mas": "wide"}, "f: optics.pixel_mas must be above 0 mas, got 'wide'"),
+        ({"obscuration": 1.0}, r"f: optics.obscuration must be at least 0 and below 1, got 1\.0"),
+        ({"wavelength": 550.0}, r"f: optics.wavelength must be above 0 m and below 1 m, got 550\.0"),
+        ({"spider_vanes": 2.5}, r"f: optics.spider_vanes must be a whole number from 0 to 64, got 2\.5"),
+        ({"aperture_diameter": True}, "f: optics.aperture_diameter must be above 0 m, got True"),
+        ({"focus": 1.0}, r"f: keys of optics must be of .*, got \['focus'\]"),
+        ({"pupil": 3}, "f: optics.pupil must be the name of a FITS file, got 3"),
+        ({"pupil": "p.fits"}, "f: optics.pupil must be a FITS file, got 'p.fits', whose content is not there"),
+    ],
+)
+def test_optics_that_are_none(change: dict[str, Any], text: str) -> None:
+    with pytest.raises(OpticsError, match=text):
+        from_mapping({**GOOD, **change}, "f")
+
+
+def test_files_of_optics(tmp_path: Path) -> None:
+    file = tmp_path / "optics.toml"
+    file.write_text("[optics]\naperture_diameter = 1.5\nwavelength = 550e-9\npixel_mas = 38\nmirror_distance = 1.5\n")
+    table, pupil = load_optics(file)
+    assert pupil == b"" and "mirror_distance" not in table
+    found = from_mapping(table, "f")
+    assert found.text == "aperture 1.5 m, 550 nm, pixel 38 mas"
+    assert found.moment_weight == found.resolution == pytest.approx(550e-9 / 1.5)
+    for content, text in (
+        ("a = 1", r"optics.toml: must hold a table \[optics\]"),
+        ("[optics]\nwavelength = 550e-9\n", "optics must have pixel_mas, got wavelength"),
+        ("[optics]\nwavelength = 550e-9\npixel_mas = 38.0\n", "optics must have aperture_diameter"),
+        ("[optics", "must be TOML"),
+        ("[optics]\npupil = 'none.fits'\n", "cannot read the pupil .*none.fits: No such file"),
+    ):
+        file.write_text(content)
+        with pytest.raises(OpticsError, match=text):
+            load_optics(file)
+    with pytest.raises(OpticsError, match="cannot read"):
+        load_optics(tmp_path / "none.toml")
+
+
+def test_a_large_pupil_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "p.fits").write_bytes(b"12345")
+    monkeypatch.setattr(optics_module, "MAX_PUPIL", 4)
+    with pytest.raises(OpticsError, match="must have at most 4 bytes, got 5"):
+        optics_module.read_pupil_file(tmp_path / "p.fits")
+
+
+def test_nothing_of_astropy_is_loaded_for_a_closed_form() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, pointing_analysis.image.optics as o, pointing_analysis.image.quality as q, numpy as np\n"
+        f"q.strehl(np.zeros((1, 3, 2)), o.from_mapping({GOOD!r}, 'f'))\n"
+        "print([m for m in ('astropy', 'poppy', 'matplotlib') if m in sys.modules])"
+    )
+    root = Path(__file__).parents[3]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=root)
+    assert done.stdout.strip() == "[]", done.stderr
