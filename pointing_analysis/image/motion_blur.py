@@ -16,14 +16,18 @@ missing.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from pointing_analysis.indices.metrics import window_samples
+from pointing_analysis.read.mapped_arrays import release
 
 BLOCK = 1 << 17
 """Phases that are worked on at a time: they stay in the processor's cache."""
+PART = 4096
+"""Exposures that are worked on at a time."""
 SERIES_BELOW = 0.5
 """Half phase [rad] below which sin(s) / s is a polynomial."""
 _SINC = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))
@@ -55,6 +59,18 @@ def exposures(error: FloatArray, dt: float, exposure: float) -> FloatArray:
         )
     index = n * np.arange(m)[:, None] + np.arange(n + 1)
     return np.asarray(error[index, :2])
+
+
+def exposure_parts(error: FloatArray, dt: float, exposure: float, count: int = PART) -> Iterator[FloatArray]:
+    """`exposures` of a series of any length, at most `count` at a time."""
+    n = window_samples(exposure, dt)
+    m = (len(error) - 1) // n
+    if m < 1:
+        exposures(error, dt, exposure)  # says what is wrong
+    for first in range(0, m, count):
+        last = min(first + count, m)
+        yield exposures(np.array(error[first * n : last * n + 1]), dt, exposure)
+        release()
 
 
 def missing(paths: FloatArray) -> BoolArray:

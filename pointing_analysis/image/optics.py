@@ -265,6 +265,17 @@ def optics_of(run: Recording) -> Optics | None:
     return _known(key, run.attachments.get(PUPIL, b""), str(run.path))
 
 
+def with_optics(run: Recording, table: Any, pupil_file: bytes = b"") -> Recording:
+    """The recording with these optics in place of its own.
+
+    Parameters
+    ----------
+    run : Recording
+    table, pupil_file : as `load_optics` gives them
+    """
+    return run.changed({**run.parameters, METADATA: table}, {PUPIL: pupil_file} if pupil_file else {})
+
+
 _CACHE: dict[tuple[str, int], Optics] = {}
 
 

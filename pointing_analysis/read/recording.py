@@ -50,6 +50,9 @@ class Recording(Protocol):
     def title(self) -> str:
         """Short name for tables and figures."""
 
+    def changed(self, parameters: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Recording:
+        """The same recording with other parameters and further attachments; the samples are shared."""
+
     def __contains__(self, name: object) -> bool:
         """Whether the recording has a topic."""
 

@@ -6,6 +6,7 @@ zstd, lz4 or none, file-wise and message-wise zstd, split recordings, and record
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 from collections import defaultdict
@@ -57,6 +58,7 @@ class Run:
         self._topics: dict[str, Topic] = {}
         self._read: BagPass  # the latest one that came to the end
         self._asked_namespace = namespace
+        self._added: Mapping[str, bytes] = {}
         self.namespace = ""
         self._first_pass()
 
@@ -236,7 +238,14 @@ class Run:
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files in the bag (controllers, plant parameters), by name."""
-        return MappingProxyType({k: v.data for info in self._read.infos for k, v in info.attachments.items()})
+        found = {k: v.data for info in self._read.infos for k, v in info.attachments.items()}
+        return MappingProxyType({**found, **self._added})
+
+    def changed(self, parameters: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Run:
+        """The same bag with other parameters and further attachments; what is read already is shared."""
+        found = copy.copy(self)
+        found.parameters, found._added = MappingProxyType(dict(parameters)), {**self._added, **attachments}
+        return found
 
     @property
     def title(self) -> str:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -77,6 +77,11 @@ class Series:
     def title(self) -> str:
         """Name of the file."""
         return self.path.name
+
+    def changed(self, parameters: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Series:
+        """The same samples with other parameters and further attachments."""
+        more = MappingProxyType({**self.attachments, **attachments})
+        return replace(self, parameters=MappingProxyType(dict(parameters)), attachments=more)
 
     def __contains__(self, name: object) -> bool:
         return name == LOS

@@ -63,17 +63,18 @@ class RequirementRow:
     unit : of `value`, `limit` and `bound`
     value : required quantile; NaN where it was not judged
     limit : of the requirement
-    bound : upper bound of the quantile at `confidence`; infinite where there is none yet
+    bound : upper bound of the quantile at `confidence`, of a lower limit the lower one; infinite where there is none
     confidence : between 0 and 1
     status : of the verdict
     shown : status, or that the run keeps the limit where it is too short to prove it
     statement : verdict in words
     remark : what length of run would decide, what is missing, or why it was not judged
-    exceeding : share of the samples above the limit
+    exceeding : share of the samples above the limit, or below a lower one
     samples, effective : samples, and independent ones that they weigh as much as
     seconds_needed : length of data that would decide [s]
     missing : samples that are missing
     note : of the verdict
+    lower : whether the limit is a lower one
     """
 
     run: str
@@ -95,6 +96,7 @@ class RequirementRow:
     seconds_needed: float
     missing: float
     note: str
+    lower: bool = False
 
     @classmethod
     def of(cls, verdict: Verdict, run: str = "") -> RequirementRow:
@@ -110,7 +112,7 @@ class RequirementRow:
             unit=r.unit,
             value=verdict.quantile.value / scale if judged else math.nan,
             limit=r.limit / scale,
-            bound=verdict.quantile.upper / scale if judged else math.nan,
+            bound=(verdict.quantile.lower if r.lower else verdict.quantile.upper) / scale if judged else math.nan,
             confidence=r.confidence,
             status=verdict.status,
             shown=shown_status(verdict),
@@ -122,6 +124,7 @@ class RequirementRow:
             seconds_needed=verdict.seconds_needed,
             missing=verdict.missing,
             note=verdict.note,
+            lower=r.lower,
         )
 
     @property
@@ -132,21 +135,22 @@ class RequirementRow:
     @property
     def value_text(self) -> str:
         """Value with its unit, or a dash."""
-        return ABSENT if math.isnan(self.value) else f"{digits(self.value)} {self.unit}"
+        return ABSENT if math.isnan(self.value) else with_unit(digits(self.value), self.unit)
 
     @property
     def limit_text(self) -> str:
-        """Limit with its unit."""
-        return f"{self.limit:g} {self.unit}"
+        """Limit with its unit; a lower one says so."""
+        return with_unit(f"{'above ' if self.lower else ''}{self.limit:g}", self.unit)
 
     @property
     def bound_text(self) -> str:
-        """Upper bound with its unit and its confidence, or that there is none yet."""
+        """Upper bound with its unit and its confidence, or that there is none yet; a lower one says so."""
         if math.isnan(self.bound):
             return ABSENT
         if math.isinf(self.bound):
             return "none yet"
-        return f"{digits(self.bound)} {self.unit} at {100 * self.confidence:g} %"
+        bound = with_unit(f"{'above ' if self.lower else ''}{digits(self.bound)}", self.unit)
+        return f"{bound} at {100 * self.confidence:g} %"
 
     @property
     def exceeding_text(self) -> str:
@@ -165,17 +169,21 @@ class RequirementRow:
 
     @property
     def margin_text(self) -> str:
-        """Limit minus value, also in % of the limit; empty where it was not judged."""
+        """Distance to the limit, also in % of it, positive where it is kept; empty where it was not judged."""
         if math.isnan(self.value):
             return ""
-        margin = self.limit - self.value
+        margin = self._margin
         sign = "+" if margin >= 0 else "−"
-        return f"margin {sign}{digits(abs(margin))} {self.unit} ({abs(100 * margin / self.limit):.0f} %)"
+        return f"margin {sign}{with_unit(digits(abs(margin)), self.unit)} ({abs(100 * margin / self.limit):.0f} %)"
 
     @property
     def margin_css(self) -> str:
         """Class of the margin: its colour on the page."""
-        return "open" if math.isnan(self.value) else "ok" if self.value <= self.limit else "bad"
+        return "open" if math.isnan(self.value) else "ok" if self._margin >= 0 else "bad"
+
+    @property
+    def _margin(self) -> float:
+        return self.value - self.limit if self.lower else self.limit - self.value
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; infinities and NaN become None."""
@@ -187,7 +195,7 @@ class RequirementRow:
             "statement": self.statement,
             "quantile": number(self.value),
             "limit": number(self.limit),
-            "upper_bound": number(self.bound),
+            **({"lower_bound": number(self.bound)} if self.lower else {"upper_bound": number(self.bound)}),
             "confidence": number(self.confidence),
             "unit": self.unit,
             "exceeding": number(self.exceeding),
@@ -208,6 +216,11 @@ def _remark(v: Verdict) -> str:
             else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
         )
     return ". ".join(part for part in (needed, v.note) if part)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A number with its unit, alone where it has none."""
+    return f"{text} {unit}" if unit else text
 
 
 HEADS = ("requirement", "value", "limit", "upper bound", "verdict")

@@ -13,6 +13,20 @@ The forms have an index (APE, MPE, RPE, PDE, PRE, AKE, MKE, RKE; ``_x`` or ``_y`
 one (two times for PDE: window and separation), a limit, a probability, a confidence, and the interpretation:
 ``temporal`` (default: every run, over its time), ``ensemble`` (over runs, the worst instant of each) or ``mixed`` (over
 runs and time together).
+
+Indices of the image of a star have an exposure in place of a window, and one value for each exposure::
+
+    prob(MTF(20 ms, Nyquist) > 0.90) >= 0.997 at 95 % confidence
+
+    prob(EE80(20 ms) < 140 mas) >= 0.997 at 95 % confidence
+
+===============  ====================================================================================================
+MTF              transfer of the motion along the worst direction, at a spatial frequency: ``Nyquist`` of the pixels,
+                 a part of it (``0.5 Nyquist``) or a number (``8 cycles/arcsec``); its limit is a lower one
+Strehl           Strehl ratio of the motion; its limit is a lower one
+EE50, EE80       radius that holds 50 or 80 % of the energy
+ellipticity      absolute ellipticity of the image
+===============  ====================================================================================================
 """
 
 from __future__ import annotations
@@ -30,17 +44,75 @@ from pointing_analysis.units import ANGLES as ANGLES
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 #: index -> number of times it takes
 INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
+NYQUIST = "Nyquist"
+"""Unit of a spatial frequency: the largest one that the pixels sample without ambiguity."""
+
+
+@dataclass(frozen=True)
+class ImageIndex:
+    """An index of the image of a star.
+
+    Parameters
+    ----------
+    lower : whether its limit is a lower one
+    angle : whether its limit is an angle; else a number below `top`
+    top : largest limit
+    """
+
+    lower: bool = False
+    angle: bool = False
+    top: float = 1.0
+
+
+IMAGE_INDICES = {
+    "MTF": ImageIndex(lower=True),
+    "Strehl": ImageIndex(lower=True),
+    "EE50": ImageIndex(angle=True, top=math.inf),
+    "EE80": ImageIndex(angle=True, top=math.inf),
+    "ellipticity": ImageIndex(),
+}
+INDICES |= dict.fromkeys(IMAGE_INDICES, 1)
 INTERPRETATIONS = ("temporal", "ensemble", "mixed")
+_FREQUENCY = re.compile(r"\s*(?P<value>[\d.eE+-]*)\s*(?:(?P<nyquist>nyquist)|cycles\s*/\s*(?P<unit>[a-z]+))\s*", re.I)
 _TEXT = re.compile(
-    r"prob\s*\(\s*(?P<sign>\||rms\s)\s*(?P<index>[A-Za-z]+)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
-    r"(?P<end>\|?)\s*<=?\s*"
-    r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]+)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
+    r"prob\s*\(\s*(?P<sign>\||rms\s|)\s*(?P<index>[A-Za-z]+\d*)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
+    r"(?P<end>\|?)\s*(?P<relation>[<>])=?\s*"
+    r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]*)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
     r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
 )
 
 
 class RequirementError(ValueError):
     """A requirement that cannot be read; the message says what it must be and what it is."""
+
+
+@dataclass(frozen=True)
+class SpatialFrequency:
+    """A spatial frequency as a requirement has it.
+
+    Parameters
+    ----------
+    value : positive
+    unit : `NYQUIST`, or an angle of `ANGLES`: cycles per it
+
+    Examples
+    --------
+    >>> print(SpatialFrequency(1.0, NYQUIST), SpatialFrequency(0.5, NYQUIST), SpatialFrequency(8.0, "arcsec"), sep=", ")
+    Nyquist, 0.5 Nyquist, 8 cycles/arcsec
+    """
+
+    value: float
+    unit: str
+
+    def per_radian(self, nyquist: float) -> float:
+        """[cycles/rad]; `nyquist` of the detector in the same unit."""
+        return self.value * nyquist if self.unit == NYQUIST else self.value / ANGLES[self.unit]
+
+    def __str__(self) -> str:
+        number = f"{self.value:g}" if float(f"{self.value:g}") == self.value else repr(self.value)
+        if self.unit == NYQUIST:
+            return NYQUIST if self.value == 1.0 else f"{number} {NYQUIST}"
+        return f"{number} cycles/{self.unit}"
 
 
 @dataclass(frozen=True)
@@ -52,13 +124,14 @@ class Requirement:
     index : one of `INDICES`
     axis : "" for the norm of the 2-vector, ``x`` or ``y`` for one axis
     times : window, and separation for PDE [s]
-    limit : [rad]
-    unit : unit in which the limit is shown
+    limit : [rad], of numbers (MTF, Strehl, ellipticity) the number
+    unit : unit in which the limit is shown; empty for numbers
     probability, confidence : between 0 and 1
     interpretation : temporal, ensemble or mixed
     name : short name
     loops : loop stages it applies to; empty for all
     of_windows : of RPE and RKE whether each window has one value, its rms, instead of one at every instant
+    frequency : of the MTF
     """
 
     index: str
@@ -72,11 +145,22 @@ class Requirement:
     name: str = ""
     loops: tuple[str, ...] = ()
     of_windows: bool = False
+    frequency: SpatialFrequency | None = None
 
     @property
     def scale(self) -> float:
-        """Radians per display unit."""
-        return ANGLES[self.unit]
+        """Radians per display unit; 1 for numbers."""
+        return ANGLES[self.unit] if self.unit else 1.0
+
+    @property
+    def of_image(self) -> bool:
+        """Whether the index is one of the image of a star."""
+        return self.index in IMAGE_INDICES
+
+    @property
+    def lower(self) -> bool:
+        """Whether the limit is a lower one: the index must be above it."""
+        return self.of_image and IMAGE_INDICES[self.index].lower
 
     @property
     def across_runs(self) -> bool:
@@ -89,12 +173,14 @@ class Requirement:
         return self._quantity(", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times))
 
     def _quantity(self, times: str) -> str:
+        if self.of_image:
+            return f"{self.index}({times}{'' if self.frequency is None else f', {self.frequency}'})"
         axis = f"_{self.axis}" if self.axis else ""
         text = f"{self.index}{axis}{f'({times})' if times else ''}"
         return f"rms {text}" if self.of_windows else f"|{text}|"
 
     def __str__(self) -> str:
-        return self._text(f"{self.limit / self.scale:g} {self.unit}", self.quantity)
+        return self._text(f"{self.limit / self.scale:g} {self.unit}".strip(), self.quantity)
 
     @property
     def exact_text(self) -> str:
@@ -103,13 +189,13 @@ class Requirement:
         near = (float(f"{value:g}"), value, math.nextafter(value, 0.0), math.nextafter(value, math.inf))
         shown = next((f"{x:g}" if x == near[0] else repr(x) for x in near if x * self.scale == wanted), "")
         times = ", ".join(_exact_time(t) for t in self.times)
-        return self._text(f"{shown} {self.unit}" if shown else f"{wanted!r} rad", self._quantity(times))
+        return self._text(f"{shown} {self.unit}".strip() if shown else f"{wanted!r} rad", self._quantity(times))
 
     def _text(self, limit: str, quantity: str) -> str:
         tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
-        return (
-            f"prob({quantity} < {limit}) >= {self.probability:.10g} at {100 * self.confidence:.10g} % confidence{tail}"
-        )
+        sign = ">" if self.lower else "<"
+        asked = f"{self.probability:.10g} at {100 * self.confidence:.10g} % confidence"
+        return f"prob({quantity} {sign} {limit}) >= {asked}{tail}"
 
 
 def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
@@ -128,17 +214,22 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     """
     m = _TEXT.fullmatch(text.strip())
     if m is None or (m["sign"] == "|") != bool(m["end"]):
-        raise RequirementError(
-            f"requirement must read like 'prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence', got {text!r}"
-        )
-    index, kind = m["index"].upper(), m["kind"] or "temporal"
+        raise RequirementError(f"requirement must read like '{EXAMPLE}', got {text!r}")
+    index, kind = _canonical(m["index"]), m["kind"] or "temporal"
+    if index not in IMAGE_INDICES and not (m["sign"] and m["unit"]):
+        _member("index", index, INDICES)
+        raise RequirementError(f"requirement must read like '{EXAMPLE}', got {text!r}")
     _member("index", index, INDICES)
-    of_windows = m["sign"] != "|"
+    _check_relation(m, index, text)
+    of_windows = m["sign"].startswith("rms")
     if of_windows:
         _member("index of rms", index, ("RPE", "RKE"))
-    _member("unit", m["unit"], ANGLES)
+    if m["unit"]:
+        _member("unit", m["unit"], ANGLES)
     _member("interpretation", kind, INTERPRETATIONS)
-    times = tuple(_time(part) for part in (m["times"] or "").split(",") if part.strip())
+    arguments = [part for part in (m["times"] or "").split(",") if part.strip()]
+    frequency = _frequency(arguments, text) if index == "MTF" else None
+    times = tuple(_time(part) for part in (arguments[:-1] if frequency else arguments))
     if len(times) != INDICES[index]:
         raise RequirementError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
     probability, confidence = (
@@ -147,9 +238,13 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     for what, value in (("probability", probability), ("confidence", confidence)):
         if not 0 < value < 1:
             raise RequirementError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
-    limit = _float(m["limit"]) * ANGLES[m["unit"]]
+    limit = _float(m["limit"]) * (ANGLES[m["unit"]] if m["unit"] else 1.0)
     if not 0 < limit < math.inf:
         raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
+    if index in IMAGE_INDICES and not limit < IMAGE_INDICES[index].top:
+        raise RequirementError(
+            f"limit of {index} must be below {IMAGE_INDICES[index].top:g}, got {m['limit']} in {text!r}"
+        )
     return Requirement(
         index,
         m["axis"] or "",
@@ -162,7 +257,44 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
         name or index,
         tuple(loops),
         of_windows,
+        frequency,
     )
+
+
+EXAMPLE = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
+
+
+def _canonical(name: str) -> str:
+    """Index as `INDICES` writes it, whatever its letters' case."""
+    return {known.upper(): known for known in INDICES}.get(name.upper(), name.upper())
+
+
+def _check_relation(m: re.Match[str], index: str, text: str) -> None:
+    """Refuse a limit on the wrong side, of the wrong kind, and signs or axes of other indices."""
+    image = IMAGE_INDICES.get(index, ImageIndex(angle=True))
+    if image.lower != (m["relation"] == ">"):
+        side, sign = ("a lower", ">") if image.lower else ("an upper", "<")
+        raise RequirementError(f"{index} must have {side} limit ({sign}), got {m['relation']!r} in {text!r}")
+    if index not in IMAGE_INDICES:
+        return
+    if m["sign"] or m["axis"]:
+        raise RequirementError(f"{index} must stand without |...|, rms and axis, got {text!r}")
+    if image.angle != bool(m["unit"]):
+        want = f"in one of {', '.join(ANGLES)}" if image.angle else "without a unit"
+        raise RequirementError(f"{index} must have a limit {want}, got {m['unit'] or 'none'} in {text!r}")
+
+
+def _frequency(arguments: Sequence[str], text: str) -> SpatialFrequency:
+    """Spatial frequency of the MTF: the last argument."""
+    m = _FREQUENCY.fullmatch(arguments[-1]) if arguments else None
+    value = math.nan if m is None else _float(m["value"]) if m["value"] else 1.0 if m["nyquist"] else math.nan
+    if m is None or not 0 < value < math.inf:
+        form = "MTF(20 ms, Nyquist), MTF(20 ms, 0.5 Nyquist) or MTF(20 ms, 8 cycles/arcsec)"
+        raise RequirementError(f"MTF must have a spatial frequency, as in {form}, got {text!r}")
+    if m["nyquist"]:
+        return SpatialFrequency(value, NYQUIST)
+    _member("unit of a spatial frequency", m["unit"], ANGLES)
+    return SpatialFrequency(value, m["unit"])
 
 
 def _member(what: str, value: str, known: Any) -> None:

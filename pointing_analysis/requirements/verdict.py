@@ -9,12 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import BoolArray, FloatArray
+from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.image_samples import finite, image_samples
 from pointing_analysis.requirements.text import Requirement, RequirementError, from_entries, load, parse
 
 __all__ = [
@@ -43,8 +45,9 @@ class Verdict:
     Attributes
     ----------
     status : compliant, not compliant, not enough data, or not judged (the index cannot be formed; see `note`)
-    exceeding : share of the samples above the limit
-    quantile : the required quantile with its bounds [rad]
+    exceeding : share of the samples above the limit, or below a lower one
+    quantile : the required quantile with its bounds [rad], of numbers the number; of a lower limit the value that the
+        required part of the samples is above
     samples : samples of the index
     effective : independent samples they weigh as much as
     seconds : length of data that was used [s]
@@ -83,11 +86,14 @@ class Verdict:
         if self.missing and not self.keeps:
             what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
             return f"not enough data: {what} missing"
+        beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
-            return f"{'at' if self.keeps else 'above'} its limit; no length of run decides it"
+            return f"{'at' if self.keeps else beyond} its limit; no length of run decides it"
         seconds = f"{math.ceil(self.seconds_needed)} s"
         return (
-            f"keeps its limit; {seconds} would prove it" if self.keeps else f"above its limit; {seconds} would decide"
+            f"keeps its limit; {seconds} would prove it"
+            if self.keeps
+            else f"{beyond} its limit; {seconds} would decide"
         )
 
 
@@ -109,12 +115,20 @@ class IndexSamples:
     missing: float
 
 
-def index_samples(series: ErrorSeries, requirement: Requirement) -> tuple[FloatArray, float, float]:
-    """Samples of the judged index [rad], the largest number of them that may count as independent, and those missing.
+def index_samples(
+    series: ErrorSeries, requirement: Requirement, optics: Optics | None = None
+) -> tuple[FloatArray, float, float]:
+    """Samples of the judged index, the largest number of them that may count as independent, and those missing.
 
     RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
     its mean, so no more than one per window counts. Of a requirement of windows each window is one sample.
+    Of an index of the image each exposure is one; it needs the `optics`. Samples are in rad, or numbers.
     """
+    if requirement.of_image:
+        if optics is None:
+            raise ValueError(NONE_KNOWN)
+        found, gone = image_samples(series, requirement, optics)
+        return found, math.inf, math.inf if series.open_end else float(gone)
     values, cap = _index(series.values, series.dt, requirement)
     there = present(values)
     if series.open_end:
@@ -186,7 +200,7 @@ def decide(
     not enough data.
     """
     n = max(int(effective), 1)
-    above = sum(int(np.count_nonzero(values[part] >= requirement.limit)) for part in parts(len(values)))
+    above = sum(int(np.count_nonzero(_beyond(values[part], requirement))) for part in parts(len(values)))
     rate = above / len(values)
     p, c = requirement.probability, requirement.confidence
     unknown = math.isinf(missing)
@@ -203,11 +217,18 @@ def decide(
         status = "not compliant"
     else:
         needed = confidence.samples_to_decide(p, c, rate if unknown else worst) * seconds / effective
-    bounds = confidence.quantile(values, p, c, effective)
     note = _missing_note(missing, total)
+    bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective)
     if missing:  # what is not there may lie beyond any bound
         bounds = replace(bounds, upper=math.inf)
+    if requirement.lower:
+        bounds = replace(bounds, value=-bounds.value, lower=-bounds.upper, upper=-bounds.lower)
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
+
+
+def _beyond(values: FloatArray, requirement: Requirement) -> BoolArray:
+    """Which samples do not keep the limit."""
+    return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
 
 
 def _missing_note(missing: float, total: float) -> str:
@@ -237,8 +258,8 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         return _not_judged(requirement, str(error))
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
-        worst_of = [max(float(one.values[part].max()) for part in parts(len(one.values))) for one in collected]
-        known = [w for one, w in zip(collected, worst_of) if not one.missing or w >= requirement.limit]
+        worst_of = [_worst(one.values, requirement) for one in collected]
+        known = [w for one, w in zip(collected, worst_of) if not one.missing or _beyond(np.array(w), requirement)]
         if not known:
             return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
         worst = np.array(known)
@@ -249,7 +270,15 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         return decide(requirement, values, sum(one.effective for one in collected), seconds, missing)
     verdicts = [decide(requirement, one.values, one.effective, one.seconds, one.missing) for one in collected]
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2}
-    return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, -v.quantile.value))
+    sign = 1.0 if requirement.lower else -1.0
+    return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, sign * v.quantile.value))
+
+
+def _worst(values: FloatArray, requirement: Requirement) -> float:
+    """Worst sample of a run."""
+    if requirement.lower:
+        return min(float(values[part].min()) for part in parts(len(values)))
+    return max(float(values[part].max()) for part in parts(len(values)))
 
 
 def _collect(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> list[IndexSamples]:
@@ -261,11 +290,12 @@ def _collect(requirement: Requirement, runs: Sequence[Recording], transient: flo
     for run in runs:
         series = make(run, transient)
         try:
-            values, cap, missing = index_samples(series, requirement)
+            optics = optics_of(run) if requirement.of_image else None
+            values, cap, missing = index_samples(series, requirement, optics)
         except ValueError as error:
             raise BagError(f"{run.path}: {error}") from None
         if not values.size:
             raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
-        effective = min(cap, confidence.effective_number(values))
+        effective = min(cap, confidence.effective_number(finite(values) if requirement.of_image else values))
         collected.append(IndexSamples(values, effective, series.duration, missing))
     return collected
