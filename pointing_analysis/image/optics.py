@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -265,7 +265,10 @@ def optics_of(run: Recording) -> Optics | None:
     return _known(key, run.attachments.get(PUPIL, b""), str(run.path))
 
 
-def with_optics(run: Recording, table: Any, pupil_file: bytes = b"") -> Recording:
+R = TypeVar("R", bound=Recording)
+
+
+def with_optics(run: R, table: Any, pupil_file: bytes = b"") -> R:
     """The recording with these optics in place of its own.
 
     Parameters
@@ -273,7 +276,7 @@ def with_optics(run: Recording, table: Any, pupil_file: bytes = b"") -> Recordin
     run : Recording
     table, pupil_file : as `load_optics` gives them
     """
-    return run.changed({**run.parameters, METADATA: table}, {PUPIL: pupil_file} if pupil_file else {})
+    return cast(R, run.changed({**run.parameters, METADATA: table}, {PUPIL: pupil_file} if pupil_file else {}))
 
 
 _CACHE: dict[tuple[str, int], Optics] = {}

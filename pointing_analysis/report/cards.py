@@ -82,7 +82,7 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "css": css_class(status),
         "scenario": s.scenario,
         "mode": s.mode,
-        "figures": [(figure.name, f"{digits(figure.value)} {figure.unit}") for figure in s.figures],
+        "figures": [(figure.name, figure.text) for figure in s.figures],
         "knowledge": s.knowledge
         and [
             ("AKE 99.7 %", f"{digits(s.knowledge.ake_p997_arcsec)} arcsec"),

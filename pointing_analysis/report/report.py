@@ -262,6 +262,8 @@ def render(
         names=names,
         several=len(runs) > 1,
         rows=rows,
+        bound="Bound" if any(row.lower for row in rows) else "Upper bound",
+        beyond="Time beyond limit" if any(row.lower for row in rows) else "Time above limit",
         unknown=all(not s.requirements_known for s in summaries) and UNKNOWN,
         cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
         pictures=[

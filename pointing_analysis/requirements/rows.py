@@ -227,6 +227,11 @@ HEADS = ("requirement", "value", "limit", "upper bound", "verdict")
 """Headings of `cells`."""
 
 
+def heads(rows: Sequence[RequirementRow]) -> tuple[str, ...]:
+    """Headings of a table: of a bound on either side where a limit is a lower one."""
+    return tuple("bound" if head == "upper bound" and any(r.lower for r in rows) else head for head in HEADS)
+
+
 def cells(row: RequirementRow) -> tuple[str, str, str, str, str]:
     """A row as texts for a table of the screen or of Markdown, under `HEADS`."""
     return row.quantity, row.value_text, row.limit_text, row.bound_text, row.verdict_text

@@ -12,11 +12,13 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
+from pointing_analysis.image.optics import OpticsError, optics_of
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
     SETTLING,
+    ErrorSeries,
     knowledge_error,
     performance_error,
 )
@@ -27,7 +29,8 @@ from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.requirements.rows import RequirementRow, number
+from pointing_analysis.requirements.image_summary import ImageSummary
+from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 
 METADATA = "requirements"
@@ -107,6 +110,11 @@ class Figure:
     unit: str
     quantity: str = ""
 
+    @property
+    def text(self) -> str:
+        """Value with its unit."""
+        return with_unit(digits(self.value), self.unit)
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -137,6 +145,7 @@ class Summary:
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     sensors : as the recording describes them
+    image : figures of the star's image in 20 ms; None where no optics are known
     """
 
     path: Path
@@ -166,6 +175,7 @@ class Summary:
     requirements_known: bool = True
     open_end: bool = False
     sensors: tuple[RecordedSensor, ...] = ()
+    image: ImageSummary | None = None
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -182,6 +192,7 @@ class Summary:
             Figure(f"RPE rms, {window} windows", self.rpe_rms, "mas"),
             Figure("RPE of a window, 99.7 %", self.rpe_windows_p997, "mas", f"rms RPE({window}), 99.7 %"),
             Figure("RPE at every instant, 99.7 %", self.rpe_p997, "mas", f"|RPE({window})|, 99.7 %"),
+            *(() if self.image is None else (Figure(*row) for row in self.image.rows)),
         )
         return tuple(figure for figure in found if not math.isnan(figure.value))
 
@@ -233,6 +244,7 @@ class Summary:
             "budget_rpe_mas": None if self.budget is None else self.budget.as_dict(),
             "problems": list(self.problems),
             "contradictions": list(self.contradictions),
+            **({} if self.image is None else {"image": self.image.as_dict(number)}),
             **({"sensors": [sensor.to_mapping() for sensor in self.sensors]} if self.sensors else {}),
         }
 
@@ -365,6 +377,8 @@ def summarise(
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
     problems += [damaged] if damaged else []
+    image, unusable = _image(run, series) if whole else (None, "")
+    problems += [unusable] if unusable else []
     if not whole:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
@@ -397,7 +411,19 @@ def summarise(
         open_end=run["truth/los"].open_end,
         budget=budget,
         sensors=sensors_of(run),
+        image=image,
     )
+
+
+def _image(run: Recording, series: ErrorSeries) -> tuple[ImageSummary | None, str]:
+    """Figures of the star's image, and what is wrong with the optics of the recording."""
+    try:
+        optics = optics_of(run)
+    except OpticsError as error:
+        return None, str(error)
+    if optics is None or len(series.values) <= round(WINDOW / series.dt):
+        return None, ""
+    return ImageSummary.of(series, optics, WINDOW), ""
 
 
 def scenario_of(run: Recording) -> str:

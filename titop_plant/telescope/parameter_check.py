@@ -42,6 +42,10 @@ POSITIVE = {
     "height",
     "width",
     "share",
+    "aperture_diameter",
+    "wavelength",
+    "pixel_mas",
+    "weight_mas",
 }
 """Keys whose numbers must be above zero, in whatever table they stand."""
 
@@ -57,9 +61,11 @@ NOT_NEGATIVE = {
     "modes",
     "tones",
     "wheel_imbalance",
+    "spider_vanes",
+    "spider_width",
 }
 
-FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99}
+FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99, "obscuration": 0.99}
 """Keys between 0 and this."""
 
 ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_ratios", "step_harmonics"}

@@ -28,6 +28,17 @@ else:
 Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
+IMAGE_OPTICS = (
+    "aperture_diameter",
+    "obscuration",
+    "spider_vanes",
+    "spider_width",
+    "wavelength",
+    "pixel_mas",
+    "weight_mas",
+    "pupil",
+)
+"""Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 FIRST_PROBABILITY = 0.997
@@ -44,8 +55,8 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and ``[[requirement]]``,
         change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
         ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
-        tables without names are replaced. A relative ``body.modal_data`` or ``payload.modal_data`` is looked for
-        beside it.
+        tables without names are replaced. A relative ``body.modal_data``, ``payload.modal_data`` or ``optics.pupil`` is
+        looked for beside it.
 
     Raises
     ------
@@ -65,6 +76,8 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         file = merged[name]["modal_data"]
         if file:
             merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
+    if merged["optics"]["pupil"]:
+        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
     return MappingProxyType(merged)
 
 
@@ -129,9 +142,11 @@ def parameters_hash(parameters: Parameters) -> str:
     """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
 
     Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
-    that of the designs from before it could be another: nothing else of them is in a plant or a design.
+    that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
+    optics those of images (`IMAGE_OPTICS`) do not count.
     """
     content = {key: value for key, value in parameters.items() if key != "requirement"}
+    content["optics"] = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
     probability = window_probability(telescope_requirements(parameters))
     if probability != FIRST_PROBABILITY:
         content["window_probability"] = probability

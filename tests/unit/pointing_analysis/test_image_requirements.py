@@ -202,9 +202,10 @@ def test_what_cannot_be_judged_says_why(run: Any, reason: str) -> None:
 
 def test_hopeless_exposures_do_not_stop_a_verdict() -> None:
     los = noise(25_001)
-    los[:3000] *= 1e4
+    for first in range(0, 25_000, 160):  # every eighth exposure, and the end of the one before it
+        los[first : first + 20] *= 1e4
     found = judged(f"prob(EE80(20 ms) < 140 mas) {TAIL}", run_of(los))
-    assert found.status == "not compliant" and found.exceeding == pytest.approx(0.12, abs=0.01)
+    assert found.status == "not compliant" and found.exceeding == pytest.approx(0.25, abs=0.01)
 
 
 def test_files_of_others_with_a_pupil(tmp_path: Path) -> None:

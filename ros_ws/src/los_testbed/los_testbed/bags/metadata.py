@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 import yaml
 
@@ -15,12 +16,14 @@ from los_testbed.factories import RunParts
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
+from pointing_analysis.image.optics import METADATA as OPTICS
+from pointing_analysis.image.optics import PUPIL, from_mapping, read_pupil_file
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
+from titop_plant.telescope.parameters import IMAGE_OPTICS, Parameters, differences, parameters_hash
 from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -34,7 +37,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
     differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
-    ``sensors`` are topic, unit, rate and noise of each sensor.
+    ``optics`` are those of its images; ``sensors`` are topic, unit, rate and noise of each sensor.
     ``proof`` says what is proven of the controllers that fly, with fine control.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user.
@@ -45,6 +48,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **{name: json.dumps(value) for name, value in parts.basis.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "requirements": json.dumps(entries(parts.requirements)),
+        **optics_of(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
         **({} if start.states is None else {"transient_s": "0"}),
@@ -57,6 +61,26 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def optics_of(parts: RunParts) -> dict[str, str]:
+    """Optics of images; a pupil that is a file is an attachment (`attachments`), its name is what stays of its path.
+
+    Raises
+    ------
+    OpticsError
+        Optics that make no image.
+    """
+    table = parts.parameters["optics"]
+    named = {key: table[key] for key in IMAGE_OPTICS}
+    from_mapping(named, parts.config.parameters or "reference.toml", _pupil(parts))
+    return {OPTICS: json.dumps({**named, "pupil": Path(named["pupil"]).name})}
+
+
+def _pupil(parts: RunParts) -> bytes:
+    """Content of the file of the pupil; empty where there is none."""
+    name = parts.parameters["optics"]["pupil"]
+    return read_pupil_file(Path(name)) if name else b""
 
 
 def proof_of(parts: RunParts) -> dict[str, str]:
@@ -126,6 +150,8 @@ def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[s
     text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
+    if pupil := _pupil(parts):
+        content[PUPIL] = ("application/fits", pupil)
     return content
 
 

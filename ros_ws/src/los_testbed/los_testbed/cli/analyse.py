@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Requirements, Transient
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
 from los_testbed.run.screen import Screen
 
@@ -22,6 +22,8 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
     los-testbed analyse my_bag --los /my/los --unit arcsec --rate 512     # another bag: topic, or topic.field
 
     los-testbed analyse measured.csv --los x,y --unit mas --requirements mission.toml --report measured.html
+
+    los-testbed analyse measured.csv --los x,y --unit mas --optics my_telescope.toml    # MTF, Strehl ratio, EE80
 
 `los-testbed bag topics BAG` lists what a bag has that could be a line of sight.
 """
@@ -45,11 +47,13 @@ def analyse(
         str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
     ] = None,
     requirements: Requirements = None,
+    optics: OpticsFile = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
     """See ANALYSE_EXAMPLES."""
     from los_testbed.run.summary import print_summary, summarise_runs
+    from pointing_analysis.image.optics import load_optics, with_optics
     from pointing_analysis.read.los_source import open_los
     from pointing_analysis.requirements.verdict import load
 
@@ -58,7 +62,9 @@ def analyse(
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"
     given = None if requirements is None else load(requirements)
+    seen = None if optics is None else load_optics(optics)
     runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=chunk_limit(max_chunk)) for bag in bags]
+    runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
     summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Screen(stderr=json_), summaries)
     if json_:

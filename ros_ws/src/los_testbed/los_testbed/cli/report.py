@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Requirements, Transient
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Requirements, Transient
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
 from los_testbed.run.screen import Screen, say
 from pointing_analysis.files.atomic_output import check_output
@@ -43,6 +43,7 @@ def report(
         typer.Option(help="HTML file. Default: report.html in the folder of a single bag, else in this folder."),
     ] = None,
     requirements: Requirements = None,
+    optics: OpticsFile = None,
     transient: Transient = None,
     start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
@@ -53,6 +54,7 @@ def report(
     """See REPORT_EXAMPLES."""
     from los_testbed.run.older_bags import REMARK, is_older, with_requirements
     from los_testbed.run.predictions import predictions
+    from pointing_analysis.image.optics import load_optics, with_optics
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels, write_report
     from pointing_analysis.requirements.summary import summarise_all
@@ -67,6 +69,9 @@ def report(
     check_output(target, "--output")
     limit = chunk_limit(max_chunk)
     opened = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
+    if optics is not None:
+        seen = load_optics(optics)
+        opened = [with_optics(run, *seen) for run in opened]
     assumed = [given is None and is_older(run) for run in opened]
     runs = [with_requirements(run) if older else run for run, older in zip(opened, assumed)]
     remarks = [(REMARK,) if older else () for older in assumed]

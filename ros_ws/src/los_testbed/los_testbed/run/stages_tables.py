@@ -12,8 +12,7 @@ from los_testbed.factories import RunParts
 from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
 from pointing_analysis.indices.errors import RAD_PER_MAS
-from pointing_analysis.requirements.rows import HEADS as HEADINGS
-from pointing_analysis.requirements.rows import cells
+from pointing_analysis.requirements.rows import cells, heads
 from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12
@@ -24,9 +23,13 @@ HEADS = {
     "ape_p997_arcsec": "APE 99.7 % [arcsec]",
     "rpe_rms_mas": "RPE rms [mas]",
     "rpe_windows_p997_mas": "RPE 99.7 % of windows [mas]",
+    "mtf_nyquist": "MTF at Nyquist, 99.7 %",
+    "strehl": "Strehl ratio, 99.7 %",
 }
-REQUIREMENT_HEADS = ("stage", *HEADINGS)
-PART_METRICS = {"all": tuple(HEADS), "disturbance": tuple(HEADS)[::2], "noise": tuple(HEADS)[::2]}
+LOWER = ("mtf_nyquist", "strehl")
+"""Metrics of which the smallest is the worst."""
+ALONE = ("ape_max_arcsec", "rpe_rms_mas")
+PART_METRICS = {"all": tuple(HEADS), "disturbance": ALONE, "noise": ALONE}
 """What is shown of each part of the error."""
 
 
@@ -40,12 +43,14 @@ def digits(value: float) -> str:
 
 
 def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, metric: str) -> str:
-    """Metric of the nominal telescope and, in brackets, the largest of all telescopes."""
-    found = {name: r.metrics[metric] for name, r in select(results, scenario, loop, part).items()}
-    if not found:
+    """Metric of the nominal telescope and, in brackets, the worst of all telescopes."""
+    chosen = select(results, scenario, loop, part)
+    found = {name: r.metrics[metric] for name, r in chosen.items() if metric in r.metrics}
+    if "nominal" not in found:
         return "-"
     first = found["nominal"]
-    worst = max(found.values(), key=lambda x: math.inf if math.isnan(x) else x)
+    sign = -1.0 if metric in LOWER else 1.0
+    worst = max(found.values(), key=lambda x: math.inf if math.isnan(x) else sign * x)
     return digits(first) if len(found) == 1 else f"{digits(first)} ({digits(worst)})"
 
 
@@ -104,6 +109,12 @@ def requirement_rows(results: Sequence[StageResult], scenario: str) -> list[list
     return [[loop, *cells(row)] for loop, r in found if r is not None and r.summary for row in r.summary.rows]
 
 
+def requirement_heads(results: Sequence[StageResult], scenario: str) -> tuple[str, ...]:
+    """Headings of `requirement_rows`."""
+    found = [select(results, scenario, loop, "all").get("nominal") for loop in STAGES]
+    return ("stage", *heads([row for r in found if r is not None and r.summary for row in r.summary.rows]))
+
+
 def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
     """Tables for the terminal."""
     for scenario in plan.scenarios:
@@ -124,7 +135,9 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
                 yield table
         judged = requirement_rows(results, scenario)
         if judged:
-            yield _plain_table(REQUIREMENT_HEADS, judged, f"{scenario}: requirements, nominal telescope")
+            yield _plain_table(
+                requirement_heads(results, scenario), judged, f"{scenario}: requirements, nominal telescope"
+            )
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             yield _plain_table(
@@ -186,7 +199,12 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
         judged = requirement_rows(results, scenario)
         if judged:
             table = [[_escaped(text) for text in row] for row in judged]
-            lines += ["Requirements, nominal telescope:", "", *_markdown_table(REQUIREMENT_HEADS, table), ""]
+            lines += [
+                "Requirements, nominal telescope:",
+                "",
+                *_markdown_table(requirement_heads(results, scenario), table),
+                "",
+            ]
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             lines += [

@@ -21,7 +21,7 @@ from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.rows import HEADS, cells, digits
+from pointing_analysis.requirements.rows import cells, heads
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
@@ -182,8 +182,8 @@ def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> T
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
     table = Table(title=Text(title, style="table.title"))
-    for head in HEADS:
-        table.add_column(head, justify="right" if head in ("value", "limit", "upper bound") else "left")
+    for head in heads(summary.rows):
+        table.add_column(head, justify="right" if head in ("value", "limit", "upper bound", "bound") else "left")
     for row in summary.rows:
         style = {"ok": "green", "bad": "red"}.get(row.css, "")
         table.add_row(*cells(row)[:-1], Text(printable(row.verdict_text), style=style))
@@ -191,7 +191,7 @@ def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> T
     judged = {row.quantity for row in summary.rows}
     for figure in summary.figures:
         if figure.quantity not in judged:
-            table.add_row(figure.name, f"{digits(figure.value)} {figure.unit}")
+            table.add_row(figure.name, figure.text)
     lost = metrics["samples_lost"]
     verdict = "not known: cut off" if summary.open_end and not lost else met(not lost)
     table.add_row("samples lost", summary.lost_text(lost), "0", "", verdict)

@@ -1,0 +1,90 @@
+"""Figures of the star's image of a run: what the tables say where its optics are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pointing_analysis.image.motion_blur import exposure_parts, missing, worst_transfer
+from pointing_analysis.image.optics import Optics
+from pointing_analysis.image.quality import figures
+from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.requirements.image_samples import share
+
+PART = 0.997
+"""Part of the exposures that keeps the values."""
+MOST = 2000
+"""Exposures of a run that the figures are made of, spread evenly over it; requirements use all."""
+
+
+@dataclass(frozen=True)
+class ImageSummary:
+    """Values that 99.7 % of the exposures keep, each for itself.
+
+    Parameters
+    ----------
+    optics : in words
+    exposure : [s]
+    exposures : number that was used
+    mtf : of the motion at the Nyquist frequency of the pixels, along the worst direction; at least
+    mtf_half : the same at half of that frequency
+    strehl : Strehl ratio of the motion; at least
+    ee80 : radius of 80 % of the energy [mas]; at most
+    ellipticity : at most
+    """
+
+    optics: str
+    exposure: float
+    exposures: int
+    mtf: float
+    mtf_half: float
+    strehl: float
+    ee80: float
+    ellipticity: float
+
+    @classmethod
+    def of(cls, series: ErrorSeries, optics: Optics, exposure: float) -> ImageSummary | None:
+        """Of an error series; None where no exposure is complete.
+
+        Raises
+        ------
+        ValueError
+            The exposure is no whole number of samples, or longer than the run.
+        """
+        pieces = exposure_parts(series.values, series.dt, exposure)
+        paths = np.concatenate([piece[~missing(piece)] for piece in pieces])
+        if not len(paths):
+            return None
+        paths = paths[np.unique(np.linspace(0, len(paths) - 1, min(MOST, len(paths))).round().astype(int))]
+        star = figures(paths, optics, ("strehl", "ee80", "ellipticity"))
+        mtf, half = (worst_transfer(paths, part * optics.nyquist)[0] for part in (1.0, 0.5))
+        return cls(
+            optics.text,
+            exposure,
+            len(paths),
+            share(mtf, PART, lower=True),
+            share(half, PART, lower=True),
+            share(star["strehl"], PART, lower=True),
+            share(star["ee80"], PART, lower=False) / RAD_PER_MAS,
+            share(star["ellipticity"], PART, lower=False),
+        )
+
+    @property
+    def rows(self) -> tuple[tuple[str, float, str, str], ...]:
+        """Name, value, unit and judged quantity of each figure."""
+        window = f"{1e3 * self.exposure:g} ms"
+        return (
+            ("MTF at Nyquist, 99.7 %", self.mtf, "", f"MTF({window}, Nyquist), 99.7 %"),
+            ("Strehl ratio of the motion, 99.7 %", self.strehl, "", f"Strehl({window}), 99.7 %"),
+            ("EE80 radius, 99.7 %", self.ee80, "mas", f"EE80({window}), 99.7 %"),
+            ("ellipticity, 99.7 %", self.ellipticity, "", f"ellipticity({window}), 99.7 %"),
+        )
+
+    def as_dict(self, number: Any) -> dict[str, Any]:
+        """Values for JSON, each through `number`."""
+        names = ("mtf", "mtf_half", "strehl", "ee80", "ellipticity")
+        keys = ("mtf_nyquist", "mtf_half_nyquist", "strehl", "ee80_mas", "ellipticity")
+        values = {f"{key}_p997": number(getattr(self, name)) for name, key in zip(names, keys)}
+        return {"optics": self.optics, "exposure_s": self.exposure, "exposures": self.exposures, **values}
