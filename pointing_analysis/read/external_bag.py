@@ -198,7 +198,7 @@ def read_external(
     path : rosbag2 folder or MCAP file
     los : topic, or topic and field: ``/my/los``, ``/imu.angular_velocity``; the first two numbers are used
     unit : of the numbers
-    rate : sampling rate [Hz] to whose grid the times are moved; by default they are taken as they are
+    rate : sampling rate [Hz] to whose grid the times are moved; by default that of the times, where they have one
     time : ``header``, ``log`` (time of recording), or ``auto``: the header where it is there and set
     max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
 
@@ -241,6 +241,8 @@ def read_external(
         schema=chosen.schema,
         parameters=about,
         problems=problems,
+        kind="bag",
+        label=chosen.name,
     )
     loss = next((loss for loss in reading.losses() if loss.topic == chosen.topic), None)
     before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)

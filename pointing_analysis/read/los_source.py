@@ -1,4 +1,4 @@
-"""Open a line of sight wherever it is: a bag of the testbed, another bag, a table."""
+"""Open a line of sight wherever it is: a bag of the testbed, another bag, a table of any format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pointing_analysis.read.external_bag import TIME_SOURCES, read_external
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.tables import SUFFIXES, read_table
+from pointing_analysis.read.tables.formats import Format, format_of
+from pointing_analysis.read.tables.los_table import read_los_table
 
 
 def open_los(
@@ -25,9 +26,9 @@ def open_los(
 
     Parameters
     ----------
-    path : bag (folder or .mcap), .csv, .txt, .parquet, .npy or .npz
+    path : a file of one of `pointing_analysis.read.tables.formats.FORMATS`, told by its content
     los : topic and field of a bag, names of two columns of a table; None for a bag of the testbed
-    unit : rad, mrad, urad, nrad, arcsec or mas; needed for all but a bag of the testbed
+    unit : rad, mrad, urad, nrad, arcsec or mas; needed for all but a bag of the testbed and a file that says it
     rate : sampling rate [Hz]; by default from the times
     time : of a bag ``header``, ``log`` or ``auto``; of a table the name of the time column
     max_chunk : largest chunk of a bag that is unpacked [byte]
@@ -38,8 +39,8 @@ def open_los(
         A file that cannot be read, or a field, unit, rate or time that does not fit.
     """
     file = Path(path)
-    if file.suffix.lower() in SUFFIXES:
-        return read_table(file, los, unit=unit, rate=rate, time=time)
+    if format_of(file) is not Format.BAG:
+        return read_los_table(file, los, unit=unit, rate=rate, time=time)
     if los is not None:
         return read_external(file, los, unit=unit, rate=rate, time=time or TIME_SOURCES[0], max_chunk=max_chunk)
     if unit is not None or rate is not None or time is not None:

@@ -53,6 +53,13 @@ class Recording(Protocol):
     def changed(self, parameters: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Recording:
         """The same recording with other parameters and further attachments; the samples are shared."""
 
+    @property
+    def kind(self) -> str:
+        """What the recording is, in a word: ``bag``, ``CSV``, ``arrays`` ..."""
+
+    def shown(self, name: str) -> str:
+        """Name of a topic for messages; that of the columns where it comes from a table."""
+
     def __contains__(self, name: object) -> bool:
         """Whether the recording has a topic."""
 

@@ -253,5 +253,12 @@ class Run:
         loop = self.parameters.get("loop")
         return f"{loop}" if loop else self.path.name
 
+    kind = "bag"
+    """What the recording is."""
+
+    def shown(self, name: str) -> str:
+        """Name of a topic for messages."""
+        return name
+
     def __repr__(self) -> str:
         return f"Run({str(self.path)!r}, {len(self.topics)} topics, loop={self.parameters.get('loop')!r})"

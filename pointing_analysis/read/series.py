@@ -25,16 +25,15 @@ from numpy.typing import ArrayLike
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, regular
 from pointing_analysis.read.topic import NANO, Topic, make_topic
-from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.requirements.summary import SAMPLING, Summary, summarise
 from pointing_analysis.requirements.text import ANGLES, Requirement, load, parse
 
 LOS = "truth/los"
 """Topic under which the analysis looks for the line of sight."""
 ORIGIN = NANO
 """Stamp of the first sample [ns] where the time has no epoch; the stamp 0 stands for "not stamped"."""
-OFF_GRID = 0.02
-"""Part of the period by which a stamp may miss the sampling grid."""
 LONGEST = 1e9
 """Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
 LARGEST_ANGLE = 1e9
@@ -58,6 +57,8 @@ class Series:
     attachments : none
     losses : what is known to be lost, by topic
     contradictions : where a bag contradicts its own digests
+    kind : what it comes from: ``bag``, ``CSV``, ``arrays`` ...
+    label : name of the samples there: a topic, or columns
     """
 
     topic: Topic
@@ -67,6 +68,8 @@ class Series:
     attachments: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     losses: tuple[TopicLoss, ...] = ()
     contradictions: tuple[str, ...] = ()
+    kind: str = "arrays"
+    label: str = "line of sight"
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -82,6 +85,10 @@ class Series:
         """The same samples with other parameters and further attachments."""
         more = MappingProxyType({**self.attachments, **attachments})
         return replace(self, parameters=MappingProxyType(dict(parameters)), attachments=more)
+
+    def shown(self, name: str) -> str:
+        """Name of a topic for messages: that of the samples where they come from."""
+        return self.label
 
     def __contains__(self, name: object) -> bool:
         return name == LOS
@@ -167,8 +174,6 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
 def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
     """Stamps [ns] of samples at the times `t` [s], or one period apart where there are no times.
 
-    Times that are uniform but for rounding (2 % of the period) give exactly uniform stamps.
-
     Raises
     ------
     ValueError
@@ -189,17 +194,8 @@ def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
         raise ValueError(f"t must be finite, got {int((~np.isfinite(times)).sum())} of {n} times that are not")
     if n and np.ptp(times) > LONGEST:
         raise ValueError(f"t must be in seconds, got times over {np.ptp(times):g} s")
-    if n < 2:
-        return np.full(n, ORIGIN, dtype=np.int64)
-    since = times - times[0]
-    step = float(np.median(np.diff(since)))
-    if rate is None and step > 0:
-        place = np.rint(since / step)
-        step = float(since[-1] / place[-1]) if place[-1] > 0 else step
-        place = np.rint(since / step)
-        if np.all(np.abs(since - place * step) <= OFF_GRID * step):
-            return np.asarray(ORIGIN + place.astype(np.int64) * round(NANO * step))
-    return np.asarray(ORIGIN + np.rint((since - since.min()) * NANO).astype(np.int64))
+    since = times - times.min() if n else times
+    return np.asarray(ORIGIN + np.rint(since * NANO).astype(np.int64))
 
 
 def make_series(
@@ -213,6 +209,8 @@ def make_series(
     schema: str = "",
     parameters: Mapping[str, Any] = _NOTHING,
     problems: Sequence[str] = (),
+    kind: str = "arrays",
+    label: str = "line of sight",
 ) -> Series:
     """Line of sight from stamps and samples.
 
@@ -221,9 +219,10 @@ def make_series(
     stamps : (n,) [ns]
     xy : (n, 2 or 3) in `unit`; a third component is not used
     unit : one of `ANGLES`
-    rate : sampling rate [Hz] to whose grid the stamps are moved; by default they are taken as they are
+    rate : sampling rate [Hz] to whose grid the stamps are moved; by default that of the stamps, where they have one but
+        for rounding (2 % of the period)
     published : (n,) [ns]; by default the stamps
-    path, schema, parameters, problems : what is known of the samples
+    path, schema, parameters, problems, kind, label : what is known of the samples
 
     Raises
     ------
@@ -234,14 +233,19 @@ def make_series(
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
         raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
-    sent = stamps if published is None else published
+    timing: TimeGrid | None = None
     if sampling_rate(rate) is not None:
         assert rate is not None
         stamps, kept, moved = gridded(stamps, rate)
-        stamps, values, sent, notes = stamps[kept], values[kept], sent[kept], (*notes, *moved)
-    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent.copy())
+        stamps, values, notes = stamps[kept], values[kept], (*notes, *moved)
+        published = None if published is None else published[kept]
+    else:
+        stamps, timing = regular(stamps)
+    sent = (stamps if published is None else published).copy()
+    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent)
     about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
-    return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes))
+    about[SAMPLING] = str(timing) if timing is not None else f"{rate:g} Hz, given" if rate else "unknown"
+    return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes), kind=kind, label=label)
 
 
 def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:

@@ -50,7 +50,8 @@ def _flat(key: str, value: Any) -> list[tuple[str, str]]:
 
 
 def _provenance(run: Recording) -> list[tuple[str, str]]:
-    rows = [("bag", run.path.name), ("SHA-256 of the bag", _digest(run))]
+    name = run.kind if run.kind in ("bag", "arrays") else f"{run.kind} file"
+    rows = [(name, run.path.name), (f"SHA-256 of the {name}", _digest(run))]
     for key in sorted(run.parameters):
         rows += _flat(key, run.parameters[key])
     for name, data in sorted(run.attachments.items()):
@@ -90,10 +91,12 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         ],
         "limits": s.rows,
         "data": (
-            f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} ticks; first {s.transient:g} s dropped; "
+            f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} {'ticks' if s.mode else 'samples'}; "
+            f"first {s.transient:g} s dropped; "
             f"{digits(s.windows, 6)} windows of {1e3 * WINDOW:g} ms, {s.windows_skipped} skipped; "
             f"samples lost: {s.lost_text()}"
         ),
+        "kind": s.kind,
         "problems": s.problems,
         "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
         "lines": _line_rows(v),

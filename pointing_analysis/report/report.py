@@ -24,6 +24,8 @@ from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.series import LOS
 from pointing_analysis.report import figures
 from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
@@ -277,8 +279,26 @@ def render(
         sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
         predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
         no_spectrum=[v.label for v in views if v.spectrum is None],
-        untimed=[v.label for v in views if not intervals_us(v.run).size],
+        untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
+        **_sources(runs),
     )
+
+
+def _sources(runs: Sequence[Recording]) -> dict[str, str]:
+    """Words for where the runs come from."""
+    ours = all(isinstance(run, Run) for run in runs)
+    bags = all(run.kind == "bag" for run in runs)
+    what = "bag" if bags else "file"
+    name = what if len(runs) == 1 else f"{what}s"
+    said = [str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs]
+    other = f"Line of sight: {'; '.join(dict.fromkeys(said))}."
+    return {
+        "source": "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
+        if ours
+        else other,
+        "from": name.capitalize(),
+        "alone": what,
+    }
 
 
 def _sensors(run: Recording) -> list[dict[str, str]]:

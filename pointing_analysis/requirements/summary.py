@@ -35,6 +35,8 @@ from pointing_analysis.requirements.verdict import Requirement, RequirementError
 
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
+SAMPLING = "sampling_of_the_samples"
+"""Parameter of a recording of others: its rate, where that is from, and the jitter of its times."""
 UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
 WINDOW = 0.02  # [s], exposure of the reference telescope
 CAMERAS = frozenset({"camera/los"})
@@ -146,6 +148,8 @@ class Summary:
         tones that move
     sensors : as the recording describes them
     image : figures of the star's image in 20 ms; None where no optics are known
+    kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
+    sampling : of a recording of others its rate, where that is from, and the jitter of its times
     """
 
     path: Path
@@ -176,6 +180,8 @@ class Summary:
     open_end: bool = False
     sensors: tuple[RecordedSensor, ...] = ()
     image: ImageSummary | None = None
+    kind: str = "bag"
+    sampling: str = ""
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -213,6 +219,8 @@ class Summary:
         """Metrics for JSON; infinities and NaN become None."""
         return {
             "bag": str(self.path),
+            "kind": self.kind,
+            **({"sampling": self.sampling} if self.sampling else {}),
             "mode": self.mode,
             "loop": self.loop,
             "scenario": self.scenario,
@@ -280,29 +288,30 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     stamps = {}
     sensors = sensors_of(run)
     known = {*KNOWN, *(sensor.topic for sensor in sensors)}
+    messages, empty = ("messages", "with NaN") if run.kind == "bag" else ("samples", "without a value: missing")
     cameras = [sensor.topic for sensor in sensors if sensor.held] or sorted(name for name in CAMERAS if name in run)
     for name in (n for n in run.topics if n in known):
         topic = run[name]
-        state = topic.integrity
+        state, shown = topic.integrity, run.shown(name)
         ends = topic.lost_before + topic.lost_after
         if len(topic) and topic.period > 0:
             after = round(topic.lost_after * topic.period * 1e9)
             stamps[name] = (topic.grid_start, int(topic.stamp[-1]) + after, topic.period)
-        lost[name] = state.missing + ends
+        lost[name] = state.missing + ends + (state.nan if name not in cameras else 0)
         if topic.open_end:
-            problems.append(f"{name}: the recording was cut off, how many samples are missing at its end is not known")
+            problems.append(f"{shown}: the recording was cut off, how many samples are missing at its end is not known")
         for count, what in (
             (state.missing, f"samples missing in {len(state.gaps)} gaps"),
             (ends, "samples missing before the first one and after the last one"),
             (state.duplicates, "stamps twice"),
             (state.conflicts, "stamps with two different values (two publishers?)"),
-            (state.out_of_order, "messages out of order"),
+            (state.out_of_order, f"{messages} out of order"),
             (state.irregular, "intervals off the sampling grid"),
         ):
             if count:
-                problems.append(f"{name}: {count} {what}")
+                problems.append(f"{shown}: {count} {what}")
         if state.nan and name not in cameras:
-            problems.append(f"{name}: {state.nan} messages with NaN")
+            problems.append(f"{shown}: {state.nan} {messages} {empty}")
     _add_ends(lost, problems, stamps)
     failure = _failure(run)
     if failure:
@@ -381,7 +390,7 @@ def summarise(
     problems += [unusable] if unusable else []
     if not whole:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
-    if transient is None and "transient_s" not in run.parameters and series.start < SETTLING:
+    if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         problems.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
             f"{SETTLING:g} s (--transient SECONDS)"
@@ -412,6 +421,8 @@ def summarise(
         budget=budget,
         sensors=sensors_of(run),
         image=image,
+        kind=run.kind,
+        sampling=str(run.parameters.get(SAMPLING, "")),
     )
 
 

@@ -25,13 +25,16 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
     los-testbed analyse measured.csv --los x,y --unit mas --optics my_telescope.toml    # MTF, Strehl ratio, EE80
 
+    los-testbed analyse measured.mat --los los --unit urad                # CSV, Parquet, .mat, HDF5, .npy, .npz
+
 `los-testbed bag topics BAG` lists what a bag has that could be a line of sight.
 """
 
 
 def analyse(
     bags: Annotated[
-        list[Path], typer.Argument(help="Bags (folders or .mcap files), or tables: .csv, .parquet, .npy, .npz.")
+        list[Path],
+        typer.Argument(help="Bags, or tables: CSV, Parquet, .mat, HDF5, .npy, .npz."),
     ],
     report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
     transient: Transient = None,
@@ -41,7 +44,10 @@ def analyse(
             help="Line of sight: topic or topic.field of another bag, two columns of a table.", metavar="NAME"
         ),
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas.")] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas; default: that of header or attribute."),
+    ] = None,
     rate: Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")] = None,
     time: Annotated[
         str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")

@@ -172,7 +172,9 @@ def print_summary(console: Console, results: RunSummaries, max_missed: float = M
             say(console, remark, "note")
         for problem in summary.problems:
             say(console, problem, "note")
-        say(console, f"bag     {summary.path}")
+        if summary.sampling:
+            say(console, f"rate    {summary.sampling}")
+        say(console, f"{summary.kind:<7} {summary.path}")
     if results.report is not None:
         say(console, f"report  {results.report}")
 

@@ -1,7 +1,8 @@
 """Times of a table: which column has them, and what its numbers mean.
 
 A column of dates (Parquet timestamps, ``datetime64``, ISO 8601 text in CSV) is read as ``datetime64[ns]``, UTC where
-it has an offset. A column of numbers is in seconds unless its name ends in another unit: ``time_ms``, ``t [us]``.
+it has an offset. A column of numbers is in seconds unless its name ends in another unit (``time_ms``, ``t [us]``) or an
+attribute of it says one.
 """
 
 from __future__ import annotations
@@ -12,27 +13,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.arrays import IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
+from pointing_analysis.read.tables.table import Column, split_unit
 
-Column = FloatArray | IntArray | NDArray[np.datetime64]
 NAMES = ("t", "time", "timestamp", "stamp", "seconds")
 """Names of time columns, without a unit at their end, in any case."""
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-_UNIT = re.compile(r"^(.*?)(?:_(s|ms|us|ns)|\s*[\[(]\s*(s|ms|us|µs|ns)\s*[\])])$", re.IGNORECASE)
+UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)\s*(Z|[+-]\d\d:?\d\d)?\s*")
-
-
-def base_and_unit(name: str) -> tuple[str, str]:
-    """Name of a column without its unit, and the unit of time that it names; s where it names none.
-
-    Examples
-    --------
-    >>> base_and_unit("time_ms"), base_and_unit("Time [s]"), base_and_unit("stamp")
-    (('time', 'ms'), ('Time', 's'), ('stamp', 's'))
-    """
-    found = _UNIT.match(name.strip())
-    return (found[1], (found[2] or found[3]).lower()) if found and found[1] else (name.strip(), "s")
 
 
 def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
@@ -75,7 +63,7 @@ def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None
     of_dates = [name for name in rest if columns[name].dtype.kind == "M"]
     if len(of_dates) == 1:
         return of_dates[0]
-    usual = {base_and_unit(name)[0].lower(): name for name in reversed(rest)}
+    usual = {split_unit(name)[0].rpartition(".")[2].lower(): name for name in reversed(rest)}
     for name in NAMES:
         if name in usual:
             return usual[name]
@@ -84,27 +72,32 @@ def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None
     return rest[0] if not los or np.mean(np.diff(columns[rest[0]].astype(float)) > 0) > 0.9 else None
 
 
-def column_stamps(name: str, column: Column, rate: float | None) -> IntArray:
+def column_stamps(name: str, column: Column, rate: float | None, unit: str = "") -> IntArray:
     """Stamps [ns] from a time column.
 
     Whole nanoseconds are taken as they are; other times go through `pointing_analysis.read.series.stamps_of`.
 
+    Parameters
+    ----------
+    name : of the column, for messages
+    column : (n,) numbers or dates
+    rate : sampling rate [Hz], if it is known
+    unit : of the numbers; by default s
+
     Raises
     ------
     ValueError
-        A time that is missing or not finite.
+        A time that is missing or not finite, or another unit.
     """
-    unit = base_and_unit(name)[1]
     missing = int(np.isnat(column).sum()) if column.dtype.kind == "M" else int((~np.isfinite(column)).sum())
     if missing:
         raise ValueError(f"time must be there for every row, got {missing} missing in column {name}")
     if column.dtype.kind == "M":
         whole = column.astype("datetime64[ns]").astype(np.int64)
+    elif unit not in UNITS:
+        raise ValueError(f"unit of the time must be one of {', '.join(u for u in UNITS if u)}, got {unit!r} of {name}")
     elif unit == "ns":
         whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column.astype(float)).astype(np.int64)
     else:
         return stamps_of(column.astype(float) * UNITS[unit], len(column), rate)
-    since = whole - whole.min() if whole.size else whole
-    if column.dtype.kind == "M" and not (whole % 1000).any():  # the period is no whole number of microseconds
-        return stamps_of(since * 1e-9, len(since), rate)
-    return np.asarray(since + ORIGIN)
+    return np.asarray((whole - whole.min() if whole.size else whole) + ORIGIN)

@@ -1,0 +1,1 @@
+"""Tables of any format as arrays by name: CSV, Parquet, NumPy, MATLAB and HDF5."""

@@ -1,0 +1,87 @@
+"""Tables in Parquet and NumPy files."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from pointing_analysis.read.tables.table import Column, Gathered, Table, TableError, check_unpacked
+
+
+def read_parquet(path: Path) -> Table:
+    """Columns of numbers and times of a Parquet file.
+
+    Raises
+    ------
+    TableError
+        pyarrow is not installed, the file is damaged, unpacks to too much, or has columns of the same name.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
+
+    def numbers(kind: pyarrow.DataType) -> bool:
+        return any(getattr(pyarrow.types, f"is_{name}")(kind) for name in ("timestamp", "integer", "floating"))
+
+    try:
+        file = parquet.ParquetFile(path)
+        schema = file.schema_arrow
+        names = [name for name, kind in zip(schema.names, schema.types) if numbers(kind)]
+        check_unpacked(path, 8 * len(names) * file.metadata.num_rows)
+        table = file.read(columns=names)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise TableError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
+    if len(set(table.column_names)) < len(table.column_names):
+        raise TableError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
+    found: dict[str, Column] = {}
+    units: dict[str, str] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        time = pyarrow.types.is_timestamp(column.type)
+        found[name] = (column.cast(pyarrow.timestamp("ns")) if time else column).to_numpy()
+        about = table.schema.field(name).metadata or {}
+        unit = next((about[key] for key in (b"unit", b"units") if key in about), b"")
+        if unit:
+            units[name] = unit.decode("utf-8", "replace")
+    return Table(path, "Parquet", found, units)
+
+
+def read_numpy(path: Path) -> Table:
+    """Columns of the arrays of a ``.npz`` file, of a record array, or of an array (n, 2 to 12).
+
+    Raises
+    ------
+    TableError
+        Damaged, with objects of Python in it, unpacking to too much, or of another shape.
+    """
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                check_unpacked(path, sum(entry.file_size for entry in archive.infolist()))
+            found = Gathered()
+            with np.load(path, allow_pickle=False) as content:
+                for name in content.files:
+                    array = content[name]
+                    if array.dtype.kind == "U" and array.size == 1:
+                        found.add_setting(name, str(array.reshape(-1)[0]))
+                    else:
+                        found.add(name, array)
+            return found.table(path, "NumPy")
+        # mapped, not read: the shape that a file declares may be any
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except TableError:
+        raise
+    except Exception as error:  # of a damaged file numpy raises a dozen kinds, that of its tokenizer included
+        raise TableError(
+            f"{path}: file must hold plain NumPy arrays, got {str(error) or type(error).__name__}"
+        ) from None
+    if array.dtype.names:
+        columns = {name: array[name] for name in array.dtype.names if array.dtype[name].kind in "fiuM"}
+        return Table(path, "NumPy", columns)
+    if array.ndim != 2 or not 2 <= array.shape[1] <= 12 or array.dtype.kind not in "fiu":
+        raise TableError(f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {array.shape}")
+    return Table(path, "NumPy", {f"column_{i + 1}": np.array(array[:, i]) for i in range(array.shape[1])})

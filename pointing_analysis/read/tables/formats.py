@@ -1,0 +1,109 @@
+"""Format of a file by its content: the name of the file does not count where the content says it."""
+
+from __future__ import annotations
+
+import zipfile
+from enum import Enum
+from pathlib import Path
+
+from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.tables.table import TableError
+
+HEAD = 512
+"""Bytes at the beginning of a file by which its format is told."""
+HDF5 = b"\x89HDF\r\n\x1a\n"
+HDF5_OFFSETS = (0, 512, 1024, 2048, 4096)
+"""Places of the signature of HDF5 in a file that begins with something else, as a MATLAB file of version 7.3 does."""
+BAGS = (
+    b"\x89MCAP",
+    b"SQLite format 3",  # refused by name where the bag is read, as the next one
+    b"#ROSBAG",
+    b"\x28\xb5\x2f\xfd",  # zstd, lz4: an MCAP file that is compressed as a whole
+    b"\x04\x22\x4d\x18",
+)
+TEXT_ENCODINGS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+
+
+class Format(Enum):
+    """What a file is."""
+
+    BAG = "bag"
+    CSV = "CSV"
+    PARQUET = "Parquet"
+    NUMPY = "NumPy"
+    MATLAB = "MATLAB"
+    HDF5 = "HDF5"
+
+
+FORMATS = (
+    "bag (rosbag2 folder or MCAP file), CSV or other text, Parquet, MATLAB .mat (up to 7.2, and 7.3), HDF5, "
+    "NumPy .npy or .npz"
+)
+"""The formats that are read, in words."""
+OF_SUFFIX = {".mcap": Format.BAG, ".csv": Format.CSV, ".txt": Format.CSV, ".mat": Format.MATLAB}
+"""Formats that have no mark of their own, or whose mark may be damaged, by the end of the name."""
+
+
+def format_of(path: Path) -> Format:
+    """What a file or folder is.
+
+    Parameters
+    ----------
+    path : file or folder
+
+    Raises
+    ------
+    TableError
+        No such file, or none of the formats that are read; the message lists them.
+    BagError
+        No such file, where the name is that of no table.
+    """
+    if path.is_dir():
+        return Format.BAG
+    if not path.is_file():
+        if path.suffix.lower() in ("", ".mcap", ".db3", ".bag", ".zstd"):
+            raise BagError(f"{path}: no such bag")
+        raise TableError(f"{path}: no such file")
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+            marks = [head[: len(HDF5)], *(_at(file, offset) for offset in HDF5_OFFSETS[1:])]
+    except OSError as error:
+        raise TableError(f"{path}: {error.strerror}") from None
+    found = _by_mark(path, head, marks) or OF_SUFFIX.get(path.suffix.lower())
+    if found is None and _is_text(head):
+        found = Format.CSV
+    if found is None:
+        raise TableError(f"{path}: file must be one of {FORMATS}; got a file that begins with {head[:8]!r}")
+    return found
+
+
+def _at(file: object, offset: int) -> bytes:
+    file.seek(offset)  # type: ignore[attr-defined]
+    return bytes(file.read(len(HDF5)))  # type: ignore[attr-defined]
+
+
+def _by_mark(path: Path, head: bytes, marks: list[bytes]) -> Format | None:
+    if head.startswith(BAGS):
+        return Format.BAG
+    if head.startswith(b"PAR1"):
+        return Format.PARQUET
+    if head.startswith(b"\x93NUMPY") or zipfile.is_zipfile(path):
+        return Format.NUMPY
+    if HDF5 in marks:  # a MATLAB file of version 7.3 is one
+        return Format.HDF5
+    return Format.MATLAB if head.startswith(b"MATLAB 5.0") else None
+
+
+def text_encoding(head: bytes) -> str:
+    """Encoding of a text by its first bytes: UTF-16 where it is marked so, else UTF-8."""
+    return next((name for mark, name in TEXT_ENCODINGS if head.startswith(mark)), "utf-8-sig")
+
+
+def _is_text(head: bytes) -> bool:
+    try:
+        head.decode(text_encoding(head), errors="strict")
+    except UnicodeDecodeError as error:
+        if error.start < len(head) - 4:  # a character may be cut at the end
+            return False
+    return text_encoding(head) == "utf-16" or b"\0" not in head

@@ -1,0 +1,182 @@
+"""Line of sight in a table of any format.
+
+Columns are chosen by name (``x,y``, or ``los`` for an array of two columns) or, without names, by position: two columns
+are the line of sight; of three the first is the time. Times: `pointing_analysis.read.tables.times`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from pointing_analysis.arrays import FloatArray
+from pointing_analysis.read.series import Series, make_series, scale_of, stamps_of
+from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
+from pointing_analysis.read.tables.formats import Format, format_of
+from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
+from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit
+from pointing_analysis.read.tables.text import read_text
+from pointing_analysis.read.tables.times import column_stamps, time_column
+from pointing_analysis.units import ANGLES
+
+READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
+    {
+        Format.CSV: read_text,
+        Format.PARQUET: read_parquet,
+        Format.NUMPY: read_numpy,
+        Format.MATLAB: read_mat,
+        Format.HDF5: read_hdf5,
+    }
+)
+"""Reader of each format but that of bags."""
+X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"))
+
+
+def read_table(path: Path) -> Table:
+    """Columns of a file, by its content.
+
+    Raises
+    ------
+    TableError
+        No such file, a bag or no format that is read, or a file that is damaged.
+    """
+    found = format_of(path)
+    if found not in READERS:
+        raise TableError(f"{path}: file must be a table, got a bag")
+    table = READERS[found](path)
+    if not table.columns:
+        raise TableError(f"{path}: table must have numeric columns, got none")
+    return table
+
+
+def read_los_table(
+    path: Path, los: str | None = None, *, unit: str | None, rate: float | None = None, time: str | None = None
+) -> Series:
+    """Line of sight from a table.
+
+    Parameters
+    ----------
+    path : CSV, Parquet, MATLAB, HDF5 or NumPy file
+    los : names of two columns, ``x,y``, or of an array; by default x, y or those that are left beside the time
+    unit : of the line of sight; by default that of the header or of an attribute
+    rate : sampling rate [Hz]; needed where there is no time and the file does not say it
+    time : name of the time column; by default `pointing_analysis.read.tables.times.time_column`
+
+    Raises
+    ------
+    TableError
+        A file that cannot be read, or columns that are not there.
+    ValueError
+        Unknown unit, another one than that of the file, or neither times nor a rate.
+    """
+    table = read_table(path)
+    x, y, when = _chosen(table, los, time)
+    columns = table.of_length(len(table.columns[x]))
+    xy = np.column_stack([columns[x], columns[y]]).astype(float)
+    xy, unit = _in_one_unit(table, xy, (x, y), unit)
+    unused = _others(columns, x, y) if when is None else ""
+    if when is None and rate is None:
+        rate = table.rate
+    try:
+        if when is None:
+            stamps = stamps_of(None, len(xy), rate)
+        else:
+            said = table.unit(when)  # of a whole group the unit is that of the angles
+            stamps = column_stamps(when, columns[when], rate, "" if said in ANGLES else said)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}{unused}") from None
+    problems = list(table.left_out)
+    if unused:
+        problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
+    about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
+    return make_series(
+        stamps,
+        xy,
+        unit=unit,
+        rate=rate,
+        path=path,
+        parameters=about,
+        problems=problems,
+        kind=table.kind,
+        label=f"{x}, {y}",
+    )
+
+
+def _others(columns: Mapping[str, Column], x: str, y: str) -> str:
+    rest = [name for name in columns if name not in (x, y)]
+    return f" (others, for --time: {', '.join(rest)})" if rest else ""
+
+
+def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: str | None) -> tuple[FloatArray, str]:
+    """Samples in one unit, and that unit: the given one, or that of the file."""
+    said = [table.unit(name) for name in names]
+    if given is not None:
+        for name, unit in zip(names, said):
+            if unit and unit != given:
+                raise TableError(f"{table.path}: unit must be {unit}, which the file says of {name}, got {given!r}")
+        scale_of(given)
+        return xy, given
+    if not all(said):
+        name = names[0] if not said[0] else names[1]
+        missing = f"which the file does not say of {name}, got none"
+        raise TableError(f"{table.path}: unit must be given (--unit mas, arcsec, nrad, urad, mrad or rad), {missing}")
+    try:
+        scales = [scale_of(unit) for unit in said]
+    except ValueError as error:
+        raise TableError(f"{table.path}: {error} in {', '.join(names)}") from None
+    return (xy, said[0]) if said[0] == said[1] else (xy * np.array(scales), "rad")
+
+
+def _chosen(table: Table, los: str | None, time: str | None) -> tuple[str, str, str | None]:
+    """Names of the columns of the line of sight and of the time."""
+    asked: str | None = None
+    if time is not None:
+        asked = table.find(time)
+        if asked is None:
+            raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
+    if los is not None:
+        x, y = _named(table, los)
+        columns = table.of_length(len(table.columns[x]))
+        return x, y, asked or time_column(columns, [x, y])
+    lengths = dict.fromkeys(len(column) for column in table.columns.values())
+    found = [chosen for n in lengths if (chosen := _by_names(table.of_length(n), asked)) is not None]
+    if len(found) != 1:
+        raise TableError(f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none")
+    return found[0]
+
+
+def _named(table: Table, los: str) -> tuple[str, str]:
+    parts = [part.strip() for part in los.split(",")]
+    if len(parts) == 1:
+        parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
+    names = [table.find(part) for part in parts]
+    if len(names) != 2 or names[0] is None or names[1] is None:
+        raise TableError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
+    if len(table.columns[names[0]]) != len(table.columns[names[1]]):
+        raise TableError(f"{table.path}: los must be two columns of equal length, got {los!r}")
+    return names[0], names[1]
+
+
+def _by_names(columns: Mapping[str, Column], asked: str | None) -> tuple[str, str, str | None] | None:
+    """The line of sight among columns of one length: a usual pair of names, or the two that are left."""
+    pair = _known_pair(list(columns))
+    when = asked if asked in columns else time_column(columns, list(pair or ()))
+    rest = [name for name in columns if name != when and columns[name].dtype.kind != "M"]
+    pair = _known_pair(rest) or ((rest[0], rest[1]) if len(rest) == 2 else None)
+    return None if pair is None else (*pair, when)
+
+
+def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:
+    bases = {name: split_unit(name)[0].lower() for name in names}
+
+    def named(wanted: str) -> list[str]:
+        return [name for name, base in bases.items() if base == wanted or base.endswith(f".{wanted}")]
+
+    for pair in X_NAMES:
+        x, y = map(named, pair)
+        if len(x) == len(y) == 1:
+            return x[0], y[0]
+    return None

@@ -1,0 +1,148 @@
+"""Tables in files of MATLAB and in HDF5: variables, structures and datasets as columns.
+
+``save('los.mat', 't', 'los')`` writes version 5 or 7 (read with scipy), ``-v7.3`` HDF5 (h5py). A variable of two or
+three columns is ``los.x, los.y, los.z``; fields of a structure and groups are joined by a point. The unit of a dataset
+is its attribute ``unit`` or ``units``; of a variable, a text ``los_unit`` or ``unit`` beside it. A scalar ``fs`` or
+``rate`` [Hz], or ``dt`` or ``Ts`` [s], is the sampling rate.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointing_analysis.read.tables.table import Gathered, Table, TableError, check_unpacked
+
+DEEPEST = 8
+"""Levels of structures and groups that are gone into."""
+CLASSES = "objects of MATLAB classes (timetable, timeseries, table) are not read: save their arrays"
+UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
+
+
+def read_mat(path: Path) -> Table:
+    """Arrays of a .mat file up to version 7.2.
+
+    Raises
+    ------
+    TableError
+        The file is damaged, unpacks to too much, or holds nothing but objects of MATLAB classes.
+    """
+    from scipy import io
+
+    try:
+        sizes = [int(np.prod(shape, dtype=np.int64)) for _, shape, kind in io.whosmat(path) if kind != "object"]
+        check_unpacked(path, 8 * sum(sizes))
+        content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
+    except TableError:
+        raise
+    except Exception as error:  # of a damaged file scipy raises a dozen kinds
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise TableError(f"{path}: file must be a MATLAB file, got: {text}") from None
+    found = Gathered()
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _add(found, name, value, 0)
+    notes = [CLASSES] if "__function_workspace__" in content else []
+    return _made(found, path, "MATLAB", notes)
+
+
+def _add(found: Gathered, name: str, value: Any, depth: int) -> None:
+    if depth > DEEPEST or not isinstance(value, np.ndarray) or value.size == 0:
+        return
+    if value.dtype.names:  # a structure; of an array of them the first
+        for part in value.dtype.names:
+            _add(found, f"{name}.{part}", value[part].reshape(-1)[0], depth + 1)
+    elif value.dtype.kind == "U":
+        found.add_setting(name, str(value.reshape(-1)[0]))
+    elif value.dtype.kind != "O":
+        found.add(name, value)
+
+
+def read_hdf5(path: Path) -> Table:
+    """Datasets of an HDF5 file, also of a .mat file of version 7.3. Nothing outside of the file is read.
+
+    Raises
+    ------
+    TableError
+        h5py is not installed, the file is damaged or unpacks to too much, or no dataset can be used.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise TableError(f"{path}: h5py must be installed: pip install 'los-testbed[hdf5]'") from None
+    found, notes = Gathered(), dict[str, None]()
+    try:
+        with h5py.File(path, "r") as file:
+            matlab = path.suffix.lower() == ".mat"
+            datasets = _datasets(file, h5py, notes)
+            check_unpacked(path, sum(d.size * d.dtype.itemsize for _, d in datasets))
+            _add_attributes(found, "", file.attrs)
+            for name, dataset in datasets:
+                _add_dataset(found, name, dataset)
+    except TableError:
+        raise
+    except Exception as error:  # of a damaged file h5py raises a dozen kinds
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise TableError(f"{path}: file must be HDF5, got: {text}") from None
+    return _made(found, path, "MATLAB 7.3" if matlab else "HDF5", list(notes))
+
+
+def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> list[tuple[str, Any]]:
+    """Datasets by name, those of links to other files left aside."""
+    found: list[tuple[str, Any]] = []
+
+    def visit(name: str, item: Any) -> None:
+        if name.startswith("#"):  # what MATLAB keeps of objects and cells
+            if name.startswith("#subsystem#"):
+                notes[CLASSES] = None
+            return
+        if isinstance(item, h5py.Dataset) and item.shape is not None:
+            if item.external or item.is_virtual:
+                notes[f"{name}: its values are in another file, which is not read"] = None
+            elif name.count("/") <= DEEPEST:
+                found.append((name.replace("/", "."), item))
+
+    file.visititems(visit)
+    return found
+
+
+def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
+    kind = _text(dataset.attrs.get("MATLAB_class", ""))
+    if kind == "char":
+        found.add_setting(name, "".join(map(chr, np.asarray(dataset[()]).reshape(-1).tolist())))
+        return
+    _add_attributes(found, name, dataset.attrs)
+    if dataset.dtype.kind in "OSU":
+        if dataset.size == 1:
+            found.add_setting(name, _text(np.asarray(dataset[()]).reshape(-1)[0]))
+        return
+    if dataset.dtype.kind in "fiuMV" and "MATLAB_empty" not in dataset.attrs:
+        found.add(name, np.asarray(dataset[()]))
+
+
+def _add_attributes(found: Gathered, name: str, attributes: Any) -> None:
+    """Unit and rate that attributes of a dataset or of the file say."""
+    for key in attributes:
+        try:
+            value = np.asarray(attributes[key])
+        except (OSError, TypeError, ValueError):
+            continue
+        if value.size != 1:
+            continue
+        if key in UNIT_KEYS:
+            found.units[name] = _text(value.reshape(-1)[0])
+        elif value.dtype.kind in "fiu":
+            found.add_setting(key, value)
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _made(found: Gathered, path: Path, kind: str, notes: list[str]) -> Table:
+    if not found.columns:
+        advice = f" ({notes[0]})" if notes else ""
+        raise TableError(f"{path}: file must hold arrays of numbers with 2 or more rows, got none{advice}")
+    return found.table(path, kind, notes)

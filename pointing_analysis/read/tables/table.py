@@ -1,0 +1,204 @@
+"""A table as arrays by name, with the units and the rate that its file says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointing_analysis.arrays import FloatArray, IntArray
+
+Column = FloatArray | IntArray | NDArray[np.datetime64]
+MAX_UNPACKED, MAX_RATIO = 200_000_000, 100
+"""A compressed table may unpack to this many bytes, or to this many times its size."""
+WIDEST = 12
+"""Columns that an array of two dimensions may have to be columns of a table."""
+LISTED = 20
+"""Names of columns in a message."""
+RATES = ("rate", "fs", "sampling_rate", "sample_rate", "samplerate", "sampling_frequency", "rate_hz", "fs_hz")
+PERIODS = ("dt", "ts", "sample_time", "sampling_period", "sampling_time", "dt_s", "ts_s")
+_SPELLINGS = {
+    "µrad": "urad",
+    "μrad": "urad",
+    "microrad": "urad",
+    "microradian": "urad",
+    "microradians": "urad",
+    "millirad": "mrad",
+    "milliradian": "mrad",
+    "milliradians": "mrad",
+    "nanorad": "nrad",
+    "radian": "rad",
+    "radians": "rad",
+    "arcseconds": "arcsec",
+    "arcsecond": "arcsec",
+    "asec": "arcsec",
+    "milliarcsec": "mas",
+    "milliarcsecond": "mas",
+    "milliarcseconds": "mas",
+    "marcsec": "mas",
+    "µs": "us",
+    "μs": "us",
+    "sec": "s",
+    "seconds": "s",
+    "n": "N",
+    "newton": "N",
+    "nm": "Nm",
+    "n m": "Nm",
+    "n*m": "Nm",
+    "n.m": "Nm",
+    "n·m": "Nm",
+    "mnm": "mNm",
+    "mn": "mN",
+}
+_IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
+_AT_THE_END = re.compile(r"^(.+?)_((?i:mas|arcsec|nrad|urad|mrad|rad|s|ms|us|ns)|mNm|mN|Nm|N)$")
+
+
+class TableError(ValueError):
+    """A table that cannot be used; the message says what it must be and what it is."""
+
+
+def unit_name(text: str) -> str:
+    """The usual spelling of a unit.
+
+    Examples
+    --------
+    >>> unit_name("µrad"), unit_name(" MAS "), unit_name("N.m")
+    ('urad', 'mas', 'Nm')
+    """
+    text = " ".join(text.split())
+    if text in ("N", "Nm", "mN", "mNm") or text.startswith("MN"):  # mega is not milli
+        return text
+    return _SPELLINGS.get(text.lower(), text.lower())
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Name of a column without its unit, and the unit; empty where it names none.
+
+    Examples
+    --------
+    >>> split_unit("LOS_X (urad)"), split_unit("los_x [mas]"), split_unit("time_ms"), split_unit("roll_rate")
+    (('LOS_X', 'urad'), ('los_x', 'mas'), ('time', 'ms'), ('roll_rate', ''))
+    """
+    found = _IN_BRACKETS.match(name.strip()) or _AT_THE_END.match(name.strip())
+    return (found[1], unit_name(found[2])) if found else (name.strip(), "")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file.
+
+    Attributes
+    ----------
+    path : the file
+    kind : its format in words
+    columns : (n,) each, by name; n may differ between columns
+    units : of columns, where the file says them beside the names
+    rate : sampling rate [Hz] that the file says
+    left_out : what of the file is not used, one sentence each
+    """
+
+    path: Path
+    kind: str
+    columns: Mapping[str, Column]
+    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    rate: float | None = None
+    left_out: tuple[str, ...] = ()
+
+    def find(self, name: str) -> str | None:
+        """Full name of a column that is named with or without its unit; None where there is none, or several."""
+        if name in self.columns:
+            return name
+        found = [column for column in self.columns if split_unit(column)[0] == name]
+        return found[0] if len(found) == 1 else None
+
+    def unit(self, name: str) -> str:
+        """Unit of a column by attribute or header; empty where nothing says it."""
+        return unit_name(self.units.get(name, "")) or split_unit(name)[1]
+
+    def of_length(self, n: int) -> dict[str, Column]:
+        """Columns of `n` rows."""
+        return {name: column for name, column in self.columns.items() if len(column) == n}
+
+    def listed(self) -> str:
+        """Names of the columns, for messages."""
+        names = list(self.columns)
+        return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} others" if len(names) > LISTED else "")
+
+
+def check_unpacked(path: Path, size: int) -> None:
+    """Some kilobytes can stand for any number of rows: the declared size is checked before memory is taken."""
+    if size > max(MAX_UNPACKED, MAX_RATIO * path.stat().st_size):
+        raise TableError(
+            f"{path}: table must unpack to at most {MAX_UNPACKED / 1e6:g} MB or {MAX_RATIO} times its size, "
+            f"got {size / 1e6:.0f} MB"
+        )
+
+
+@dataclass
+class Gathered:
+    """What a file with named arrays holds, found one by one: columns, units, and a rate."""
+
+    columns: dict[str, Column] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    rate: float | None = None
+
+    def add(self, name: str, array: NDArray[Any], unit: str = "") -> None:
+        """An array: a column, some columns side by side, or a scalar that may be the rate; another one is left out."""
+        if array.dtype.names:
+            for part in array.dtype.names:
+                self.add(f"{name}.{part}", array[part], unit)
+            return
+        if array.dtype.kind not in "fiuM" or array.ndim > 2:
+            return
+        if array.size == 1:
+            self.add_setting(name, array)
+            return
+        if array.ndim == 2 and 1 in array.shape:
+            array = array.reshape(-1)
+        if array.ndim == 1:
+            self._put(name, array, unit)
+        elif array.ndim == 2:
+            side = array.T if array.shape[0] <= WIDEST < array.shape[1] or array.shape[0] < array.shape[1] else array
+            if side.shape[1] > WIDEST:
+                return
+            axes: Sequence[str] = "xyz" if side.shape[1] <= 3 else [str(i + 1) for i in range(side.shape[1])]
+            for axis, column in zip(axes, side.T):
+                self._put(f"{name}.{axis}", column, unit)
+
+    def add_setting(self, name: str, value: NDArray[np.generic] | str) -> None:
+        """A number or text beside the arrays: the rate, the period, or the unit of an array."""
+        short = name.rpartition(".")[2].lower()
+        if isinstance(value, str):
+            if short in ("unit", "units"):
+                self.units[name.rpartition(".")[0]] = value
+            elif short.endswith(("_unit", "_units")):
+                self.units[name.rpartition("_")[0]] = value
+            return
+        number = float(value.reshape(-1)[0]) if value.dtype.kind in "fiu" else np.nan
+        if 0 < number < np.inf:
+            if short in RATES:
+                self.rate = number
+            elif short in PERIODS:
+                self.rate = 1 / number
+
+    def _put(self, name: str, array: NDArray[np.generic], unit: str) -> None:
+        self.columns[name] = np.ascontiguousarray(array)
+        if unit:
+            self.units[name] = unit
+
+    def table(self, path: Path, kind: str, left_out: Sequence[str] = ()) -> Table:
+        """The table; the unit of an array is that of its columns, that of a group of all in it."""
+        units = {name: unit for name in self.columns if (unit := self._unit(name))}
+        return Table(path, kind, self.columns, units, self.rate, tuple(left_out))
+
+    def _unit(self, name: str) -> str:
+        parts = name.split(".")
+        owners = [".".join(parts[:i]) for i in range(len(parts), -1, -1)]
+        return next((self.units[owner] for owner in owners if owner in self.units), "")

@@ -1,0 +1,84 @@
+"""Table in a text file: CSV with any usual separator, or columns apart by spaces."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pointing_analysis.read.tables.formats import text_encoding
+from pointing_analysis.read.tables.table import Column, Table, TableError
+from pointing_analysis.read.tables.times import dates
+
+DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+
+
+def read_text(path: Path) -> Table:
+    """Numeric columns; an empty cell is a missing sample. Lines that begin with # or % are left out.
+
+    Raises
+    ------
+    TableError
+        Not text, no rows, rows of different length, columns of the same name.
+    """
+    try:
+        content = path.read_bytes()
+        text = content.decode(text_encoding(content[:4]))
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: table must be UTF-8 text, got {error}") from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%"))]
+    if not lines:
+        raise TableError(f"{path}: table must have rows, got none")
+    names, rows = _names_and_rows(path, lines)
+    empty = [not any(cell.strip() for cell in row) for row in rows]
+    kept = [row for row, bare in zip(rows, empty) if not bare]
+    columns = {name: _column(name, [row[i] for row in kept]) for i, name in enumerate(names)}
+    notes = [f"{sum(empty)} rows without any value left out"] if any(empty) else []
+    return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, left_out=tuple(notes))
+
+
+def _names_and_rows(path: Path, lines: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
+    try:
+        rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    except csv.Error as error:
+        raise TableError(f"{path}: table must have rows of numbers, got {error}") from None
+    if separator != ",":
+        rows = [[DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] if "," in "".join(row) else row for row in rows]
+    try:
+        [_number(cell) for cell in rows[0]]
+        names = [f"column_{i + 1}" for i in range(len(rows[0]))]
+    except ValueError:
+        names = [cell.strip() for cell in rows.pop(0)]
+    if len(set(names)) < len(names):
+        raise TableError(f"{path}: columns must have different names, got {', '.join(names)}")
+    uneven = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
+    if uneven is not None:
+        raise TableError(f"{path}: every row must have {len(names)} cells, got {len(rows[uneven])} in row {uneven + 1}")
+    return names, rows
+
+
+def _number(text: str) -> float:
+    text = text.strip()
+    return float(text) if text else math.nan
+
+
+def _column(name: str, cells: Sequence[str]) -> Column | None:
+    """Numbers or dates; None for other text."""
+    try:
+        if name.endswith("_ns"):
+            return np.array([int(cell) for cell in cells], np.int64)
+    except (ValueError, OverflowError):
+        pass
+    try:
+        return np.array([_number(cell) for cell in cells])
+    except ValueError:
+        pass
+    try:
+        return dates(cells)
+    except ValueError:
+        return None

@@ -1,0 +1,234 @@
+"""Files of other programs: format by content, units and rate from the file, missing samples, words that fit a table."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from scipy import io
+
+from pointing_analysis.read.los_source import open_los
+from pointing_analysis.read.time_grid import time_grid
+from pointing_analysis.report.report import render
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.verdict import parse
+from pointing_analysis.units import RAD_PER_MAS
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+N, RATE = 6000, 512.0
+T = np.arange(N) / RATE
+LOS = 0.3 * np.random.default_rng(5).standard_normal((N, 2)) + 2.0 * np.sin(2 * np.pi * 9.7 * T)[:, None]
+
+
+def mat5(path: Path) -> None:
+    io.savemat(path, {"t": T, "los": LOS, "los_unit": "urad", "temperature": np.zeros(7)})
+
+
+def mat5_structure(path: Path) -> None:
+    io.savemat(
+        path, {"run": {"time": T[:, None], "los": LOS.T, "unit": "µrad"}, "note": "a bench"}, do_compression=True
+    )
+
+
+def mat5_rate(path: Path) -> None:
+    io.savemat(path, {"fs": RATE, "los": LOS, "unit": "microrad"})
+
+
+def mat73(path: Path) -> None:
+    """The layout that MATLAB writes: user block, transposed arrays, texts as numbers."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, array in (("t", T[None]), ("los", LOS.T)):
+            file.create_dataset(name, data=array).attrs["MATLAB_class"] = np.bytes_("double")
+        text = file.create_dataset("los_unit", data=np.array([[ord(c)] for c in "urad"], np.uint16))
+        text.attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_dataset("#refs#/a", data=np.zeros((N, 2)))
+    with path.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+
+
+def hdf5(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file["bench/t"] = T
+        file.create_dataset("bench/los", data=LOS, compression="gzip").attrs["units"] = "microrad"
+
+
+def hdf5_rate(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("los", data=LOS)
+        dataset.attrs.update({"unit": "urad", "sampling_rate": RATE})
+
+
+def csv_header(path: Path) -> None:
+    rows = "\n".join(f"{t!r};{x!r};{y!r}" for t, (x, y) in zip(T.tolist(), LOS.tolist()))
+    path.write_text(f"Time [s];LOS_X (urad);LOS_Y (urad)\n{rows}\n")
+
+
+def csv_two_units(path: Path) -> None:
+    rows = "\n".join(f"{t!r},{1e-3 * x!r},{y!r}" for t, (x, y) in zip(T.tolist(), LOS.tolist()))
+    path.write_text(f"t,los_x [mrad],los_y_urad\n{rows}\n", "utf-16")
+
+
+def parquet(path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    fields = [pyarrow.field("t", pyarrow.float64())]
+    fields += [pyarrow.field(name, pyarrow.float64(), metadata={"unit": "urad"}) for name in ("x", "y")]
+    parquet.write_table(pyarrow.table([T, LOS[:, 0], LOS[:, 1]], schema=pyarrow.schema(fields)), path)
+
+
+def npz(path: Path) -> None:
+    np.savez(path.with_suffix(".npz"), t=T, los=LOS, unit="urad")
+    shutil.move(path.with_suffix(".npz"), path)
+
+
+WRITERS: list[Callable[[Path], None]] = [
+    mat5,
+    mat5_structure,
+    mat5_rate,
+    mat73,
+    hdf5,
+    hdf5_rate,
+    csv_header,
+    csv_two_units,
+    parquet,
+    npz,
+]
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+@pytest.mark.parametrize("suffix", ["", ".dat"])
+def test_the_content_says_format_unit_and_times(tmp_path: Path, write: Callable[[Path], None], suffix: str) -> None:
+    path = tmp_path / f"measured{suffix}"
+    write(path)
+    topic = open_los(path)["truth/los"]
+    assert np.allclose(topic.values, LOS * 1e-6, rtol=1e-12, atol=0.0)
+    assert topic.period == 1 / RATE and not topic.integrity.missing
+    with pytest.raises(ValueError, match=r"unit must be .*rad.*, which the file says of .*, got 'arcsec'"):
+        open_los(path, unit="arcsec")
+
+
+def test_the_unit_may_be_missing(tmp_path: Path) -> None:
+    io.savemat(tmp_path / "a.mat", {"t": T, "los": LOS})
+    with pytest.raises(ValueError, match=r"unit must be given \(--unit mas, .* does not say of los.x, got none"):
+        open_los(tmp_path / "a.mat")
+    assert np.allclose(open_los(tmp_path / "a.mat", unit="mas")["truth/los"].values, LOS * RAD_PER_MAS, rtol=1e-12)
+
+
+def test_columns_by_their_names_without_units(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "t,az (mas),el (mas),celsius\n" + "\n".join(f"{i / 100},{i},1,20" for i in range(99))
+    )
+    run = open_los(tmp_path / "a.csv", los="az,el")
+    assert run["truth/los"].values[3, 0] == pytest.approx(3 * RAD_PER_MAS)
+    io.savemat(tmp_path / "b.mat", {"t": T, "los": LOS, "other": LOS, "los_unit": "mas"})
+    assert open_los(tmp_path / "b.mat", los="los")["truth/los"].values[7, 1] == pytest.approx(LOS[7, 1] * RAD_PER_MAS)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.bin", bytes(range(200, 256)) * 20, "file must be one of bag .*CSV.*Parquet.*MATLAB.*HDF5.*NumPy"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(600), "file must be a MATLAB file"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(600), "file must be HDF5"),
+        ("a.csv", b"x,y\n\xff\xfe\x00,1\n", "table must be UTF-8 text"),
+    ],
+)
+def test_what_is_not_read_is_one_line(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=message) as caught:
+        open_los(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_hdf5_without_h5py_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(ValueError, match=r"pip install 'los-testbed\[hdf5\]'"):
+        open_los(tmp_path / "a.h5")
+
+
+def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "secret").write_bytes(np.arange(200.0).tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = file["y"] = np.arange(100.0)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["linked"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/x")
+        file.create_dataset("los", (100, 2), "f8", external=[(str(tmp_path / "secret"), 0, 1600)])
+    with pytest.raises(ValueError, match=r"must hold arrays .* in another file, which is not read"):
+        open_los(tmp_path / "a.h5", unit="mas")
+
+
+@pytest.mark.parametrize("seconds", [60, 3600])
+@pytest.mark.parametrize("gap", [1, 103])
+def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int) -> None:
+    n = seconds * 512
+    kept = np.delete(np.arange(n), np.arange(9000, 9000 + gap))
+    values = 0.1 * np.random.default_rng(2).standard_normal((n, 2))
+    rows = "\n".join(f"{i / 512:.6f},{values[i, 0]:.6f},{values[i, 1]:.6f}" for i in kept.tolist())
+    (tmp_path / "a.csv").write_text(f"t,x,y\n{rows}\n")
+    run = open_los(tmp_path / "a.csv", unit="mas")
+    assert run.parameters["sampling_rate_hz"] == 512.0 and run["truth/los"].integrity.missing == gap
+    found = summarise(run)
+    assert found.ticks == n and found.samples_lost == gap and found.transient == 5.0
+    assert not any("shorter" in problem for problem in found.problems)
+    assert found.sampling.startswith("512 Hz from the times, jitter 0.2")
+
+
+@pytest.mark.parametrize("rate", [300.7, 999.9, 48.3, 1000.0, 2000.0])
+@pytest.mark.parametrize("decimals", [4, 6, 9])
+def test_any_rate_is_found_from_rounded_times(rate: float, decimals: int) -> None:
+    rng = np.random.default_rng(int(rate))
+    kept = np.sort(rng.choice(40_000, 39_500, replace=False))
+    times = np.round(kept / rate + 12.3, decimals)
+    grid = time_grid(times)
+    assert grid is not None and grid.fits
+    assert np.array_equal(grid.place, kept - kept[0])
+    assert abs(1 / grid.period / rate - 1) < 1e-6
+
+
+def test_jitter_beyond_rounding_is_no_grid() -> None:
+    times = np.arange(5000) / 512 + 2e-4 * np.random.default_rng(1).standard_normal(5000)
+    grid = time_grid(times)
+    assert grid is not None and not grid.fits and grid.jitter == pytest.approx(2e-4, rel=0.05)
+
+
+def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{i / 1000:.3f},{i % 7},1" if not 6000 <= i < 6100 else f"{i / 1000:.3f},," for i in range(20_000)]
+    (tmp_path / "a.csv").write_text("t,x [mas],y [mas]\n" + "\n".join(rows) + "\n,,\n")
+    (tmp_path / "m.toml").write_text('[[requirement]]\ntext = "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence"\n')
+    run = open_los(tmp_path / "a.csv")
+    found = summarise(run, requirements=[parse("prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")])
+    assert found.samples_lost == 100 and found.verdicts[0].missing == 100
+    assert found.problems == (
+        "1 rows without any value left out",
+        "x [mas], y [mas]: 100 samples without a value: missing",
+    )
+    assert main(["analyse", str(tmp_path / "a.csv"), "--requirements", str(tmp_path / "m.toml"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["samples_lost"] == 100
+    lost = next(line for line in err.splitlines() if "samples lost" in line)
+    assert "100" in lost and "not met" in lost
+
+
+def test_words_of_a_table_are_those_of_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv_header(tmp_path / "a.csv")
+    text = (tmp_path / "a.csv").read_text().splitlines()
+    (tmp_path / "a.csv").write_text("\n".join(text[:4000] + text[4010:]) + "\n")
+    assert main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "a.html")]) == 0
+    shown: dict[str, Any] = {"screen": "".join(capsys.readouterr()), "page": render([open_los(tmp_path / "a.csv")])}
+    assert "LOS_X (urad), LOS_Y (urad): 10 samples missing in 1 gaps" in shown["screen"]
+    for where, words in shown.items():
+        for alien in ("truth/los", "ticks", "simulated", "message", "bag"):
+            assert alien not in words.partition("</style>")[2 if where == "page" else 0], (where, alien)
