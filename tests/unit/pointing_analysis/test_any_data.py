@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import struct
 import re
+import struct
 import sys
 from pathlib import Path
 from typing import Any

@@ -113,7 +113,7 @@ def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
     made = series(None, NOISE, unit="rad", rate=1000.0)
     found = summarise(replace(made, topic=replace(made["truth/los"], lost_before=2, lost_after=3)), transient=0.0)
     assert found.lost_by_topic == {"truth/los": 5}
-    assert found.problems == ("truth/los: 5 samples missing before the first one and after the last one",)
+    assert found.problems == ("line of sight: 5 samples missing before the first one and after the last one",)
     assert found.ticks == 3005
     cut = summarise(replace(made, topic=replace(made["truth/los"], open_end=True)), transient=0.0)
     assert cut.samples_lost == 0 and "truth/los: the recording was cut off" in cut.problems[0]
