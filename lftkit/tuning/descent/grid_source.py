@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.minimax import VISIBLE
-from lftkit.tuning.descent.smooth_objective import Linearisation, SmoothObjective, same_h2
+from lftkit.tuning.descent.smooth_objective import SmoothObjective, same_h2
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.source import Merit, lower
 
-PLANES = 120  # of the first quadratic program of a step
-STEPS = 12  # between two looks at the exact values
-SLOW = 1e-4  # decrease of the logarithm by the last steps below which a working set is at its end
 FEASIBLE = 1e-6  # excess over 1 that a hard value may have
 RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
 
@@ -78,6 +74,7 @@ class GridSource:
         self._thin = True  # until a grid without the frequencies of small gains has missed an unstable pole
         self._quick = False
         self._evaluated = 0
+        self._seen: Point | None = None
         self._objective: SmoothObjective | None = None
 
     @property
@@ -91,7 +88,9 @@ class GridSource:
 
     def look(self, x: FloatArray) -> Point:
         """Exact values; H2 norms of the first model alone from then on where they are the same for all."""
-        point = point_at(self._problem, x, quick=self._quick)
+        if self._seen is not None and np.array_equal(self._seen.x, x):
+            return self._seen
+        self._seen = point = point_at(self._problem, x, quick=self._quick)
         if not self._evaluated and len(self._problem.models) > 1 and self._problem.h2 and point.found.poles:
             self._quick = same_h2(self._problem, point.found)
         self._evaluated += 1
@@ -108,19 +107,15 @@ class GridSource:
             more = self._objective.extra
             self._extra = tuple(_with_peaks(self._problem, k, e, look.found) for k, e in enumerate(more))
 
-    def objective(self, look: Point) -> SmoothObjective:
-        """Values on the grid of a look."""
+    def working_set(self, look: Point) -> SmoothObjective:
+        """All values on the grid of a look."""
         self._evaluated = self.evaluations
         self._objective = SmoothObjective(self._problem, look.x, look.found, self._extra, thin=self._thin)
         return self._objective
 
-    def working_set(self, look: Point) -> GridWorkingSet:
-        """All gains on the grid of a look."""
-        return GridWorkingSet(self.objective(look))
-
     def trials(self, look: Point) -> Iterator[FloatArray]:
         """Random directions in the Gauss-Newton metric: points that are lower on the grid."""
-        objective = self.objective(look)
+        objective = self.working_set(look)
         metric, (soft, hard) = objective.metric(look.x), objective.largest(look.x)
         for _ in range(RANDOM_DIRECTIONS):
             if time.monotonic() > self._deadline:
@@ -148,69 +143,3 @@ def _with_peaks(problem: Problem, k: int, extra: FloatArray, found: Evaluation) 
     peaks = found.peak_frequencies[list(problem.hinf), k]
     missed = [extra, unresolved(problem.gains[k].grid.omega, found.poles[k]), peaks]
     return np.asarray(np.unique(np.concatenate(missed)))
-
-
-@dataclass
-class GridWorkingSet:
-    """The gains of an objective's grid.
-
-    Parameters
-    ----------
-    objective : SmoothObjective
-    steps : int
-        Between two looks at the exact values.
-    slow : float
-        Decrease of the logarithms by the last steps below which no other follows.
-    """
-
-    objective: SmoothObjective
-    steps: int = STEPS
-    slow: float = SLOW
-    planes: int = PLANES
-    known: tuple[FloatArray, Merit] | None = None
-    """The last point that was tried, with its merit."""
-
-    def at(self, x: FloatArray) -> GridModel:
-        """Linearised at the stable point `x` (size,)."""
-        if self.known is None or self.known[0] is not x:
-            self.known = x, self.merit(x)
-        return GridModel(self, x, self.objective.linearised(x), self.known[1])
-
-    def merit(self, x: FloatArray) -> Merit:
-        """Violation and largest soft value on the grid, in logarithms."""
-        soft, hard = self.objective.largest(x)
-        return max(hard, 0.0), soft
-
-
-@dataclass
-class GridModel:
-    """Linearised logarithms at a point."""
-
-    working: GridWorkingSet
-    x: FloatArray
-    here: Linearisation
-    merit: Merit
-    reached: tuple[FloatArray, Merit] = field(init=False)
-
-    @cached_property
-    def values(self) -> FloatArray:
-        """Pieces of the progress function (m,)."""
-        violation, soft = self.merit
-        return np.asarray(np.where(self.here.hard, self.here.values, self.here.values - soft) - violation)
-
-    @property
-    def gradients(self) -> FloatArray:
-        """Of the pieces (m, size)."""
-        return self.here.gradients
-
-    def factor(self) -> Any:
-        """Of the Gauss-Newton matrix."""
-        return linalg.cho_factor(self.working.objective.gauss_newton(self.x))
-
-    def decrease(self, step: FloatArray, predicted: float) -> float:
-        """Of the progress function; minus infinity where a loop is unstable."""
-        x = self.x + step
-        soft, hard = self.working.objective.largest(x)
-        self.reached = self.working.known = x, (max(hard, 0.0), soft)
-        violation, before = self.merit
-        return -max(soft - before - violation, hard - violation)

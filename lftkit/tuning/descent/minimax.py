@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -78,7 +78,7 @@ class Descent(Generic[L]):
         return self.point.x
 
 
-@dataclass(frozen=True)
+@dataclass
 class DescentState:
     """Where a descent is before a look; with it, it goes on with the same bits.
 
@@ -176,80 +176,72 @@ class _Run(Generic[L]):
 
     def __init__(self, source: Source[L], x: FloatArray, options: DescentOptions, goes_on: DescentState | None) -> None:
         self.options, self._source = options, source
-        state = goes_on or DescentState(x, x.copy())
+        self._now = replace(goes_on, history=list(goes_on.history)) if goes_on else DescentState(x, x.copy())
         if goes_on is not None:
             source.recall(goes_on.memory)
-        self._x, self._best_x, self._weight = state.x.copy(), state.best.copy(), state.weight
-        self._history, self.iteration, self._failures = list(state.history), state.iteration, state.failures
-        self._taken_back, self._restored = state.taken_back, state.restored
         self._best: L | None = None
         self._from: L | None = None
 
+    @property
+    def iteration(self) -> int:
+        """Steps so far."""
+        return self._now.iteration
+
     def state(self) -> DescentState:
         """For :func:`descend` to go on."""
-        return DescentState(
-            self._x,
-            self._best_x,
-            self._weight,
-            self._source.memory(),
-            list(self._history),
-            self.iteration,
-            self._failures,
-            self._taken_back,
-            self._restored,
-        )
+        return replace(self._now, memory=self._source.memory(), history=list(self._now.history))
 
     def best(self) -> L:
         """The best look."""
         if self._best is None:
-            self._best = self._source.look(self._best_x)
+            self._best = self._source.look(self._now.best)
         return self._best
 
     def look(self) -> bool:
         """Look at all values of the present point; whether it is kept."""
-        look, history = self._source.look(self._x), self._history
+        now, history = self._now, self._now.history
+        look = self._source.look(now.x)
         if not history and not np.isfinite(look.merit).all():
             raise ValueError("start must have finite gains, got a value that is not")
         self._source.note(look, min(look.merit[1], history[-1][1] if history else np.inf))
         if not history or lower(look.merit, history[-1]):
             history.append(look.merit)
-            self._x = self._best_x = look.x
+            now.x = now.best = look.x
             self._best = self._from = look
-            self._taken_back = self._restored = 0
+            now.taken_back = now.restored = 0
             return True
-        if _restorable(look.merit, history[-1]) and self._restored < RESTORATIONS:
-            self._from, self._restored = look, self._restored + 1
+        if _restorable(look.merit, history[-1]) and now.restored < RESTORATIONS:
+            self._from, now.restored = look, now.restored + 1
             return False
-        self._x, self._from, self._weight = self._best_x.copy(), self.best(), REJECTED * self._weight
-        self._taken_back, self._restored = self._taken_back + 1, 0
+        now.x, self._from, now.weight = now.best.copy(), self.best(), REJECTED * now.weight
+        now.taken_back, now.restored = now.taken_back + 1, 0
         return False
 
     def ended(self) -> TuningStatus | None:
         """Why the descent is at its end; None where it is not."""
-        options, history = self.options, self._history
+        options, now, history = self.options, self._now, self._now.history
         violation, value = history[-1]
-        idle = len(history) > options.patience and not lower(
-            history[-1], history[-1 - options.patience], options.tolerance
-        )
+        before = history[-1 - options.patience] if len(history) > options.patience else None
+        idle = before is not None and not now.restored and not lower(history[-1], before, options.tolerance)
         if not violation > 0.0 and value < options.target:
             return TuningStatus.TARGET
-        if (idle and not self._restored) or self._failures > FRUITLESS or self._taken_back > options.retries:
+        if idle or now.failures > FRUITLESS or now.taken_back > options.retries:
             return TuningStatus.STALLED
         if self._late():
             return TuningStatus.OUT_OF_TIME
-        return None if self.iteration < options.iterations else TuningStatus.ITERATIONS
+        return None if now.iteration < options.iterations else TuningStatus.ITERATIONS
 
     def step(self) -> None:
         """The steps to the next look."""
-        working = self._source.working_set(self._from or self.best())
-        found = prox_linear(working, self._x, weight=self._weight, stop=self._late)
-        self._x, self._weight = found.x, found.weight
-        self.iteration += working.steps
-        self._failures = 0 if found.taken else self._failures + 1
+        now, working = self._now, self._source.working_set(self._from or self.best())
+        found = prox_linear(working, now.x, weight=now.weight, stop=self._late)
+        now.x, now.weight = found.x, found.weight
+        now.iteration += working.steps
+        now.failures = 0 if found.taken else now.failures + 1
 
     def go_on_at(self, x: FloatArray) -> None:
         """Begin again at a lower point."""
-        self._x, self._weight, self._history, self._failures = x, FIRST_WEIGHT, [], 0
+        self._now = DescentState(x, self._now.best, iteration=self._now.iteration)
 
     def _late(self) -> bool:
         return time.monotonic() > self.options.deadline

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.tuning.descent.metric import EIGENVALUE_FLOOR, Metric, metric_of
@@ -28,6 +30,9 @@ MAX_SLOPES = 20  # slopes of one requirement and model in the metric
 LEAST_NEAR = -0.7  # logarithm of values over the largest one above which they are linearised
 MAX_NEAR = 600  # of one requirement and model
 RIDGE, PROPORTION = 1e-4, 1e-2  # of the Gauss-Newton matrix: its own diagonal, and the sizes of the entries
+PLANES = 120  # of the first quadratic program of a step
+STEPS = 12  # between two looks at the exact values
+SLOW = 1e-4  # decrease of the logarithm by the last steps below which no other follows
 SAME_H2 = 1e-6  # H2 norms that agree this well over the models are computed for one model only
 
 
@@ -41,21 +46,30 @@ class _Entry:
     gradients: tuple[FloatArray, ...] = ()
 
 
-@dataclass(frozen=True)
-class Linearisation:
-    """Logarithms of the values near the largest ones, their gradients, and which of them are hard.
+class GridModel:
+    """Logarithms of the values near the largest ones, linearised at a point: pieces of the progress function.
 
-    Parameters
-    ----------
-    values : ndarray, shape (m,)
-        Hard ones relative to the level that they shall keep.
-    gradients : ndarray, shape (m, size)
-    hard : ndarray of bool, shape (m,)
+    Hard ones are relative to the level that they shall keep, soft ones to the largest soft one.
     """
 
-    values: FloatArray
-    gradients: FloatArray
-    hard: BoolArray
+    def __init__(self, objective: SmoothObjective, x: FloatArray) -> None:
+        self._objective, self._x = objective, x
+        soft, hard = objective.largest(x)
+        self.merit = max(hard, 0.0), soft
+        logs, self.gradients, self.hard = objective.linearised(x)
+        self.values: FloatArray = np.where(self.hard, logs, logs - soft) - self.merit[0]
+        self.reached = x, self.merit
+
+    def factor(self) -> Any:
+        """Of the Gauss-Newton matrix."""
+        return linalg.cho_factor(self._objective.gauss_newton(self._x))
+
+    def decrease(self, step: FloatArray, predicted: float) -> float:
+        """Of the progress function; minus infinity where a loop is unstable."""
+        x = self._x + step
+        (soft, hard), (violation, before) = self._objective.largest(x), self.merit
+        self.reached = x, (max(hard, 0.0), soft)
+        return -max(soft - before - violation, hard - violation)
 
 
 class SmoothObjective:
@@ -80,6 +94,8 @@ class SmoothObjective:
         Leave out most of the frequencies at which all gains are small.
     """
 
+    planes, steps, slow = PLANES, STEPS, SLOW
+
     def __init__(
         self,
         problem: Problem,
@@ -92,6 +108,7 @@ class SmoothObjective:
         self._problem = problem
         self.power = 40.0
         self.evaluations = 0
+        self._last: tuple[FloatArray, tuple[float, float]] | None = None
         self._multiplier, self._penalty, self._restoring, self._offset = 0.0, PENALTY, False, 0.0
         self._ceiling = float(np.log(max(worst_values(problem, found)[1], 1.0))) + HARD_MARGIN
         K = problem.structure.gain_matrix(x)
@@ -212,11 +229,20 @@ class SmoothObjective:
 
     def largest(self, x: FloatArray) -> tuple[float, float]:
         """Logarithms of the largest soft and of the largest hard value on the grid; infinite where unstable."""
-        self.evaluations += 1
+        if self._last is None or self._last[0] is not x:
+            self.evaluations += 1
+            self._last = x, self._largest(x)
+        return self._last[1]
+
+    def _largest(self, x: FloatArray) -> tuple[float, float]:
         if not self.stable(x):
             return np.inf, np.inf
         soft, hard = self._split(self._entries(x, self._problem.structure.gain_matrix(x), np.inf))
         return _log_of_largest(soft), _log_of_largest(hard)
+
+    def at(self, x: FloatArray) -> GridModel:
+        """Linearised at the stable point `x` (size,)."""
+        return GridModel(self, x)
 
     def _entries(self, x: FloatArray, K: FloatArray, power: float) -> list[_Entry]:
         entries = []
@@ -253,8 +279,8 @@ class SmoothObjective:
             gradient += structure.pullback(x, slope)
         return top + np.log(total) / p, gradient
 
-    def linearised(self, x: FloatArray) -> Linearisation:
-        """All values near the largest soft one or near the limit of the hard ones, at `x` (size,)."""
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Logarithms (m,) near the largest soft one or near the limit, gradients (m, size), which of them are hard."""
         self.evaluations += 1
         structure = self._problem.structure
         K = structure.gain_matrix(x)
@@ -286,7 +312,7 @@ class SmoothObjective:
             values.append(np.log(np.maximum(s, 1e-300)) - level)
             gradients.append(G / s[:, None])
             hard.append(np.full(len(s), own))
-        return Linearisation(np.concatenate(values), np.concatenate(gradients), np.concatenate(hard))
+        return np.concatenate(values), np.concatenate(gradients), np.concatenate(hard)
 
     def gauss_newton(self, x: FloatArray) -> FloatArray:
         """Gauss-Newton matrix at `x`, with a share of the size of the controller's own entries (size, size)."""

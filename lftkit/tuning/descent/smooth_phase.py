@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.grid_source import SLOW, STEPS, GridSource, Point, point_at
+from lftkit.tuning.descent.grid_source import GridSource, Point, point_at
 from lftkit.tuning.descent.minimax import DescentOptions, descend
 from lftkit.tuning.descent.pieces import HARD_TARGET
 from lftkit.tuning.descent.prox_linear import prox_linear
 from lftkit.tuning.descent.quasi_newton import quasi_newton
-from lftkit.tuning.descent.smooth_objective import HARD_MARGIN, PENALTY
+from lftkit.tuning.descent.smooth_objective import HARD_MARGIN, PENALTY, SLOW, STEPS
 from lftkit.tuning.problem import Problem
 
 POWER = 40.0  # of the norm
@@ -135,7 +135,7 @@ class _Rounds:
         return new
 
     def _round(self, *, multiplier: float = 0.0, penalty: float = PENALTY, restoring: bool = False) -> Point:
-        start, objective = self.point, self.source.objective(self.point)
+        start, objective = self.point, self.source.working_set(self.point)
         objective.begin(start.x, power=POWER, multiplier=multiplier, penalty=penalty, restoring=restoring)
         x = quasi_newton(
             objective,

@@ -1,12 +1,17 @@
-"""Prox-linear steps: linearisations against differences, known optima, hard requirements kept."""
+"""Prox-linear steps and the descent made of them: slopes against differences, known optima, hard requirements kept."""
 
 from __future__ import annotations
+
+import itertools
+import json
 
 import numpy as np
 import pytest
 
 from lftkit.systems.system import System
-from lftkit.tuning.descent.grid_source import GridWorkingSet
+from lftkit.tuning import DescentOptions, DescentState, descend
+from lftkit.tuning.descent.grid_source import GridSource
+from lftkit.tuning.descent.minimax import lower_point
 from lftkit.tuning.descent.prox_linear import prox_linear
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.descent.smooth_phase import smooth_phase
@@ -55,13 +60,13 @@ def two_axes(delay: float) -> tuple[Problem, np.ndarray]:
 def test_linearised_values_have_the_slopes_of_their_differences(delay: float) -> None:
     problem, x = two_axes(delay)
     objective = SmoothObjective(problem, x, problem.evaluate(x))
-    here, h = objective.linearised(x), 1e-6
-    assert len(here.values) > 4 and here.hard.any() and not here.hard.all()
+    (values, gradients, hard), h = objective.linearised(x), 1e-6
+    assert len(values) > 4 and hard.any() and not hard.all()
     for k, e in enumerate(np.eye(len(x))):
-        more, less = objective.linearised(x + h * e), objective.linearised(x - h * e)
-        assert len(more.values) == len(less.values) == len(here.values)
-        differences = (more.values - less.values) / (2 * h)
-        assert here.gradients[:, k] == pytest.approx(differences, rel=1e-5, abs=1e-6 * np.abs(here.gradients).max())
+        more, less = objective.linearised(x + h * e)[0], objective.linearised(x - h * e)[0]
+        assert len(more) == len(less) == len(values)
+        differences = (more - less) / (2 * h)
+        assert gradients[:, k] == pytest.approx(differences, rel=1e-5, abs=1e-6 * np.abs(gradients).max())
 
 
 @pytest.mark.parametrize("start", [0.5, -0.5, -20.0])
@@ -69,18 +74,20 @@ def test_the_optimum_on_a_hard_requirement_is_reached_from_both_sides(start: flo
     problem = limited()
     x = np.array([start])
     objective = SmoothObjective(problem, x, problem.evaluate(x))
-    found = prox_linear(GridWorkingSet(objective, 60, 1e-9), x)
+    objective.steps, objective.slow = 60, 1e-9
+    found = prox_linear(objective, x)
     assert found.x == pytest.approx([-4.0], rel=2e-3)
 
 
 def test_a_step_never_raises_the_value_and_keeps_what_is_met() -> None:
     problem, x = two_axes(0.0)
     objective = SmoothObjective(problem, x, problem.evaluate(x))
+    objective.steps, objective.slow = 1, 0.0
     soft, hard = objective.largest(x)
     weight = 1.0
     first = soft
     for _ in range(6):
-        found = prox_linear(GridWorkingSet(objective, 1, 0.0), x, weight=weight)
+        found = prox_linear(objective, x, weight=weight)
         x, weight = found.x, found.weight
         new_soft, new_hard = objective.largest(x)
         assert new_soft <= soft + max(hard, 0.0) and new_hard <= max(hard, 0.0)
@@ -108,3 +115,31 @@ def test_sizes_of_entries_scale_with_the_controller_and_zero_parts_have_none() -
     no_output[3:] = 0.0
     assert np.isinf(gain_sizes(no_output, 3)[3:]).all() and np.isfinite(gain_sizes(no_output, 3)[:3]).all()
     assert np.isinf(gain_sizes(np.zeros((2, 2)), 0)).all()
+
+
+OPTIONS = DescentOptions(600, 1e-5, patience=2, retries=3, confirm=True)
+
+
+@pytest.mark.parametrize("start", [-0.5, -20.0])
+def test_the_optimum_on_a_hard_requirement_is_reached_and_confirmed(start: float) -> None:
+    """From points that meet and that violate it."""
+    found = descend(GridSource(limited()), np.array([start]), OPTIONS)
+    assert found.status == "converged" and found.point.feasible
+    assert found.x == pytest.approx([-4.0], rel=1e-3)
+    assert lower_point(GridSource(limited()), found.point) is None
+
+
+def test_looks_never_rise_and_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
+    (problem, x), seen, states = two_axes(0.0), [], []
+    options = DescentOptions(120, 1e-4, patience=1, retries=2)
+    whole = descend(GridSource(problem), x, options, lambda _, point: seen.append(point.merit), states.append)
+    assert len(states) > 2 and all(after <= before for before, after in itertools.pairwise(seen))
+    assert seen[-1][1] < 0.9 * seen[0][1]
+    kept = DescentState.from_mapping(json.loads(json.dumps(states[1].to_mapping())))
+    again = descend(GridSource(problem), x, options, goes_on=kept)
+    assert again.x.tobytes() == whole.x.tobytes() and again.status is whole.status
+
+
+def test_an_unstable_start_is_refused() -> None:
+    with pytest.raises(ValueError, match="start must have finite gains"):
+        descend(GridSource(limited()), np.array([2.0]))

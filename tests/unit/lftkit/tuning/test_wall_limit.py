@@ -58,7 +58,7 @@ def test_no_more_than_a_few_evaluations_after_the_limit(
     clock = Clock()
     monkeypatch.setattr(time, "monotonic", clock)
     monkeypatch.setattr(Problem, "evaluate", clock.counted(Problem.evaluate))
-    for name in ("__call__", "largest", "linearised"):
+    for name in ("__call__", "_largest", "linearised"):
         monkeypatch.setattr(SmoothObjective, name, clock.counted(getattr(SmoothObjective, name)))
     structure = state_space([("y", 3)], [("u", 3)], order)
     result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(wall_limit=limit))
