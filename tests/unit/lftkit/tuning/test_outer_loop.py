@@ -1,0 +1,76 @@
+"""The outer loop: what enters, when it ends and with which status; and the order of points in every descent."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from lftkit.tuning.rounds import Worse, in_rounds
+from lftkit.tuning.source import lower
+from lftkit.tuning.status import TuningStatus
+
+
+@dataclass
+class Tuning:
+    status: TuningStatus
+
+
+@dataclass
+class Prepared:
+    """A design whose tunings end as given, and which finds as many worse points as given."""
+
+    ends: list[str]
+    found: list[int]
+    unfinished: bool = False
+    lasts: list[bool] = field(default_factory=list)
+    active: int = 1
+
+    def tuned(self, number: int) -> Tuning:
+        return Tuning(TuningStatus(self.ends[number]))
+
+    def worse(self, number: int, tuned: Tuning, last: bool) -> Worse[int]:
+        self.lasts.append(last)
+        return Worse(range(self.found[number]), self.unfinished)
+
+    def add(self, tuned: Tuning, worse: Worse[int]) -> None:
+        self.active += len(worse.new)
+
+
+@pytest.mark.parametrize(
+    ("ends", "found", "status", "active"),
+    [
+        (["converged"], [0], "converged", 1),
+        (["stalled", "target"], [2, 0], "converged", 3),
+        (["converged", "stalled"], [1, 0], "stalled", 2),
+        (["converged", "converged", "converged"], [1, 1, 1], "rounds", 3),
+        (["out_of_time"], [1], "out_of_time", 1),
+        (["not_stabilised"], [4], "not_stabilised", 1),
+    ],
+)
+def test_rounds_end_where_nothing_worse_is_found(ends: list[str], found: list[int], status: str, active: int) -> None:
+    design = Prepared(ends, found)
+    outcome = in_rounds(design, 3)
+    assert (str(outcome.status), design.active) == (status, active)
+    assert design.lasts == [k == 2 or ends[k] in ("out_of_time", "not_stabilised") for k in range(len(ends))]
+
+
+def test_a_tuning_that_is_not_at_its_end_goes_on_without_anything_new() -> None:
+    design = Prepared(["iterations"] * 3, [0] * 3, unfinished=True)
+    assert in_rounds(design, 3).status is TuningStatus.ROUNDS and len(design.lasts) == 3
+
+
+def test_no_round_begins_after_the_deadline_and_none_is_made_twice() -> None:
+    late = in_rounds(Prepared(["converged"] * 5, [1] * 5), 5, deadline=time.monotonic() - 1.0)
+    assert late.status is TuningStatus.OUT_OF_TIME
+    design = Prepared(["converged"] * 5, [1, 1, 1, 1, 0])
+    assert in_rounds(design, 5, done=3).status is TuningStatus.CONVERGED and len(design.lasts) == 2
+
+
+def test_points_are_compared_by_violation_before_value() -> None:
+    assert lower((0.0, 5.0), (1.2, 1.0)) and not lower((1.2, 1.0), (0.0, 5.0))
+    assert lower((1.1, 9.0), (1.2, 1.0)), "of two violations the smaller one"
+    assert lower((0.0, 1.0), (0.0, 1.0)) and not lower((0.0, 1.0), (0.0, 1.0), 1e-9)
+    assert not lower((0.0, np.nan), (0.0, 1.0)) and not lower((np.inf, np.inf), (0.0, 1.0))
