@@ -313,6 +313,16 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     )
 
 
+def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
+    """Bound of each figure of a stage in its own unit, as a bundle says without a check."""
+    limits = figures_of(bundle.parameters, stage)
+    return {
+        figure: bundle.proof(stage, figure).level * limits[figure].limit
+        for where, figure in bundle.figures
+        if where == stage
+    }
+
+
 def bound_text(figure: str, level: float, limit: float) -> str:
     """A figure of merit with its bound and its limit in the unit that people use for it.
 

@@ -7,6 +7,7 @@ bundle of a user is read and not checked here: that takes minutes.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,11 +28,16 @@ class Statement:
         Each with its bound and its limit.
     checked : bool
         Whether the check of the bundle was seen to pass; else the bundle says so and nobody looked.
+    relative : float or None
+        Upper bound of the weighted amplitude of the relative error of any tone [rad]; None where slow or fast tones
+        are not proven. **No exposure has a larger rms**: the variance of a tone within a window is, for every phase and
+        frequency, below the square of the amplitude times the weight of the relative error.
     """
 
     bundle: str
     figures: tuple[str, ...]
     checked: bool
+    relative: float | None = None
 
     @property
     def text(self) -> str:
@@ -42,8 +48,21 @@ class Statement:
         )
 
 
+TONES = ("slow", "fast")
+"""Figures that bound the relative error, together of every frequency."""
 NO_PROOF = "no proof of these controllers on this telescope is at hand"
 """What is said where no bundle fits."""
+
+
+def relative_error(levels: Mapping[str, float]) -> float | None:
+    """The larger of the bounds on slow and on fast tones; None where one is missing.
+
+    Parameters
+    ----------
+    levels : mapping of str to float
+        Bound of each figure [rad].
+    """
+    return max(levels[name] for name in TONES) if set(TONES) <= set(levels) else None
 
 
 def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement | None:
@@ -60,17 +79,21 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
         found = tuple(str(row["text"]) for row in shipped["figures"] if row["stage"] == stage)
-        return Statement(shipped["name"], found, True) if found else None
+        levels = {
+            str(r["figure"]): float(r["level"]) * float(r["limit"]) for r in shipped["figures"] if r["stage"] == stage
+        }
+        return Statement(shipped["name"], found, True, relative_error(levels)) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from lftkit.proofs.verdict import ProofError
-    from los_design.verification.bundle import figures_proven, open_bundle
+    from los_design.verification.bundle import figures_proven, levels_proven, open_bundle
 
     try:
         with open_bundle(folder / BUNDLE) as bundle:
             if not bundle.subject.covers(subject, stage):
                 return None
             figures = figures_proven(bundle, stage)
-            return Statement(bundle.name, figures, False) if figures else None
+            relative = relative_error(levels_proven(bundle, stage))
+            return Statement(bundle.name, figures, False, relative) if figures else None
     except ProofError:
         return None

@@ -20,6 +20,7 @@ from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL, from_mapping, read_pupil_file
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
+from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -84,7 +85,9 @@ def _pupil(parts: RunParts) -> bytes:
 
 
 def proof_of(parts: RunParts) -> dict[str, str]:
-    """What is proven of the loop of a run: one line under ``proof``; nothing for a stage without fine control.
+    """What is proven of the loop of a run: one line under ``proof``, the bound of the RPE under ``proof_rpe``.
+
+    Nothing for a stage without fine control.
 
     Code of the user, and a camera at another rate than the telescope's, are no part of any proof.
     """
@@ -101,7 +104,10 @@ def proof_of(parts: RunParts) -> dict[str, str]:
         found = statement_of(
             Subject.of(**parts.models, telescope=parameters_hash(parts.parameters)), config.loop, folder
         )
-    return {"proof": NO_PROOF if found is None else found.text}
+    if found is None or found.relative is None:
+        return {"proof": NO_PROOF if found is None else found.text}
+    window = float(parts.parameters["weights"]["rpe_window"])
+    return {"proof": found.text, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
 
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:

@@ -18,9 +18,12 @@ from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.screen import met, printable, say
 from pointing_analysis.files.atomic_output import check_output
+from pointing_analysis.image.optics import optics_of
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
+from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.rows import cells, heads
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
@@ -102,7 +105,9 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
 
     effect = control_effect(run, summary)
     notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof"))
-    return tuple(text for text in (effect.remark if effect else "", *notes, *requested(run)) if text)
+    optics = optics_of(run) if summary.image is not None else None
+    image = proven_text(run.parameters.get(PROOF_RPE), optics, summary.image)
+    return tuple(text for text in (effect.remark if effect else "", *notes, image, *requested(run)) if text)
 
 
 def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
